@@ -1,0 +1,26 @@
+# make demo and make test are all a user needs; both set up what is missing first.
+VENV := .venv
+RUN := $(VENV)/bin
+
+.PHONY: setup demo test lint benchmark clean
+
+setup:
+	@bash scripts/setup.sh
+
+demo: setup
+	@$(RUN)/python pipelines/connecting_rod.py
+	@$(RUN)/morembs reduce pipelines/connecting_rod.toml
+
+test: setup lint
+	@$(RUN)/python -m pytest
+
+lint: setup
+	@$(RUN)/ruff check .
+	@$(RUN)/lint-imports
+	@$(RUN)/mypy
+
+benchmark: setup
+	@$(RUN)/python benchmarks/run.py
+
+clean:
+	rm -rf $(VENV)

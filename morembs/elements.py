@@ -1,0 +1,212 @@
+"""Solid elements: shape functions from scikit-fem in VTK node order, quadrature, faces.
+
+Reference domains are those of scikit-fem: the unit simplex, the unit cube [0, 1]^3, and the unit
+triangle times [0, 1]. The order of scikit-fem's functions differs from VTK's; it is found from
+where each function is one, so no table of permutations can be wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefLine, RefTri, RefWedge
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def _with_edges(corners: list[list[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
+    corner = np.array(corners, dtype=float)
+    return np.vstack([corner, *[(corner[[a]] + corner[[b]]) / 2 for a, b in edges]])
+
+
+_TRI = [[0, 0], [1, 0], [0, 1]]
+_QUAD = [[0, 0], [1, 0], [1, 1], [0, 1]]
+_TET = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+_HEX = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+_WEDGE = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
+_TRI_EDGES = ((0, 1), (1, 2), (2, 0))
+_QUAD_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0))
+_TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
+_HEX_EDGES = (
+    (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
+)  # fmt: skip
+_HEX_CENTERS = [[0, 0.5, 0.5], [1, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 1, 0.5], [0.5, 0.5, 0], [0.5, 0.5, 1]]
+_HEX20 = _with_edges(_HEX, _HEX_EDGES)
+_TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+_HEX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+_WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
+_WEDGE_FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
+
+
+class ElementWedgeS2(skfem.ElementH1):  # type: ignore[misc]
+    """15-node serendipity wedge, which scikit-fem lacks (Zienkiewicz and Taylor 2000, ch. 8.12)."""
+
+    maxdeg = 3
+    refdom = RefWedge
+    doflocs = _with_edges(_WEDGE, _WEDGE_EDGES)
+
+    def lbasis(self, X: Floats, i: int) -> tuple[Floats, Floats]:
+        """Value (nq,) and gradient (3, nq) of function ``i`` at the points X (3, nq)."""
+        r, s, t = X
+        zero, one = np.zeros_like(r), np.ones_like(r)
+        L = (1 - r - s, r, s)
+        dL = (np.array([-one, -one, zero]), np.array([one, zero, zero]), np.array([zero, one, zero]))
+        dz = np.array([zero, zero, 2 * one])
+        if i < 6:
+            a, side = i % 3, -1.0 if i < 3 else 1.0
+            z = side * (2 * t - 1)
+            value = 0.5 * L[a] * (1 + z) * (2 * L[a] - 2 + z)
+            by_area = 0.5 * (1 + z) * (4 * L[a] - 2 + z)
+            by_height = 0.5 * L[a] * (2 * L[a] - 1 + 2 * z) * side
+            return value, by_area * dL[a] + by_height * dz
+        z = 2 * t - 1
+        if i < 12:
+            a, b = (corner % 3 for corner in _WEDGE_EDGES[i - 6])
+            side = -1.0 if i < 9 else 1.0
+            height = 1 + side * z
+            return (
+                2 * L[a] * L[b] * height,
+                2 * height * (L[a] * dL[b] + L[b] * dL[a]) + 2 * L[a] * L[b] * side * dz,
+            )
+        a = i - 12
+        return L[a] * (1 - z**2), (1 - z**2) * dL[a] - 2 * z * L[a] * dz
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Quadrature points (nq, dim) and weights (nq,) with the shape functions there.
+
+    ``N`` (nq, k) values and ``dN`` (nq, k, dim) gradients in reference coordinates.
+    """
+
+    points: Floats
+    weights: Floats
+    N: Floats
+    dN: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElementType:
+    """One element type.
+
+    ``reference`` (k, dim) node positions in VTK order, ``faces`` the corner nodes of each face seen
+    from outside, ``stiffness_order`` and ``mass_order`` the polynomial degrees integrated exactly.
+    """
+
+    name: str
+    function: skfem.Element
+    reference: Floats
+    vtk: int
+    stiffness_order: int
+    mass_order: int
+    faces: tuple[tuple[int, ...], ...] = ()
+    face_types: tuple[str, ...] = ()
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes per element."""
+        return len(self.reference)
+
+    @cached_property
+    def _order(self) -> Ints:
+        distance = np.linalg.norm(self.reference[:, None] - self.function.doflocs[None], axis=2)
+        return np.argmin(distance, axis=1)
+
+    def shape(self, points: Floats) -> tuple[Floats, Floats]:
+        """Values (nq, k) and reference gradients (nq, k, dim) at ``points`` (nq, dim)."""
+        pairs = [self.function.lbasis(points.T, int(i)) for i in self._order]
+        ones = np.ones(len(points))
+        N = np.stack([value * ones for value, _ in pairs], axis=1)
+        dN = np.stack([(np.asarray(grad) * ones).T for _, grad in pairs], axis=1)
+        return N, dN
+
+    def rule(self, order: int) -> Rule:
+        """Quadrature exact to the degree ``order`` with the shape functions at its points."""
+        points, weights = _quadrature(self.function.refdom, order)
+        N, dN = self.shape(points)
+        return Rule(points, weights, N, dN)
+
+    @cached_property
+    def face_nodes(self) -> tuple[tuple[str, Ints], ...]:
+        """For each face its type and its nodes in VTK order, the normal pointing outwards."""
+        result = []
+        for corners, kind in zip(self.faces, self.face_types, strict=True):
+            face = FACES[kind]
+            linear = FACES["tri3" if len(corners) == 3 else "quad4"]
+            N, _ = linear.shape(face.reference)
+            points = N @ self.reference[list(corners)]
+            distance = np.linalg.norm(points[:, None] - self.reference[None], axis=2)
+            result.append((kind, np.argmin(distance, axis=1)))
+        return tuple(result)
+
+
+def _quadrature(domain: type, order: int) -> tuple[Floats, Floats]:
+    """Points (nq, dim) and weights of a rule exact to degree ``order``."""
+    if domain is not RefWedge:
+        X, W = get_quadrature(domain, order)
+        return np.ascontiguousarray(X.T), W
+    # scikit-fem's own wedge rule integrates the volume 0.25 instead of 0.5, so the product is made here.
+    (tri, w_tri), (line, w_line) = get_quadrature(RefTri, order), get_quadrature(RefLine, order)
+    points = [[x, y, z] for z in line[0] for x, y in tri.T]
+    return np.array(points), np.array([a * b for b in w_line for a in w_tri])
+
+
+def _face(name: str, function: skfem.Element, reference: Floats, vtk: int, order: int) -> ElementType:
+    return ElementType(
+        name=name, function=function, reference=reference, vtk=vtk, stiffness_order=order, mass_order=order
+    )
+
+
+FACES: dict[str, ElementType] = {
+    face.name: face
+    for face in (
+        _face("tri3", skfem.ElementTriP1(), np.array(_TRI, dtype=float), 5, 2),
+        _face("tri6", skfem.ElementTriP2(), _with_edges(_TRI, _TRI_EDGES), 22, 6),
+        _face("quad4", skfem.ElementQuad1(), np.array(_QUAD, dtype=float), 9, 3),
+        _face("quad8", skfem.ElementQuadS2(), _with_edges(_QUAD, _QUAD_EDGES), 23, 7),
+        _face("quad9", skfem.ElementQuad2(), np.vstack([_with_edges(_QUAD, _QUAD_EDGES), [[0.5, 0.5]]]), 28, 7),
+    )
+}
+
+
+def _solid(
+    name: str, function: skfem.Element, reference: Floats, vtk: int, orders: tuple[int, int],
+    faces: tuple[tuple[int, ...], ...], kinds: tuple[str, ...],
+) -> ElementType:  # fmt: skip
+    return ElementType(
+        name=name, function=function, reference=reference, vtk=vtk,
+        stiffness_order=orders[0], mass_order=orders[1], faces=faces, face_types=kinds,
+    )  # fmt: skip
+
+
+# Stiffness rules are those of the field (4 points in tet10, 3x3x3 in hex20); mass is integrated
+# exactly on straight-sided elements.
+TYPES: dict[str, ElementType] = {
+    kind.name: kind
+    for kind in (
+        _solid("tet4", skfem.ElementTetP1(), np.array(_TET, dtype=float), 10, (1, 2), _TET_FACES, ("tri3",) * 4),
+        _solid("tet10", skfem.ElementTetP2(), _with_edges(_TET, _TET_EDGES), 24, (2, 5), _TET_FACES, ("tri6",) * 4),
+        _solid("hex8", skfem.ElementHex1(), np.array(_HEX, dtype=float), 12, (3, 5), _HEX_FACES, ("quad4",) * 6),
+        _solid("hex20", skfem.ElementHexS2(), _HEX20, 25, (5, 5), _HEX_FACES, ("quad8",) * 6),
+        _solid(
+            "hex27", skfem.ElementHex2(), np.vstack([_HEX20, _HEX_CENTERS, [[0.5] * 3]]), 29, (5, 5),
+            _HEX_FACES, ("quad9",) * 6,
+        ),
+        _solid(
+            "wedge6", skfem.ElementWedge1(), np.array(_WEDGE, dtype=float), 13, (2, 4),
+            _WEDGE_FACES, ("tri3",) * 2 + ("quad4",) * 3,
+        ),
+        _solid(
+            "wedge15", ElementWedgeS2(), ElementWedgeS2.doflocs, 26, (4, 5),
+            _WEDGE_FACES, ("tri6",) * 2 + ("quad8",) * 3,
+        ),
+    )
+}  # fmt: skip
+
+__all__ = ["FACES", "TYPES", "ElementType", "Rule"]

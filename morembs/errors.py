@@ -1,0 +1,35 @@
+"""Every error a user can meet; the command line turns each into one message and exit code 2."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MorembsError(Exception):
+    """Base of all errors raised on purpose: the message says what was given, expected, and what to do."""
+
+
+class InputError(MorembsError, ValueError):
+    """The input (file, key, set, material, mesh) cannot be used as given."""
+
+
+class SingularMatrixError(MorembsError, ArithmeticError):
+    """A matrix that had to be regular is singular, most often a mechanism or an unconnected part."""
+
+
+class SolverError(MorembsError, RuntimeError):
+    """A linear solver or eigensolver failed, or its result did not pass the check that follows it."""
+
+
+class OutputError(MorembsError, OSError):
+    """A result could not be written; the file that was there before is untouched."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Words for an error message: the known name most like ``name``, else the list of all."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return "known: " + (", ".join(known) if known else "none")

@@ -1,0 +1,230 @@
+"""Interfaces: where other bodies touch the part, and how its nodes follow a frame.
+
+Three couplings of slave nodes s to a frame at the point c with motion z = (translation, rotation):
+
+* rigid (RBE2): u_s = R_s z; the slave dofs are eliminated, six dofs of the frame replace them;
+* average (RBE3): z = T u, T = (R_s' W R_s)^-1 R_s' W; adds no stiffness, forces spread with the weights W;
+* direct: the displacement dofs of the nodes themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.model import FEModel, frozen, rigid_motion
+from morembs.surface import nodal_areas, outer_faces
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+COUPLINGS = ("rigid", "average", "direct")
+# Scaled condition of R_s' W R_s above which the slave nodes count as collinear.
+COLLINEAR = 1e8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interface:
+    """Named interface of a model.
+
+    ``nodes`` (ns,) rows of ``Nodes.xyz``; ``point`` (3,) origin of the frame in m; ``axes`` (3, 3) its
+    axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
+    else ones; ``components`` the motions 0..5 (translations, rotations) that are exposed.
+    """
+
+    name: str
+    nodes: Ints
+    coupling: str
+    point: Floats
+    weights: Floats
+    axes: Floats = field(default_factory=lambda: np.eye(3))
+    components: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+
+    def __post_init__(self) -> None:
+        for name in ("nodes", "point", "weights", "axes"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name))))
+
+
+def make_interface(
+    model: FEModel, *, name: str, nodes: Ints, coupling: str = "rigid",
+    point: Sequence[float] | None = None, components: Sequence[int] | None = None,
+) -> Interface:  # fmt: skip
+    """Interface with checked nodes, area-consistent weights and, if not given, the centroid as point.
+
+    Args:
+        nodes: rows of ``model.nodes`` (see ``select_nodes``).
+        point: in m.
+        components: exposed motions; by default all six, or the three displacements for "direct".
+
+    Raises:
+        InputError: unknown coupling, no nodes, or collinear nodes under a rigid or average coupling.
+    """
+    if coupling not in COUPLINGS:
+        raise InputError(f"interface {name!r}: coupling = {coupling!r} was given; {nearest(coupling, COUPLINGS)}")
+    rows = np.unique(np.asarray(nodes, dtype=np.int64))
+    if not len(rows):
+        raise InputError(f"interface {name!r} has no nodes")
+    allowed = 3 if coupling == "direct" else 6
+    chosen = tuple(range(allowed)) if components is None else tuple(sorted(set(components)))
+    if not chosen or min(chosen) < 0 or max(chosen) >= allowed:
+        raise InputError(
+            f"interface {name!r}: components = {list(components or [])} was given; expected some of 0..{allowed - 1}"
+        )
+    weights = np.ones(len(rows))
+    if model.mesh is not None:
+        areas = nodal_areas(model.nodes.xyz, outer_faces(model.mesh, within=rows))[rows]
+        if areas.sum() > 0:
+            weights = areas
+    xyz = model.nodes.xyz[rows]
+    origin = weights @ xyz / weights.sum() if point is None else np.asarray(point, dtype=float)
+    interface = Interface(
+        name=name, nodes=rows, coupling=coupling, point=origin, weights=weights, components=chosen
+    )
+    if coupling != "direct":
+        _refuse_collinear(interface, xyz)
+    return interface
+
+
+def _refuse_collinear(interface: Interface, xyz: Floats) -> None:
+    arms = xyz - xyz.mean(axis=0)
+    length = np.linalg.norm(arms, axis=1).max()
+    condition = np.inf
+    if length > 0:
+        # Rotations about the centroid, the arms scaled to one, weights as coupled.
+        R = _frame_motion(arms / length, np.zeros(3))
+        w = interface.weights if interface.coupling == "average" else np.ones(len(arms))
+        condition = float(np.linalg.cond(R.T @ (np.repeat(w / np.abs(w).sum(), 3)[:, None] * R)))
+    if not condition < COLLINEAR:
+        raise InputError(
+            f"interface {interface.name!r}: its {len(xyz)} nodes lie on a line or in a point; a {interface.coupling} "
+            "coupling needs at least three nodes that span a plane (take more nodes, or coupling = \"direct\")"
+        )
+
+
+def _frame_motion(xyz: Floats, point: Floats) -> Floats:
+    """R_s (3 ns, 6): displacements of nodes under the motion of a frame at ``point``."""
+    component = np.tile(np.arange(3), len(xyz))
+    return rigid_motion(np.repeat(xyz - point, 3, axis=0), component)
+
+
+def averaging(interface: Interface, xyz: Floats) -> Floats:
+    """T (6, 3 ns) of the average coupling for slave coordinates ``xyz`` (ns, 3): z = T u_s."""
+    arms = xyz - interface.point
+    length = max(float(np.linalg.norm(arms, axis=1).max()), np.finfo(float).tiny)
+    scale = np.array([1.0, 1.0, 1.0, length, length, length])
+    R = _frame_motion(xyz, interface.point) / scale
+    WR = np.repeat(interface.weights / interface.weights.sum(), 3)[:, None] * R
+    return np.asarray(np.linalg.solve(R.T @ WR, WR.T) / scale[:, None])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coupling:
+    """All interfaces of a model as matrices.
+
+    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without rigid slaves, then six per rigid frame);
+    ``B`` (Nc, m) inputs, one column per exposed interface motion, and also outputs as ``B'``;
+    ``R`` (Nc, 6) geometric rigid-body modes; ``columns`` interface name -> its columns of B.
+    """
+
+    T: sp.csr_array
+    B: sp.csc_array
+    R: Floats
+    columns: dict[str, slice]
+
+
+def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
+    """Matrices of all interfaces.
+
+    Raises:
+        InputError: two interfaces of one name, or rigid or direct interfaces that share nodes.
+    """
+    _refuse_shared(model, interfaces)
+    rigid = [i for i in interfaces if i.coupling == "rigid"]
+    slave = np.zeros(model.size, dtype=bool)
+    for interface in rigid:
+        slave[_displacement_dofs(model, interface)] = True
+    kept = np.flatnonzero(~slave)
+    size = len(kept) + 6 * len(rigid)
+    rows, cols, values = [kept], [np.arange(len(kept))], [np.ones(len(kept))]
+    masters: dict[str, int] = {}
+    for number, interface in enumerate(rigid):
+        masters[interface.name] = len(kept) + 6 * number
+        dofs = _displacement_dofs(model, interface)
+        motion = _frame_motion(model.nodes.xyz[interface.nodes], interface.point)
+        rows.append(np.repeat(dofs, 6))
+        cols.append(np.tile(masters[interface.name] + np.arange(6), len(dofs)))
+        values.append(motion.ravel())
+    data = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
+    T = sp.csr_array(sp.coo_array(data, shape=(model.size, size)))
+    T.eliminate_zeros()
+    R_fe = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    R = np.zeros((size, 6))
+    R[: len(kept)] = R_fe[kept]
+    for interface in rigid:
+        at = masters[interface.name]
+        R[at : at + 6] = rigid_motion(np.tile(interface.point, (6, 1)), np.arange(6))
+    B, columns = _inputs(model, interfaces, T, masters)
+    return Coupling(T=T, B=B, R=R, columns=columns)
+
+
+def _inputs(
+    model: FEModel, interfaces: Sequence[Interface], T: sp.csr_array, masters: dict[str, int]
+) -> tuple[sp.csc_array, dict[str, slice]]:
+    blocks, columns, at = [], {}, 0
+    for interface in interfaces:
+        wanted = list(interface.components)
+        if interface.coupling == "rigid":
+            rows = masters[interface.name] + np.array(wanted)
+            data = (np.ones(len(rows)), (rows, np.arange(len(rows))))
+            block = sp.csc_array(data, shape=(T.shape[1], len(rows)))
+        else:
+            dofs = _displacement_dofs(model, interface)
+            if interface.coupling == "direct":
+                dofs = dofs.reshape(-1, 3)[:, wanted].ravel()
+                data = (np.ones(len(dofs)), (dofs, np.arange(len(dofs))))
+                on_fe = sp.csc_array(data, shape=(T.shape[0], len(dofs)))
+            else:
+                average = averaging(interface, model.nodes.xyz[interface.nodes])[wanted]
+                at_rows, at_cols = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
+                on_fe = sp.csc_array((average.ravel(), (at_rows, at_cols)), shape=(T.shape[0], len(wanted)))
+            block = sp.csc_array(T.T @ on_fe)
+        columns[interface.name] = slice(at, at + block.shape[1])
+        at += block.shape[1]
+        blocks.append(block)
+    return (sp.csc_array(sp.hstack(blocks)) if blocks else sp.csc_array((T.shape[1], 0))), columns
+
+
+def _displacement_dofs(model: FEModel, interface: Interface) -> Ints:
+    """Dofs (3 ns,) x, y, z of the interface's nodes."""
+    dofs = model.dofs.of_nodes(interface.nodes)
+    if (dofs < 0).any():
+        bare = interface.nodes[(dofs < 0).any(axis=1)][0]
+        raise InputError(
+            f"interface {interface.name!r}: node {model.nodes.ids[bare]} has no dof for each of x, y and z; "
+            "take other nodes"
+        )
+    return dofs.ravel()
+
+
+def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:
+    owner: dict[int, Interface] = {}
+    names: set[str] = set()
+    for interface in interfaces:
+        if interface.name in names:
+            raise InputError(f"two interfaces are named {interface.name!r}; give each its own name")
+        names.add(interface.name)
+        if interface.coupling == "average":
+            continue
+        for row in interface.nodes.tolist():
+            if row in owner:
+                other = owner[row]
+                raise InputError(
+                    f"the {other.coupling} interface {other.name!r} and the {interface.coupling} interface "
+                    f"{interface.name!r} share node {model.nodes.ids[row]}; a node can belong to one of them only "
+                    '(leave it out of one, or take coupling = "average")'
+                )
+            owner[row] = interface

@@ -1,0 +1,1 @@
+"""Matrices only: sparse factorisations, eigenvalues, statics. Knows nothing of finite elements."""

@@ -1,0 +1,135 @@
+"""Lowest modes of a restricted pencil, proven complete by a Sturm count."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, SolverError
+from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.statics import Restricted
+from morembs.progress import SILENT, Progress
+
+log = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+# Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
+DENSE = 1500
+DENSE_PART = 6000
+# A Sturm count needs a shift in a gap: neighbours closer than this are one cluster.
+GAP = 1e-6
+ATTEMPTS = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Modes:
+    """``eigenvalues`` (m,) in (rad/s)2 ascending, ``vectors`` (N, m) M-orthonormal.
+
+    ``verified_below`` is the eigenvalue below which a count proved that no mode is missing.
+    """
+
+    eigenvalues: Floats
+    vectors: Floats
+    verified_below: float
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Frequencies (m,) in Hz."""
+        return np.sqrt(np.maximum(self.eigenvalues, 0.0)) / (2 * np.pi)
+
+    def first(self, count: int) -> Modes:
+        """The lowest ``count`` of these modes."""
+        return Modes(
+            eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=self.verified_below
+        )
+
+
+def lowest_modes(
+    pencil: Restricted, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
+    progress: Progress = SILENT, what: str = "modes",
+) -> Modes:  # fmt: skip
+    """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
+
+    Raises:
+        InputError: more modes than the restricted body has.
+        SolverError: no convergence, or the Sturm count still finds a missing mode.
+    """
+    size = M.shape[0] - pencil.count
+    if count is None:
+        if below is None:
+            raise InputError("lowest_modes needs either count or below")
+        if M.shape[0] > DENSE:
+            count = pencil.count_below(below, M)
+    if count is not None and count > size:
+        raise InputError(
+            f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; ask for fewer"
+        )
+    if M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size):
+        return _dense(pencil, M, count, below)
+    if not count:
+        return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
+    return _sparse(pencil, M, count, below, progress, what)
+
+
+def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
+    C = pencil.C.toarray() if sp.issparse(pencil.C) else np.asarray(pencil.C)
+    Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
+    K = Q.T @ (pencil.statics.K @ Q)
+    Mq = Q.T @ (M @ Q)
+    values, vectors = sl.eigh(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
+    m = int((values <= below).sum()) if count is None and below is not None else count
+    vectors = signed(Q @ vectors[:, :m])
+    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=float(values[-1]))
+
+
+def _sparse(
+    pencil: Restricted, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str
+) -> Modes:
+    rng = np.random.default_rng(2)
+    block = int(np.clip(count // 2, 8, 16))
+    start = pencil.flexibility(M @ rng.standard_normal((M.shape[0], block)))
+    wanted = min(count + 2, M.shape[0] - pencil.count)
+    lanczos = BlockLanczos(
+        pencil.flexibility, M, start, capacity=min(3 * wanted + 8 * block, M.shape[0] - pencil.count)
+    )
+    for _ in range(ATTEMPTS):
+        theta, Y = largest(lanczos, wanted, progress=progress, what=what)
+        values = 1.0 / theta
+        cut = below if below is not None else _gap_after(values, count)
+        if cut is None:
+            wanted = min(wanted + block, M.shape[0] - pencil.count)
+            continue
+        found = int((values < cut).sum())
+        true = count if below is not None else pencil.count_below(cut, M)
+        log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
+        if found == true:
+            vectors = signed(Y[:, :count])
+            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=float(cut))
+        wanted = max(wanted, true + 2)
+    raise SolverError(
+        f"the Sturm count finds {true} {what} below {np.sqrt(cut) / (2 * np.pi):.6g} Hz, the eigensolver {found}; "
+        "ask for a few modes more or less, so that the limit does not cut a cluster"
+        if cut is not None
+        else f"the first {wanted} {what} lie in one cluster; ask for more of them"
+    )
+
+
+def _gap_after(values: Floats, count: int) -> float | None:
+    """A shift in the first gap behind mode ``count``; None if all further values cluster with it."""
+    for k in range(count, len(values)):
+        if values[k] - values[k - 1] > GAP * values[k]:
+            return float(0.5 * (values[k] + values[k - 1]))
+    return None
+
+
+def signed(V: Floats) -> Floats:
+    """Columns with the first of their large entries positive, so that equal input gives equal signs."""
+    if not V.size:
+        return V
+    large = np.abs(V) >= 0.99 * np.abs(V).max(axis=0)
+    first = large.argmax(axis=0)
+    return V * np.where(V[first, range(V.shape[1])] < 0, -1.0, 1.0)

@@ -1,0 +1,124 @@
+"""Block Lanczos with full reorthogonalisation and thick restart.
+
+The operator F -> G M F, with G a symmetric flexibility, is self-adjoint in the inner product of M; its
+largest eigenvalues 1/lambda belong to the lowest modes. Blocks make the sparse solves several times
+cheaper per column than single vectors and find multiple eigenvalues (Grimes, Lewis, Simon 1994;
+restart: Wu and Simon 2000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import SolverError
+from morembs.linalg.orthogonal import m_orthonormal, remove
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+TOLERANCE = 1e-9
+MAX_STEPS = 400
+
+
+class BlockLanczos:
+    """Krylov space of ``flexibility(M .)`` that grows block by block.
+
+    Peak memory: ``capacity`` columns of length N and a few blocks.
+    """
+
+    def __init__(
+        self, flexibility: Callable[[Floats], Floats], M: sp.sparray, start: Floats, *, capacity: int, seed: int = 1
+    ) -> None:
+        self.flexibility = flexibility
+        self.M = M
+        self.block = start.shape[1]
+        self.capacity = max(capacity, 3 * self.block)
+        self.rng = np.random.default_rng(seed)
+        self.V = np.empty((M.shape[0], self.capacity), order="F")
+        self.T = np.zeros((self.capacity, self.capacity))
+        self.size = 0
+        self.pending = m_orthonormal(start, M)
+        self.rest = np.zeros((0, 0))
+
+    def expand(self) -> None:
+        """One block more: afterwards ``size`` columns satisfy Op V = V T + W E'."""
+        Q = self.pending
+        k, b = self.size, Q.shape[1]
+        self.V[:, k : k + b] = Q
+        W = self.flexibility(self.M @ Q)
+        norms = np.sqrt(np.maximum(np.einsum("ij,ij->j", W, self.M @ W), 0.0))
+        H = remove(self.V[:, : k + b], W, self.M)
+        self.T[: k + b, k : k + b] = H
+        self.T[k : k + b, : k + b] = H.T
+        self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
+        self.size = k + b
+        G = W.T @ (self.M @ W)
+        self.rest = 0.5 * (G + G.T)
+        self.last = slice(k, k + b)
+        self.pending = self._next(W, norms)
+
+    def _next(self, W: Floats, norms: Floats) -> Floats:
+        Q = m_orthonormal(W, self.M, norms)
+        if 0 < Q.shape[1] < W.shape[1] or not Q.shape[1]:
+            # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
+            missing = self.block - Q.shape[1]
+            fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
+            before = np.sqrt(np.einsum("ij,ij->j", fresh, self.M @ fresh))
+            known = np.hstack([self.V[:, : self.size], Q])
+            remove(known, fresh, self.M)
+            Q = np.hstack([Q, m_orthonormal(fresh, self.M, before)])
+            remove(self.V[:, : self.size], Q, self.M)
+            Q = m_orthonormal(Q, self.M)
+        return Q
+
+    def ritz(self) -> tuple[Floats, Floats, Floats]:
+        """Eigenvalues theta descending (k,), coordinates (k, k), residual norms in M (k,)."""
+        theta, Y = sl.eigh(self.T[: self.size, : self.size])
+        theta, Y = theta[::-1], Y[:, ::-1]
+        y = Y[self.last]
+        residual = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", y, self.rest, y), 0.0))
+        return theta, Y, residual
+
+    def restart(self, keep: int) -> None:
+        """Keep the ``keep`` best Ritz vectors and go on from them."""
+        theta, Y, _ = self.ritz()
+        self.V[:, :keep] = self.V[:, : self.size] @ Y[:, :keep]
+        self.T[:] = 0.0
+        self.T[range(keep), range(keep)] = theta[:keep]
+        self.size = keep
+
+    def full(self) -> bool:
+        """No room for another block."""
+        return self.size + self.pending.shape[1] > self.capacity
+
+    def vectors(self, Y: Floats) -> Floats:
+        """Columns V Y (N, j)."""
+        return np.asarray(self.V[:, : self.size] @ Y)
+
+
+def largest(
+    lanczos: BlockLanczos, count: int, *, progress: Progress = SILENT, what: str = "modes"
+) -> tuple[Floats, Floats]:
+    """The ``count`` largest eigenvalues theta and their vectors, M-orthonormal, to ``TOLERANCE``.
+
+    Raises:
+        SolverError: no convergence.
+    """
+    for _ in range(MAX_STEPS):
+        if lanczos.full():
+            lanczos.restart(min(count + 2 * lanczos.block, lanczos.size - lanczos.block))
+        lanczos.expand()
+        theta, Y, residual = lanczos.ritz()
+        if lanczos.size < count:
+            continue
+        good = residual[:count] <= TOLERANCE * np.abs(theta[:count])
+        progress.update(f"{int(good.sum())} of {count} {what} converged")
+        if good.all() or not lanczos.pending.shape[1]:
+            return theta[:count], lanczos.vectors(Y[:, :count])
+    raise SolverError(
+        f"{count} {what} did not converge in {MAX_STEPS} steps; ask for fewer, or check the model for a mechanism"
+    )

@@ -1,0 +1,44 @@
+"""Orthonormal columns in the inner product of M, with an explicit rank decision."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+# A column that keeps less than this part of its norm after orthogonalisation is dependent.
+DEPENDENT = 1e-10
+
+
+def remove(V: Floats, W: Floats, M: sp.sparray) -> Floats:
+    """Take span(V) (M-orthonormal) out of ``W`` in place, twice; returns the coefficients V' M W."""
+    if V.shape[1] == 0:
+        return np.zeros((0, W.shape[1]))
+    first = V.T @ (M @ W)
+    W -= V @ first
+    second = V.T @ (M @ W)
+    W -= V @ second
+    return np.asarray(first + second)
+
+
+def m_orthonormal(W: Floats, M: sp.sparray, reference: Floats | None = None) -> Floats:
+    """M-orthonormal basis of the columns of ``W``, dependent ones dropped (SVQB, Stathopoulos and Wu 2002).
+
+    ``reference`` gives the norms that the columns had before anything was taken out of them.
+    """
+    norms = np.sqrt(np.maximum(np.einsum("ij,ij->j", W, M @ W), 0.0))
+    start = norms if reference is None else reference
+    keep = (norms > DEPENDENT * start) & (norms > 0)
+    Q = W[:, keep] / norms[keep]
+    for _ in range(3):
+        if not Q.shape[1]:
+            return Q
+        G = Q.T @ (M @ Q)
+        if np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
+            break
+        values, U = sl.eigh(0.5 * (G + G.T))
+        good = values > (DEPENDENT * DEPENDENT) * values[-1] * 1e6
+        Q = Q @ (U[:, good] / np.sqrt(values[good]))
+    return Q

@@ -1,0 +1,166 @@
+"""Static solves with a stiffness matrix that has rigid-body modes, which is never factorised as it is.
+
+As many dofs as there are rigid modes are supported (statically determinate, so the supports carry
+nothing under loads in equilibrium); the rest K_c is positive definite. With rigid modes Z and
+constraints C' u = g, u = K_c^+ (f - C lam) + Z a follows from
+
+    [ C'K_c^+C   -C'Z ] [lam]   [ C'K_c^+ f - g ]
+    [ -Z'C         0  ] [ a ] = [ -Z'f          ]
+
+so one factorisation serves the free body (C = M Z: mean axes, inertia relief) and the body held at any
+interface (C = B), whatever its coupling.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.linalg.solver import LinearSolver
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+BLOCK = 256
+
+
+def support_dofs(Z: Floats) -> Ints:
+    """Rows (r,) of ``Z`` (N, r) that hold its motions: pivoted QR picks far and independent ones."""
+    if not Z.shape[1]:
+        return np.empty(0, dtype=np.int64)
+    _, pivots = sl.qr(Z.T, mode="r", pivoting=True)
+    return np.sort(pivots[: Z.shape[1]]).astype(np.int64)
+
+
+class Statics:
+    """K_c^+ of a symmetric positive semidefinite ``K`` (N, N) with null space ``Z`` (N, r).
+
+    Raises:
+        SingularMatrixError: K has more zero-energy motions than Z.
+    """
+
+    def __init__(self, K: sp.csr_array, Z: Floats, solver: LinearSolver) -> None:
+        self.K, self.Z, self.solver = K, Z, solver
+        kept = np.ones(K.shape[0], dtype=bool)
+        kept[support_dofs(Z)] = False
+        self.kept = np.flatnonzero(kept)
+        held = K if kept.all() else sp.csr_array(K[self.kept][:, self.kept])
+        self.factor = solver.factorize(held, "spd", what="the supported stiffness matrix")
+
+    def apply(self, F: Floats) -> Floats:
+        """K_c^+ F (N, k): displacements with the supports at rest."""
+        U = np.zeros(F.shape)
+        U[self.kept] = self.factor.solve(F[self.kept])
+        return U
+
+    def close(self) -> None:
+        """Give the factor's memory back."""
+        self.factor.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Restricted:
+    """The body on the subspace C' u = 0, with C (N, c) dense or sparse.
+
+    Peak memory: one dense (N, c) array besides the factor.
+
+    Raises:
+        InputError: the constraints depend on each other or leave rigid motions free.
+    """
+
+    def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str) -> None:
+        self.statics, self.C = statics, C
+        Z = statics.Z
+        self.X = _in_blocks(statics.apply, C)
+        E = C.T @ self.X
+        H = C.T @ Z
+        c, r = H.shape
+        self.count = c
+        border = np.block([[0.5 * (E + E.T), -H], [-H.T, np.zeros((r, r))]])
+        # Forces and moments mix units; rows are scaled to unit size before the rank is judged.
+        scale = np.sqrt(np.maximum(np.abs(np.diag(border)), _row_floor(border)))
+        self.scale = 1.0 / np.where(scale > 0, scale, 1.0)
+        scaled = self.scale[:, None] * border * self.scale
+        if c + r:
+            values = np.abs(sl.eigvalsh(scaled))
+            if values.min() <= 1e-13 * values.max():
+                free = r - int(np.linalg.matrix_rank(H)) if c else r
+                raise InputError(
+                    f"{what} leave {free} rigid-body motions of the body free; add or enlarge interfaces until they "
+                    'hold it, or take method = "free-interface"'
+                    if free
+                    else f"{what} depend on each other; do not expose one motion twice"
+                )
+        self.border = sl.lu_factor(scaled) if c + r else None
+
+    def solve(self, F: Floats, G: Floats | None = None) -> tuple[Floats, Floats]:
+        """u (N, k) with K u = f - C lam and C' u = g, and lam (c, k)."""
+        U = self.statics.apply(F)
+        if self.border is None:
+            return U, np.zeros((0, F.shape[1]))
+        top = self.C.T @ U - (0.0 if G is None else G)
+        rhs = np.vstack([top, -(self.statics.Z.T @ F)])
+        both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
+        lam = both[: self.count]
+        U -= self.X @ lam
+        U += self.statics.Z @ both[self.count :]
+        return U, lam
+
+    def flexibility(self, F: Floats) -> Floats:
+        """Displacements (N, k) under the loads F with C' u = 0."""
+        return self.solve(F)[0]
+
+    def impose(self) -> tuple[Floats, Floats]:
+        """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c)."""
+        if self.border is None:
+            return np.zeros((self.statics.K.shape[0], 0)), np.zeros((0, 0))
+        rhs = np.zeros((len(self.scale), self.count))
+        rhs[: self.count] = -np.eye(self.count)
+        both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
+        lam = both[: self.count]
+        U = self.statics.Z @ both[self.count :] - self.X @ lam
+        return U, -0.5 * (lam + lam.T)
+
+    def count_below(self, sigma: float, M: sp.csr_array) -> int:
+        """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester, Haynsworth 1968).
+
+        One LDL' of K - sigma M: its negative pivots less those of C' (K - sigma M)^-1 C.
+        """
+        A = sp.csc_array(self.statics.K - sigma * M)
+        with self.statics.solver.factorize(A, "symmetric", what=f"K - {sigma:.6g} M") as factor:
+            negative = factor.negative_pivots()
+            S = self.C.T @ _in_blocks(factor.solve, self.C)
+        if not self.count:
+            return negative
+        scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
+        return negative - int((sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0).sum())
+
+
+def _row_floor(border: Floats) -> Floats:
+    """Where the diagonal vanishes, what the off-diagonal allows as a scale."""
+    largest = np.abs(border).max(axis=1, initial=0.0)
+    diagonal = np.abs(np.diag(border))
+    weak = diagonal <= 1e-12 * largest
+    other = np.sqrt(diagonal[~weak].max(initial=1.0)) if (~weak).any() else 1.0
+    return np.where(weak, (largest / other) ** 2, 0.0)
+
+
+def _in_blocks(solve, C: Floats | sp.csc_array) -> Floats:  # type: ignore[no-untyped-def]
+    """solve(C) as a dense (N, c) array, the columns made dense a block at a time."""
+    X = np.empty(C.shape, order="F")
+    for at in range(0, C.shape[1], BLOCK):
+        part = C[:, at : at + BLOCK]
+        X[:, at : at + BLOCK] = solve(np.asarray(part.toarray() if sp.issparse(part) else part))
+    return X

@@ -1,0 +1,212 @@
+"""A model with its interfaces and a solver: owns the factorisation and the modes that reducers share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from morembs.errors import InputError, SingularMatrixError
+from morembs.interface import Coupling, Interface, couple
+from morembs.linalg.eigen import Modes, lowest_modes
+from morembs.linalg.select import select_solver
+from morembs.linalg.solver import LinearSolver
+from morembs.linalg.statics import Restricted, Statics
+from morembs.model import FEModel
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+# A geometric rigid motion whose stiffness force stays below this part of |K| |u| is free of strain.
+STRAIN_FREE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damping:
+    """Rayleigh damping ``alpha`` (1/s) M + ``beta`` (s) K, or one ``modal`` damping ratio for all modes.
+
+    ``alpha`` and ``modal`` act on the elastic motion only: rigid motion of a free body is not damped.
+    """
+
+    alpha: float = 0.0
+    beta: float = 0.0
+    modal: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.alpha, self.beta, self.modal) < 0:
+            raise InputError(f"damping must not be negative; got {self}")
+        if self.modal and (self.alpha or self.beta):
+            raise InputError("damping: give either rayleigh or modal, not both")
+
+    def matrix(self, M: Floats, K: Floats, rigid: Floats) -> Floats:
+        """D (n, n) of a reduced pencil whose M-orthonormal rigid motions are ``rigid`` (n, r)."""
+        Mr = M @ rigid
+        if self.modal:
+            values, Y = sl.eigh(K, M)
+            omega = np.sqrt(np.maximum(values, 0.0))
+            omega[: rigid.shape[1]] = 0.0
+            MY = M @ Y
+            return np.asarray((MY * (2 * self.modal * omega)) @ MY.T)
+        return self.alpha * (M - Mr @ Mr.T) + self.beta * K
+
+
+class Problem:
+    """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
+
+    ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
+    analytic, never from an eigensolver.
+
+    Raises:
+        InputError: interfaces that do not fit together, or unconnected parts.
+    """
+
+    def __init__(
+        self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
+        damping: Damping | None = None, progress: Progress = SILENT,
+    ) -> None:  # fmt: skip
+        self.model = model
+        self.interfaces = tuple(interfaces)
+        self.solver = solver if solver is not None else select_solver()
+        self.damping = damping if damping is not None else Damping()
+        self.progress = progress
+        self.coupling: Coupling = couple(model, self.interfaces)
+        T = self.coupling.T
+        square = T.shape[0] == T.shape[1]
+        self.K, self.M = (A if square else _congruence(T, A) for A in (model.K, model.M))
+        self.D = model.D if model.D is None or square else _congruence(T, model.D)
+        self.B = self.coupling.B
+        self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
+        self._refuse_unconnected()
+        self._elastic: Modes | None = None
+        self._fixed: Modes | None = None
+
+    @property
+    def solver_name(self) -> str:
+        """Name of the linear solver in use."""
+        return self.solver.name
+
+    @cached_property
+    def statics(self) -> Statics:
+        """The one factorisation: supported stiffness, shared by all reducers."""
+        try:
+            return Statics(self.K, self.rigid, self.solver)
+        except SingularMatrixError as error:
+            raise SingularMatrixError(self._mechanism()) from error
+
+    @cached_property
+    def elastic(self) -> Restricted:
+        """The free body without its rigid-body motion (mean axes): C = M rigid."""
+        return Restricted(self.statics, self.M @ self.rigid, "the rigid-body modes")
+
+    @cached_property
+    def internal(self) -> Restricted:
+        """The body held at all interface motions: C = B."""
+        return Restricted(self.statics, self.B, "the interfaces")
+
+    def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
+        """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""
+        self._elastic = self._at_least(self._elastic, self.elastic, count, below, "free-free modes")
+        return _cut(self._elastic, count, below)
+
+    def fixed_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
+        """Modes with all interface motions fixed, as ``elastic_modes``."""
+        self._fixed = self._at_least(self._fixed, self.internal, count, below, "fixed-interface modes")
+        return _cut(self._fixed, count, below)
+
+    def known_frequencies_hz(self) -> Floats | None:
+        """Free-free frequencies of the coupled model computed so far, rigid ones as zero; None if none."""
+        if self._elastic is None:
+            return None
+        return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
+
+    def rigid_coordinates(self, V: Floats, M: Floats) -> Floats:
+        """M-orthonormal rigid motions (n, j) within span(V), j = 0 where V does not hold them."""
+        if not self.rigid.shape[1] or not V.shape[1]:
+            return np.zeros((V.shape[1], 0))
+        Q = sl.solve(M, V.T @ (self.M @ self.rigid), assume_a="pos")
+        held = Q.T @ M @ Q
+        if np.abs(held - np.eye(len(held))).max() > 1e-6:
+            return np.zeros((V.shape[1], 0))
+        return np.asarray(Q @ np.linalg.inv(np.linalg.cholesky(held)).T)
+
+    def close(self) -> None:
+        """Release the factorisation."""
+        if "statics" in self.__dict__:
+            self.statics.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _at_least(
+        self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str
+    ) -> Modes:
+        enough = known is not None and (
+            (count is not None and len(known.eigenvalues) >= count)
+            or (below is not None and known.verified_below >= below)
+        )
+        if known is not None and enough:
+            return known
+        return lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
+
+    def _refuse_unconnected(self) -> None:
+        parts, label = connected_components(self.K, directed=False)
+        if parts > 1:
+            sizes = np.sort(np.bincount(label))[::-1]
+            raise InputError(
+                f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
+                f"{6 * parts if len(sizes) == parts else '?'} rigid-body modes where one free body has 6; join the parts "
+                "(merge coincident nodes), or reduce them one by one"
+            )
+
+    def _mechanism(self) -> str:
+        """Message for a stiffness with more zero-energy motions than the rigid ones."""
+        # A shift far below every elastic mode of a sound part and far above round-off.
+        sigma = 1e-11 * float(np.max(self.K.diagonal() / np.maximum(self.M.diagonal(), np.finfo(float).tiny)))
+        with self.solver.factorize(sp.csc_array(self.K - sigma * self.M), "symmetric", what="K - sigma M") as factor:
+            found = factor.negative_pivots()
+        return (
+            f"the model has a mechanism: {found} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
+            "look for parts that touch in a node or an edge only, or nodes that should be merged"
+        )
+
+
+def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
+    if count is None:
+        count = int((modes.eigenvalues <= below).sum()) if below is not None else len(modes.eigenvalues)
+    return modes.first(count)
+
+
+def _congruence(T: sp.csr_array, A: sp.csr_array) -> sp.csr_array:
+    result = sp.csr_array(T.T @ A @ T)
+    # Equal to the last bit on both sides of the diagonal, as the solvers expect.
+    return sp.csr_array(0.5 * (result + result.T))
+
+
+def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
+    """M-orthonormal basis (N, r) of the geometric motions that K leaves free of strain."""
+    G = R.T @ (M @ R)
+    values, U = sl.eigh(G)
+    good = values > 1e-14 * max(values[-1], np.finfo(float).tiny)
+    # Modes of the inertia give orthonormal motions also where some vanish (all nodes on a line).
+    scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
+    values, U = sl.eigh(G / np.outer(scale, scale))
+    good = values > 1e-12
+    Phi = (R / scale) @ (U[:, good] / np.sqrt(values[good]))
+    size = np.linalg.norm(Phi, axis=0) * float(abs(K).sum(axis=0).max())
+    _, s, Wt = np.linalg.svd((K @ Phi) / size, full_matrices=False)
+    Z = Phi @ Wt.T[:, s < STRAIN_FREE]
+    if Z.shape[1]:
+        Z = Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T
+    return np.asarray(Z)

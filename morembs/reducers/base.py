@@ -1,0 +1,105 @@
+"""What every reducer is: options that turn a problem into a basis and a reduced model."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import ClassVar, final
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+
+# What a reduced coordinate is; the body file stores the index in this table.
+MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Basis:
+    """Columns ``V`` (Nc, n) in coupled dofs and the kind of each; stiffness ``K`` (n, n) if known exactly."""
+
+    V: Floats
+    kinds: tuple[str, ...]
+    K: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReducedModel:
+    """M q'' + D q' + K q = B f, outputs B' q: the Galerkin projection on ``V`` (Nc, n).
+
+    ``M``, ``K``, ``D`` (n, n) symmetric, ``B`` (n, m) one column per interface motion; ``mode_kind`` the
+    kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span.
+    """
+
+    name: str
+    M: Floats
+    K: Floats
+    D: Floats
+    B: Floats
+    V: Floats
+    mode_kind: tuple[str, ...]
+    rigid_count: int
+    recipe: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """Number of reduced coordinates n."""
+        return len(self.K)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reducer(ABC):
+    """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file."""
+
+    method: ClassVar[str]
+
+    @abstractmethod
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        """Columns of the reduction and their exact stiffness."""
+
+    @final
+    def reduce(self, problem: Problem, name: str | None = None, progress: Progress = SILENT) -> ReducedModel:
+        """Reduced model of ``problem``.
+
+        Raises:
+            InputError: options that do not fit the problem.
+            SingularMatrixError: the model has a mechanism.
+        """
+        basis = self._basis(problem, progress)
+        V = basis.V
+        M = V.T @ (problem.M @ V)
+        M = 0.5 * (M + M.T)
+        K = 0.5 * (basis.K + basis.K.T)
+        B = np.asarray((problem.B.T @ V).T)
+        rigid = problem.rigid_coordinates(V, M)
+        D = problem.damping.matrix(M, K, rigid)
+        if problem.D is not None:
+            D = D + V.T @ (problem.D @ V)
+        options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        return ReducedModel(
+            name=name or self.method, M=M, K=K, D=D, B=B, V=V, mode_kind=basis.kinds, rigid_count=rigid.shape[1],
+            recipe={"method": self.method, **options},
+        )  # fmt: skip
+
+
+def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None:
+    """Check that exactly one of ``modes`` and ``up_to_hz`` selects the modes."""
+    if (modes is None) == (up_to_hz is None):
+        raise InputError(f'method "{method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
+    if modes is not None and modes < 0:
+        raise InputError(f"modes = {modes} was given; expected a count, zero or more")
+    if up_to_hz is not None and not up_to_hz > 0:
+        raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz")
+
+
+def modal_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (n,) and M-orthonormal eigenvectors (n, n) of a small symmetric pencil."""
+    values, vectors = sl.eigh(K, M)
+    return values, vectors

@@ -1,0 +1,50 @@
+"""Free-interface modes with residual attachment modes, in Rubin's form (MacNeal 1971, Rubin 1975).
+
+V = [rigid, elastic modes Phi, Psi], Psi = (G_e - Phi Lam^-1 Phi') B with the elastic flexibility G_e.
+Psi is M- and K-orthogonal to the modes, so K_r is block diagonal; Psi is turned to diagonalise its own
+block, which gives each attachment coordinate a frequency.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+
+from morembs.linalg.eigen import signed
+from morembs.linalg.orthogonal import m_orthonormal, remove
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import Basis, Reducer, chosen_modes
+from morembs.reducers.guyan import require_interfaces
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeInterface(Reducer):
+    """``modes`` free-free modes or all up to ``up_to_hz``, made statically exact at the interfaces."""
+
+    method: ClassVar[str] = "free-interface"
+    modes: int | None = None
+    up_to_hz: float | None = None
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        chosen_modes(self.modes, self.up_to_hz, self.method)
+        require_interfaces(problem, self.method)
+        below = None if self.up_to_hz is None else (2 * np.pi * self.up_to_hz) ** 2
+        free = problem.elastic_modes(count=self.modes, below=below)
+        rigid, Phi, M = problem.rigid, free.vectors, problem.M
+        Psi = problem.elastic.flexibility(problem.B.toarray())
+        before = np.sqrt(np.einsum("ij,ij->j", Psi, M @ Psi))
+        remove(np.hstack([rigid, Phi]), Psi, M)
+        Psi = m_orthonormal(Psi, M, before)
+        stiffness = Psi.T @ (problem.K @ Psi)
+        values, Y = sl.eigh(0.5 * (stiffness + stiffness.T))
+        Psi = signed(Psi @ Y)
+        r = rigid.shape[1]
+        return Basis(
+            V=np.hstack([rigid, Phi, Psi]),
+            kinds=("rigid",) * r + ("elastic",) * Phi.shape[1] + ("attachment",) * Psi.shape[1],
+            K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues, values])),
+        )

@@ -1,0 +1,29 @@
+"""Static condensation (Guyan 1965): V = constraint modes, unit motions of the interfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from morembs.errors import InputError
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import Basis, Reducer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guyan(Reducer):
+    """Exact in statics; use it below about 0.3 of the lowest fixed-interface frequency."""
+
+    method: ClassVar[str] = "guyan"
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        require_interfaces(problem, self.method)
+        V, K = problem.internal.impose()
+        return Basis(V=V, kinds=("constraint",) * V.shape[1], K=K)
+
+
+def require_interfaces(problem: Problem, method: str) -> None:
+    """Raise unless the problem has interface motions."""
+    if not problem.B.shape[1]:
+        raise InputError(f'method "{method}" needs interfaces; add at least one [[interface]], or take method = "modal"')

@@ -1,0 +1,52 @@
+#!/usr/bin/env bash
+# Sets up everything morembs needs, once: system libraries when they may be
+# installed, a virtual environment, the package. Running it again costs a second.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# Solvers (MUMPS with OpenBLAS, SuiteSparse, METIS), venv, and what the gmsh wheel links to.
+packages=(libmumps-seq-dev libsuitesparse-dev libmetis-dev libopenblas0-pthread
+          libopenblas-dev python3-venv libglu1-mesa libgl1 libxrender1 libxcursor1
+          libxfixes3 libxext6 libxft2 libfontconfig1 libxinerama1 libgomp1)
+venv=.venv
+stamp=$venv/.morembs-setup
+fingerprint=$(cat scripts/setup.sh pyproject.toml | sha256sum | cut -d' ' -f1)
+
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$fingerprint" ] && [ -x "$venv/bin/morembs" ]; then
+    exit 0
+fi
+
+missing=()
+if command -v dpkg-query >/dev/null; then
+    for package in "${packages[@]}"; do
+        dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
+    done
+fi
+if [ ${#missing[@]} -gt 0 ]; then
+    as_root=()
+    if [ "$(id -u)" -ne 0 ]; then as_root=(sudo -n); fi
+    echo "setup: installing Debian packages: ${missing[*]}"
+    if command -v apt-get >/dev/null && { [ "$(id -u)" -eq 0 ] || sudo -n true 2>/dev/null; } \
+        && "${as_root[@]}" apt-get update -qq \
+        && "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null; then
+        echo "setup: Debian packages installed"
+    else
+        echo "setup: these Debian packages could not be installed and are left out: ${missing[*]}"
+        echo "setup: morembs then uses the MUMPS that comes with its Python packages. To add the rest later:"
+        echo "setup:   sudo apt-get install ${missing[*]} && rm -f $stamp && make setup"
+    fi
+fi
+
+python=${PYTHON:-python3}
+if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+    echo "setup: $("$python" --version) was found, Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2
+    exit 2
+fi
+if [ ! -x "$venv/bin/pip" ] && ! "$python" -m venv "$venv"; then
+    echo "setup: $python cannot make a virtual environment; install python3-venv (sudo apt-get install python3-venv)" >&2
+    exit 2
+fi
+echo "setup: installing the Python packages into $venv"
+"$venv/bin/pip" install --quiet --disable-pip-version-check --editable '.[mesh,dev]'
+"$venv/bin/morembs" solvers
+echo "$fingerprint" > "$stamp"
