@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.model import FEModel, frozen, rigid_motion
+from morembs.model import FEModel, frozen, rigid_motion, skew
 from morembs.surface import nodal_areas, outer_faces
 
 Floats = NDArray[np.float64]
@@ -113,12 +113,17 @@ def _frame_motion(xyz: Floats, point: Floats) -> Floats:
 
 def averaging(interface: Interface, xyz: Floats) -> Floats:
     """T (6, 3 ns) of the average coupling for slave coordinates ``xyz`` (ns, 3): z = T u_s."""
-    arms = xyz - interface.point
-    length = max(float(np.linalg.norm(arms, axis=1).max()), np.finfo(float).tiny)
+    w = interface.weights / interface.weights.sum()
+    # About the centroid, where translations and rotations separate, then carried to the point.
+    center = w @ xyz
+    arms = xyz - center
+    length = float(np.linalg.norm(arms, axis=1).max())
     scale = np.array([1.0, 1.0, 1.0, length, length, length])
-    R = _frame_motion(xyz, interface.point) / scale
-    WR = np.repeat(interface.weights / interface.weights.sum(), 3)[:, None] * R
-    return np.asarray(np.linalg.solve(R.T @ WR, WR.T) / scale[:, None])
+    R = _frame_motion(xyz, center) / scale
+    WR = np.repeat(w, 3)[:, None] * R
+    carry = np.eye(6)
+    carry[:3, 3:] = -skew(interface.point - center)
+    return np.asarray(carry @ (np.linalg.solve(R.T @ WR, WR.T) / scale[:, None]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,6 +10,7 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.model import ElementBlock, Mesh, Nodes
 
@@ -34,7 +35,9 @@ def read_with_meshio(path: Path) -> Mesh:
         if cells.type in SOLIDS:
             block_of[index] = len(blocks)
             ids = np.arange(label, label + len(cells.data))
-            blocks.append(ElementBlock(type=SOLIDS[cells.type], nodes=cells.data, ids=ids))
+            kind = SOLIDS[cells.type]
+            nodes = cells.data[:, _mirror(kind)] if path.suffix.lower() == ".med" else cells.data
+            blocks.append(ElementBlock(type=kind, nodes=nodes, ids=ids))
         elif cells.type not in CARRIERS:
             raise InputError(
                 f"{path.name} has elements of the type {cells.type!r}, which is not supported; expected solids: "
@@ -77,6 +80,13 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio knows "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
+
+
+def _mirror(kind: str) -> Ints:
+    """Order of the nodes seen in a mirror: MED lists solids inside out, and meshio leaves them so."""
+    reference = TYPES[kind].reference
+    swapped = reference[:, [1, 0, 2]]
+    return np.argmin(np.linalg.norm(swapped[:, None] - reference[None], axis=2), axis=1)
 
 
 def _used_nodes(count: int, blocks: list[ElementBlock]) -> NDArray[np.bool_]:

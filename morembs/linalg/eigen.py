@@ -80,10 +80,24 @@ def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float 
     Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
     K = Q.T @ (pencil.statics.K @ Q)
     Mq = Q.T @ (M @ Q)
-    values, vectors = sl.eigh(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
+    values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
     m = int((values <= below).sum()) if count is None and below is not None else count
     vectors = signed(Q @ vectors[:, :m])
     return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=float(values[-1]))
+
+
+def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """All finite modes of a dense pencil with K positive definite and M at least semidefinite."""
+    try:
+        values, vectors = sl.eigh(K, M)
+    except np.linalg.LinAlgError:
+        # M is singular (massless motions, reduced integration): the inverse pencil has 0 for infinity.
+        theta, vectors = sl.eigh(M, K)
+        finite = theta > np.finfo(float).eps * len(K) * theta[-1]
+        values, vectors = 1.0 / theta[finite], vectors[:, finite] / np.sqrt(theta[finite])
+        order = np.argsort(values)
+        values, vectors = values[order], vectors[:, order]
+    return values, vectors
 
 
 def _sparse(

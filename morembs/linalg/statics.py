@@ -21,12 +21,13 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
-from morembs.linalg.solver import LinearSolver
+from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.linalg.solver import Factorization, LinearSolver
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 BLOCK = 256
+NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 def support_dofs(Z: Floats) -> Ints:
@@ -89,9 +90,7 @@ class Restricted:
         c, r = H.shape
         self.count = c
         border = np.block([[0.5 * (E + E.T), -H], [-H.T, np.zeros((r, r))]])
-        # Forces and moments mix units; rows are scaled to unit size before the rank is judged.
-        scale = np.sqrt(np.maximum(np.abs(np.diag(border)), _row_floor(border)))
-        self.scale = 1.0 / np.where(scale > 0, scale, 1.0)
+        self.scale = _scales(np.diag(E), H)
         scaled = self.scale[:, None] * border * self.scale
         if c + r:
             values = np.abs(sl.eigvalsh(scaled))
@@ -137,9 +136,11 @@ class Restricted:
         """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester, Haynsworth 1968).
 
         One LDL' of K - sigma M: its negative pivots less those of C' (K - sigma M)^-1 C.
+
+        Raises:
+            SolverError: eigenvalues lie so close to ``sigma`` that no count is possible.
         """
-        A = sp.csc_array(self.statics.K - sigma * M)
-        with self.statics.solver.factorize(A, "symmetric", what=f"K - {sigma:.6g} M") as factor:
+        with self._shifted(sigma, M) as factor:
             negative = factor.negative_pivots()
             S = self.C.T @ _in_blocks(factor.solve, self.C)
         if not self.count:
@@ -147,14 +148,33 @@ class Restricted:
         scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
         return negative - int((sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0).sum())
 
+    def _shifted(self, sigma: float, M: sp.csr_array) -> Factorization:
+        """Factor of K - sigma M, sigma moved a little where it hits an eigenvalue."""
+        for nudge in NUDGES:
+            A = sp.csc_array(self.statics.K - sigma * (1 + nudge) * M)
+            try:
+                return self.statics.solver.factorize(A, "symmetric", what="K - sigma M")
+            except SingularMatrixError:
+                continue
+        raise SolverError(
+            f"many eigenfrequencies crowd about {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
+            "move the limit by a percent"
+        )
 
-def _row_floor(border: Floats) -> Floats:
-    """Where the diagonal vanishes, what the off-diagonal allows as a scale."""
-    largest = np.abs(border).max(axis=1, initial=0.0)
-    diagonal = np.abs(np.diag(border))
-    weak = diagonal <= 1e-12 * largest
-    other = np.sqrt(diagonal[~weak].max(initial=1.0)) if (~weak).any() else 1.0
-    return np.where(weak, (largest / other) ** 2, 0.0)
+
+def _scales(flexibility: Floats, H: Floats) -> Floats:
+    """Row scales (c + r,) that bring the bordered system to unit size: forces and moments mix units.
+
+    ``flexibility`` (c,) is the diagonal of C'K_c^+C; it vanishes for motions that are supports.
+    """
+    rigid = np.linalg.norm(H, axis=1)
+    known = (flexibility > 0) & (rigid > 0)
+    ratio = float(np.median(rigid[known] / np.sqrt(flexibility[known]))) if known.any() else 1.0
+    size = np.sqrt(np.maximum(flexibility, 0.0))
+    least = rigid / ratio
+    top = 1.0 / np.where(size > 1e-4 * least, size, np.where(least > 0, least, 1.0))
+    coupled = np.abs(top[:, None] * H).max(axis=0, initial=0.0)
+    return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
 
 
 def _in_blocks(solve, C: Floats | sp.csc_array) -> Floats:  # type: ignore[no-untyped-def]
