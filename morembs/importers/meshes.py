@@ -8,6 +8,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from meshio._mesh import topological_dimension
 from numpy.typing import NDArray
 
 from morembs.elements import TYPES
@@ -19,6 +20,8 @@ SOLIDS = {
     "tetra": "tet4", "tetra10": "tet10", "hexahedron": "hex8", "hexahedron20": "hex20",
     "hexahedron27": "hex27", "wedge": "wedge6", "wedge15": "wedge15",
 }  # fmt: skip
+# meshio reads 15-node wedges but forgot their dimension, without which it stops.
+topological_dimension.setdefault("wedge15", 3)
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
 CARRIERS = {
     "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9",
