@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import scipy.linalg as sl
-
 from meshes import box, steel, where
+
 from morembs.errors import SolverError
 from morembs.interface import make_interface
 from morembs.linalg import eigen

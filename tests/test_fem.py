@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import scipy.linalg as sl
-
 from meshes import STEEL, ball, box, steel, where
+
 from morembs.body import mass_properties
 from morembs.elements import TYPES
 from morembs.errors import InputError

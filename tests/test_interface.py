@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from meshes import box, steel, where
+
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import averaging, couple, make_interface

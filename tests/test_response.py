@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from meshes import box, steel, where
+
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from meshes import STEEL, steel
+
 from morembs.body import mass_properties
 from morembs.fem import assemble
 from morembs.importers import read_mesh

@@ -42,7 +42,9 @@ class BlockLanczos:
         self.T = np.zeros((self.capacity, self.capacity))
         self.size = 0
         self.pending = m_orthonormal(start, M)
+        self.rest_vectors = np.zeros((M.shape[0], 0))
         self.rest = np.zeros((0, 0))
+        self.last = slice(0, 0)
 
     def expand(self) -> None:
         """One block more: afterwards ``size`` columns satisfy Op V = V T + W E'."""
@@ -56,6 +58,7 @@ class BlockLanczos:
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
         self.size = k + b
+        self.rest_vectors = W
         G = W.T @ (self.M @ W)
         self.rest = 0.5 * (G + G.T)
         self.last = slice(k, k + b)

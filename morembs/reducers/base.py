@@ -12,6 +12,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.linalg.eigen import signed
+from morembs.linalg.orthogonal import m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -99,7 +101,22 @@ def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None
         raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz")
 
 
-def modal_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (n,) and M-orthonormal eigenvectors (n, n) of a small symmetric pencil."""
-    values, vectors = sl.eigh(K, M)
-    return values, vectors
+def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to: Floats) -> Basis:
+    """``basis`` with the "attachment" modes of span(W) behind it.
+
+    They are M-orthonormal, free of span(orthogonal_to) (M-orthonormal too), and ordered by their own
+    stiffness. In exact arithmetic they are K-orthogonal to the basis; columns that are nearly dependent
+    are not, so their coupling is projected, not assumed to be zero.
+    """
+    before = np.sqrt(np.einsum("ij,ij->j", W, problem.M @ W))
+    remove(orthogonal_to, W, problem.M)
+    W = m_orthonormal(W, problem.M, before)
+    stiffness = W.T @ (problem.K @ W)
+    W = signed(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
+    KW = problem.K @ W
+    cross = basis.V.T @ KW
+    return Basis(
+        V=np.hstack([basis.V, W]),
+        kinds=basis.kinds + ("attachment",) * W.shape[1],
+        K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
+    )

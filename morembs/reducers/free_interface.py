@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import scipy.linalg as sl
 
-from morembs.linalg.eigen import signed
-from morembs.linalg.orthogonal import m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, chosen_modes
+from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
 from morembs.reducers.guyan import require_interfaces
 
 
@@ -34,17 +31,12 @@ class FreeInterface(Reducer):
         require_interfaces(problem, self.method)
         below = None if self.up_to_hz is None else (2 * np.pi * self.up_to_hz) ** 2
         free = problem.elastic_modes(count=self.modes, below=below)
-        rigid, Phi, M = problem.rigid, free.vectors, problem.M
+        rigid, Phi = problem.rigid, free.vectors
         Psi = problem.elastic.flexibility(problem.B.toarray())
-        before = np.sqrt(np.einsum("ij,ij->j", Psi, M @ Psi))
-        remove(np.hstack([rigid, Phi]), Psi, M)
-        Psi = m_orthonormal(Psi, M, before)
-        stiffness = Psi.T @ (problem.K @ Psi)
-        values, Y = sl.eigh(0.5 * (stiffness + stiffness.T))
-        Psi = signed(Psi @ Y)
-        r = rigid.shape[1]
-        return Basis(
-            V=np.hstack([rigid, Phi, Psi]),
-            kinds=("rigid",) * r + ("elastic",) * Phi.shape[1] + ("attachment",) * Psi.shape[1],
-            K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues, values])),
+        r, m = rigid.shape[1], Phi.shape[1]
+        modes = Basis(
+            V=np.hstack([rigid, Phi]),
+            kinds=("rigid",) * r + ("elastic",) * m,
+            K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues])),
         )
+        return add_residual_modes(problem, modes, Psi, modes.V)
