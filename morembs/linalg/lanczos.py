@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SolverError
-from morembs.linalg.orthogonal import m_orthonormal, remove
+from morembs.linalg.orthogonal import m_norms, m_orthonormal, remove
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -52,8 +52,9 @@ class BlockLanczos:
         k, b = self.size, Q.shape[1]
         self.V[:, k : k + b] = Q
         W = self.flexibility(self.M @ Q)
-        norms = np.sqrt(np.maximum(np.einsum("ij,ij->j", W, self.M @ W), 0.0))
-        H = remove(self.V[:, : k + b], W, self.M)
+        MW = self.M @ W
+        norms = m_norms(W, MW)
+        H = remove(self.V[:, : k + b], W, self.M, MW)
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
@@ -65,12 +66,12 @@ class BlockLanczos:
         self.pending = self._next(W, norms)
 
     def _next(self, W: Floats, norms: Floats) -> Floats:
-        Q = m_orthonormal(W, self.M, norms)
-        if 0 < Q.shape[1] < W.shape[1] or not Q.shape[1]:
+        Q = m_orthonormal(W, self.M, norms, self.rest)
+        if Q.shape[1] < W.shape[1]:
             # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
             missing = self.block - Q.shape[1]
             fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
-            before = np.sqrt(np.einsum("ij,ij->j", fresh, self.M @ fresh))
+            before = m_norms(fresh, self.M @ fresh)
             known = np.hstack([self.V[:, : self.size], Q])
             remove(known, fresh, self.M)
             Q = np.hstack([Q, m_orthonormal(fresh, self.M, before)])
@@ -96,7 +97,7 @@ class BlockLanczos:
 
     def full(self) -> bool:
         """No room for another block."""
-        return self.size + self.pending.shape[1] > self.capacity
+        return bool(self.size + self.pending.shape[1] > self.capacity)
 
     def vectors(self, Y: Floats) -> Floats:
         """Columns V Y (N, j)."""

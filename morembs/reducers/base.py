@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
-from morembs.linalg.orthogonal import m_orthonormal, remove
+from morembs.linalg.orthogonal import m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -108,8 +108,9 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     stiffness. In exact arithmetic they are K-orthogonal to the basis; columns that are nearly dependent
     are not, so their coupling is projected, not assumed to be zero.
     """
-    before = np.sqrt(np.einsum("ij,ij->j", W, problem.M @ W))
-    remove(orthogonal_to, W, problem.M)
+    MW = problem.M @ W
+    before = m_norms(W, MW)
+    remove(orthogonal_to, W, problem.M, MW)
     W = m_orthonormal(W, problem.M, before)
     stiffness = W.T @ (problem.K @ W)
     W = signed(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])

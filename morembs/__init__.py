@@ -1,0 +1,56 @@
+"""morembs: finite-element models to small elastic bodies for multibody simulation.
+
+The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Problem`` -> a reducer's
+``reduce`` -> ``elastic_body`` -> ``write_body``. Everything inside is in SI units.
+"""
+
+from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.errors import InputError, MorembsError
+from morembs.fem import assemble
+from morembs.importers import read_mesh
+from morembs.interface import Interface, make_interface
+from morembs.linalg.select import available_solvers, select_solver
+from morembs.material import Material, isotropic, orthotropic
+from morembs.model import FEModel, Mesh, Nodes
+from morembs.problem import Damping, Problem
+from morembs.reducers import REDUCERS, CraigBampton, FreeInterface, Guyan, Modal, ReducedModel
+from morembs.response import full_response, reduced_response
+from morembs.selection import select_nodes
+from morembs.storage import read_body, write_body
+from morembs.units import parse_units
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "REDUCERS",
+    "CraigBampton",
+    "Damping",
+    "ElasticBody",
+    "FEModel",
+    "FreeInterface",
+    "Guyan",
+    "InputError",
+    "Interface",
+    "Material",
+    "Mesh",
+    "Modal",
+    "MorembsError",
+    "Nodes",
+    "Problem",
+    "ReducedModel",
+    "assemble",
+    "available_solvers",
+    "elastic_body",
+    "full_response",
+    "isotropic",
+    "make_interface",
+    "make_part",
+    "orthotropic",
+    "parse_units",
+    "read_body",
+    "read_mesh",
+    "reduced_response",
+    "select_nodes",
+    "select_solver",
+    "write_body",
+]
