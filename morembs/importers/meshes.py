@@ -31,22 +31,28 @@ CARRIERS = {
 def read_with_meshio(path: Path) -> Mesh:
     """Mesh of any file that meshio reads. Labels are counted from 1, since meshio drops them."""
     data = _read(path)
-    blocks: list[ElementBlock] = []
-    block_of: dict[int, int] = {}
+    # gmsh splits a type by entity; blocks of one type are joined, `place` remembers where each went.
+    parts: dict[str, list[tuple[Ints, Ints]]] = {}
+    place: dict[int, tuple[str, int]] = {}
     label = 1
     for index, cells in enumerate(data.cells):
+        ids = np.arange(label, label + len(cells.data))
+        label += len(cells.data)
         if cells.type in SOLIDS:
-            block_of[index] = len(blocks)
-            ids = np.arange(label, label + len(cells.data))
             kind = SOLIDS[cells.type]
             nodes = cells.data[:, _mirror(kind)] if path.suffix.lower() == ".med" else cells.data
-            blocks.append(ElementBlock(type=kind, nodes=nodes, ids=ids))
+            joined = parts.setdefault(kind, [])
+            place[index] = kind, sum(len(i) for _, i in joined)
+            joined.append((nodes, ids))
         elif cells.type not in CARRIERS:
             raise InputError(
                 f"{path.name} has elements of the type {cells.type!r}, which is not supported; expected solids: "
                 f"{', '.join(SOLIDS.values())}"
             )
-        label += len(cells.data)
+    blocks = [
+        ElementBlock(type=kind, nodes=np.concatenate([n for n, _ in joined]), ids=np.concatenate([i for _, i in joined]))
+        for kind, joined in parts.items()
+    ]
     used = _used_nodes(len(data.points), blocks)
     row = np.cumsum(used) - 1
     node_sets = {name: np.unique(np.asarray(members)) for name, members in data.point_sets.items()}
@@ -54,12 +60,14 @@ def read_with_meshio(path: Path) -> Mesh:
     for name, per_block in _named_cells(data).items():
         members = [data.cells[i].data[rows].ravel() for i, rows in per_block.items()]
         node_sets[name] = np.unique(np.concatenate(members))
-        if any(i in block_of and len(rows) for i, rows in per_block.items()):
-            picked = [np.empty(0, dtype=np.int64)] * len(blocks)
-            for i, rows in per_block.items():
-                if i in block_of:
-                    picked[block_of[i]] = np.asarray(rows, dtype=np.int64)
-            element_sets[name] = tuple(picked)
+        chosen: dict[str, list[Ints]] = {block.type: [np.empty(0, dtype=np.int64)] for block in blocks}
+        for i, rows in per_block.items():
+            if i in place:
+                kind, offset = place[i]
+                chosen[kind].append(rows + offset)
+        picked = tuple(np.concatenate(chosen[block.type]) for block in blocks)
+        if any(len(rows) for rows in picked):
+            element_sets[name] = picked
     kept = {name: row[members[used[members]]] for name, members in node_sets.items()}
     nodes = Nodes(
         ids=np.flatnonzero(used) + 1,
