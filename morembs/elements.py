@@ -7,6 +7,7 @@ where each function is one, so no table of permutations can be wrong.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def _with_edges(corners: list[list[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
+def _with_edges(corners: Sequence[Sequence[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
     corner = np.array(corners, dtype=float)
     return np.vstack([corner, *[(corner[[a]] + corner[[b]]) / 2 for a, b in edges]])
 
@@ -116,7 +117,7 @@ class ElementType:
     @cached_property
     def _order(self) -> Ints:
         distance = np.linalg.norm(self.reference[:, None] - self.function.doflocs[None], axis=2)
-        return np.argmin(distance, axis=1)
+        return np.asarray(np.argmin(distance, axis=1))
 
     def shape(self, points: Floats) -> tuple[Floats, Floats]:
         """Values (nq, k) and reference gradients (nq, k, dim) at ``points`` (nq, dim)."""

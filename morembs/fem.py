@@ -26,6 +26,21 @@ CHUNK_BYTES = 48_000_000
 MASS_INTEGRATION = ("exact", "reduced")
 
 
+def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = SILENT) -> sp.csr_array:
+    """Refuse what ``assemble`` refuses, without integrating; returns the node graph (n, n).
+
+    Raises:
+        InputError: as ``assemble``.
+    """
+    _material_of_elements(mesh, materials)
+    _refuse_loose_nodes(mesh)
+    for block, rows in _chunks(mesh):
+        kind = TYPES[block.type]
+        _geometry(mesh.nodes.xyz[block.nodes[rows]], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+        progress.update(f"{block.type}: {rows[-1] + 1} of {len(block.ids)}")
+    return _node_graph(mesh)
+
+
 def assemble(
     mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "exact", progress: Progress = SILENT
 ) -> FEModel:

@@ -90,7 +90,7 @@ def orthotropic(
             f"material of set {set!r}: poisson = {poisson} (nu12, nu13, nu23) with young = {young} gives no "
             "positive strain energy; expected |nu_ij| < sqrt(E_i / E_j)"
         )
-    C = np.linalg.inv(S)
+    C: Floats = np.asarray(np.linalg.inv(S), dtype=np.float64)
     if axes is not None:
         Q = np.asarray(axes, dtype=float)
         if Q.shape != (3, 3) or not np.allclose(Q @ Q.T, np.eye(3), atol=1e-8):

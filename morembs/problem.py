@@ -166,8 +166,8 @@ class Problem:
             sizes = np.sort(np.bincount(label))[::-1]
             raise InputError(
                 f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
-                f"{6 * parts if len(sizes) == parts else '?'} rigid-body modes where one free body has 6; join the parts "
-                "(merge coincident nodes), or reduce them one by one"
+                f"{6 * parts} rigid-body modes where one free body has 6; "
+                "join the parts (merge coincident nodes), or reduce them one by one"
             )
 
     def _mechanism(self) -> str:

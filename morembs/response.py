@@ -44,10 +44,7 @@ def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
 def _factors(damping: Damping, omega: Floats, values: Floats) -> Complexes:
     """1 / (lambda_k + i omega d_k - omega^2) (nf, k) of modes with eigenvalues ``values``."""
     w, lam = omega[:, None], values[None, :]
-    if damping.modal:
-        d = 2 * damping.modal * np.sqrt(lam)
-    else:
-        d = damping.alpha + damping.beta * lam
+    d = 2 * damping.modal * np.sqrt(lam) if damping.modal else damping.alpha + damping.beta * lam
     return np.asarray(1.0 / (lam + 1j * w * d - w**2))
 
 

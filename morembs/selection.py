@@ -80,7 +80,8 @@ def _of_labels(model: FEModel, text: str) -> Ints:
     rows = order[at]
     missing = labels[model.nodes.ids[rows] != labels]
     if len(missing):
-        raise InputError(f"node {missing[0]} does not exist; labels run {model.nodes.ids.min()}..{model.nodes.ids.max()}")
+        low, high = model.nodes.ids.min(), model.nodes.ids.max()
+        raise InputError(f"node {missing[0]} does not exist; labels run from {low} to {high}")
     return np.sort(rows)
 
 

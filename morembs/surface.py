@@ -47,7 +47,7 @@ def _once(faces: Ints, corners: int) -> NDArray[np.bool_]:
         return np.zeros(0, dtype=bool)
     keys = np.sort(faces[:, :corners], axis=1)
     _, inverse, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    return counts[inverse.ravel()] == 1
+    return np.asarray(counts[inverse.ravel()] == 1)
 
 
 def nodal_areas(xyz: Floats, faces: Mapping[str, Ints]) -> Floats:

@@ -84,7 +84,8 @@ def test_a_missing_mode_is_noticed_and_found(square_bar, monkeypatch):
 def test_restarted_lanczos_finds_the_same(square_bar):
     with Problem(square_bar) as problem:
         exact = eigen._dense(problem.elastic, problem.M, 20, None)
-        start = problem.elastic.flexibility(problem.M @ np.random.default_rng(0).standard_normal((problem.M.shape[0], 8)))
+        random = np.random.default_rng(0).standard_normal((problem.M.shape[0], 8))
+        start = problem.elastic.flexibility(problem.M @ random)
         lanczos = BlockLanczos(problem.elastic.flexibility, problem.M, start, capacity=44)
         theta, _ = largest(lanczos, 20)
         assert lanczos.V.shape[1] == 44

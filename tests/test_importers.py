@@ -3,8 +3,8 @@
 import meshio
 import numpy as np
 import pytest
-
 from meshes import STEEL, box, steel
+
 from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.importers import read_mesh
@@ -50,8 +50,8 @@ def test_every_type_comes_back_from_vtk_in_its_own_order(kind, tmp_path):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
     name = next(theirs for theirs, ours in SOLIDS.items() if ours == kind)
     path = tmp_path / "mesh.vtu"
-    meshio.Mesh(mesh.nodes.xyz, [(name, mesh.blocks[0].nodes)], cell_data={"part": [np.ones(len(mesh.blocks[0].ids), int)]}
-                ).write(path)  # fmt: skip
+    part = [np.ones(len(mesh.blocks[0].ids), int)]
+    meshio.Mesh(mesh.nodes.xyz, [(name, mesh.blocks[0].nodes)], cell_data={"part": part}).write(path)
     read = read_mesh(path)
     assert np.array_equal(read.blocks[0].nodes, mesh.blocks[0].nodes) and "part:1" in read.element_sets
     assert abs(steel(read).K - steel(mesh).K).max() == 0

@@ -50,7 +50,9 @@ def read_with_meshio(path: Path) -> Mesh:
                 f"{', '.join(SOLIDS.values())}"
             )
     blocks = [
-        ElementBlock(type=kind, nodes=np.concatenate([n for n, _ in joined]), ids=np.concatenate([i for _, i in joined]))
+        ElementBlock(
+            type=kind, nodes=np.concatenate([n for n, _ in joined]), ids=np.concatenate([i for _, i in joined])
+        )
         for kind, joined in parts.items()
     ]
     used = _used_nodes(len(data.points), blocks)
@@ -97,7 +99,7 @@ def _mirror(kind: str) -> Ints:
     """Order of the nodes seen in a mirror: MED lists solids inside out, and meshio leaves them so."""
     reference = TYPES[kind].reference
     swapped = reference[:, [1, 0, 2]]
-    return np.argmin(np.linalg.norm(swapped[:, None] - reference[None], axis=2), axis=1)
+    return np.asarray(np.argmin(np.linalg.norm(swapped[:, None] - reference[None], axis=2), axis=1))
 
 
 def _used_nodes(count: int, blocks: list[ElementBlock]) -> NDArray[np.bool_]:

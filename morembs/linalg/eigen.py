@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.statics import Restricted
+from morembs.linalg.statics import Restricted, dense
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
@@ -66,7 +66,8 @@ def lowest_modes(
             count = pencil.count_below(below, M)
     if count is not None and count > size:
         raise InputError(
-            f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; ask for fewer"
+            f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; "
+            "ask for fewer"
         )
     if M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size):
         return _dense(pencil, M, count, below)
@@ -76,7 +77,7 @@ def lowest_modes(
 
 
 def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
-    C = pencil.C.toarray() if sp.issparse(pencil.C) else np.asarray(pencil.C)
+    C = dense(pencil.C)
     Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
     K = Q.T @ (pencil.statics.K @ Q)
     Mq = Q.T @ (M @ Q)

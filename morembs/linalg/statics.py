@@ -13,6 +13,7 @@ interface (C = B), whatever its coupling.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -177,10 +178,15 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
 
 
-def _in_blocks(solve, C: Floats | sp.csc_array) -> Floats:  # type: ignore[no-untyped-def]
+def dense(C: Floats | sp.csc_array) -> Floats:
+    """``C`` as a dense array."""
+    return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
+
+
+def _in_blocks(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array) -> Floats:
     """solve(C) as a dense (N, c) array, the columns made dense a block at a time."""
     X = np.empty(C.shape, order="F")
     for at in range(0, C.shape[1], BLOCK):
         part = C[:, at : at + BLOCK]
-        X[:, at : at + BLOCK] = solve(np.asarray(part.toarray() if sp.issparse(part) else part))
+        X[:, at : at + BLOCK] = solve(dense(part))
     return X

@@ -26,4 +26,6 @@ class Guyan(Reducer):
 def require_interfaces(problem: Problem, method: str) -> None:
     """Raise unless the problem has interface motions."""
     if not problem.B.shape[1]:
-        raise InputError(f'method "{method}" needs interfaces; add at least one [[interface]], or take method = "modal"')
+        raise InputError(
+            f'method "{method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
+        )

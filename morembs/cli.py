@@ -1,0 +1,199 @@
+"""The command line: verbs, exit codes, and where messages go."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Timer
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress as Bar
+from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from morembs import __version__
+from morembs.check import check_job
+from morembs.errors import MorembsError
+from morembs.job import load_job
+from morembs.linalg.select import available_solvers
+from morembs.progress import Progress
+from morembs.report import print_forecast, print_result, print_stored, result_json, stored_json
+from morembs.run import run_job
+from morembs.storage import read_body
+
+# Bad input, and the usual code of a process that Ctrl-C ends.
+BAD_INPUT, INTERRUPTED = 2, 130
+# Shorter work shows no progress.
+PATIENCE_SECONDS = 1.0
+
+EPILOG = (
+    "Exit codes: 0 done; 1 a fault of this program; 2 input that cannot be used, a model that cannot be solved, or "
+    "a result that cannot be written (one message on standard error); 130 interrupted. Of several jobs one that "
+    "fails does not stop the others; the exit code is then 2."
+)
+
+app = typer.Typer(
+    name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
+    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+)  # fmt: skip
+Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+# Plain values for JSON, and what prints them for people.
+Done = tuple[dict[str, Any], Callable[[], None]]
+Work = Callable[[Path, Progress], Done]
+
+
+class TerminalProgress:
+    """A line on standard error that says what is going on, once that takes more than a second."""
+
+    def __init__(self, console: Console, visible: bool) -> None:
+        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+        self._bar = Bar(*columns, console=console, transient=True, disable=not visible)
+        self._task = self._bar.add_task("", total=None)
+        self._timer = Timer(PATIENCE_SECONDS, self._bar.start)
+        self._timer.daemon = True
+        self._stage = ""
+
+    def stage(self, name: str) -> None:
+        """A new stage begins."""
+        self._stage = name
+        self._bar.update(self._task, description=name)
+
+    def update(self, text: str) -> None:
+        """News within the stage."""
+        self._bar.update(self._task, description=f"{self._stage}: {text}" if self._stage else text)
+
+    @contextmanager
+    def shown(self) -> Iterator[Progress]:
+        """Show the line while work goes on, and take it away afterwards."""
+        self._timer.start()
+        try:
+            yield self
+        finally:
+            self._timer.cancel()
+            self._timer.join()
+            self._bar.stop()
+
+
+@contextmanager
+def _messages(failed: list[str], prefix: str = "") -> Iterator[None]:
+    """Turn errors that a user can meet into one message on standard error."""
+    try:
+        yield
+    except MorembsError as error:
+        message = str(error)
+    except MemoryError:
+        message = (
+            "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
+            'or see "morembs check" for a forecast'
+        )
+    except KeyboardInterrupt:
+        typer.echo("interrupted; no result was written by the running job", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    else:
+        return
+    failed.append(message)
+    typer.echo(f"error: {prefix}{message}", err=True)
+
+
+def _each_job(jobs: Sequence[Path], as_json: bool, work: Work) -> None:
+    """Do ``work`` for each job."""
+    documents: list[dict[str, Any]] = []
+    failed: list[str] = []
+    for path in jobs:
+        faults = len(failed)
+        with _messages(failed, f"{path}: " if len(jobs) > 1 else ""):
+            with TerminalProgress(Console(stderr=True), sys.stderr.isatty()).shown() as progress:
+                document, show = work(path, progress)
+            documents.append(document)
+            if not as_json:
+                show()
+        if len(failed) > faults:
+            documents.append({"job": str(path), "error": failed[-1]})
+    if as_json:
+        _print_json(documents if len(jobs) > 1 else documents[0])
+    if failed:
+        raise typer.Exit(BAD_INPUT)
+
+
+def _print_json(document: object) -> None:
+    typer.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+@app.command(epilog=EPILOG)
+def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
+    """Reduce the models of job files and write their bodies."""
+
+    def work(path: Path, progress: Progress) -> Done:
+        result = run_job(load_job(path), progress)
+        return result_json(result), lambda: print_result(Console(), result)
+
+    _each_job(jobs, as_json, work)
+
+
+@app.command(epilog=EPILOG)
+def check(jobs: Jobs, as_json: AsJson = False) -> None:
+    """Check job files and forecast size and memory; factorises nothing, writes nothing."""
+
+    def work(path: Path, progress: Progress) -> Done:
+        forecast = check_job(load_job(path), progress)
+        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(Console(), str(path), forecast)
+
+    _each_job(jobs, as_json, work)
+
+
+@app.command(epilog=EPILOG)
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)],
+    as_json: AsJson = False,
+) -> None:
+    """Show what a body file holds."""
+    failed: list[str] = []
+    with _messages(failed):
+        stored = read_body(file)
+        if as_json:
+            _print_json(stored_json(str(file), stored))
+        else:
+            print_stored(Console(), str(file), stored)
+    if failed:
+        raise typer.Exit(BAD_INPUT)
+
+
+@app.command(epilog=EPILOG)
+def solvers(as_json: AsJson = False) -> None:
+    """List the sparse solvers, the best first, and why some cannot run here."""
+    found = available_solvers()
+    if as_json:
+        _print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
+        return
+    for name, reason in found.items():
+        typer.echo(f"{name}: {reason or 'available'}")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"morembs {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options of all verbs."""
+
+
+def main() -> None:
+    """Entry point of the command ``morembs``."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+"""Finds a MUMPS library, reads the layout of its structure from its header, and checks the two agree.
+
+The structure changes between releases of MUMPS, and a wrong layout corrupts memory. So it is taken from
+the header that was installed with the library, and refused when the versions of the two differ.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import importlib.util
+import os
+import re
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+# "No MPI" for the sequential build: its dummy of MPI expects this communicator.
+USE_COMM_WORLD = -987654
+SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
+EMBEDDED_HINT = "pip install casadi"
+
+_TYPES: dict[str, Any] = {
+    "MUMPS_INT": ctypes.c_int32,
+    "MUMPS_INT8": ctypes.c_int64,
+    "DMUMPS_REAL": ctypes.c_double,
+    "DMUMPS_COMPLEX": ctypes.c_double,
+    "char": ctypes.c_char,
+}
+_NEEDED = {
+    "sym", "par", "job", "comm_fortran", "icntl", "n", "nnz", "irn", "jcn", "a", "perm_in", "rhs", "nrhs",
+    "lrhs", "infog", "version_number", "ooc_tmpdir", "ooc_prefix",
+}
+# MUMPS keeps state in global variables, so one job runs at a time. Reentrant, because the garbage
+# collector may close a factorisation of the thread that holds it; one for all, because two threads that
+# look for the library at the same time both open it.
+LOCK = threading.RLock()
+# A library that is newer than the header writes beyond the structure while it is being tested.
+_PADDING = 1 << 16
+
+
+class UnusableError(Exception):
+    """A library or header that cannot be used; the message says why."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """A MUMPS library that passed the version test, and the structure its calls take."""
+
+    path: str
+    version: str
+    structure: type[ctypes.Structure]
+    function: Callable[[Any], None]
+
+    def call(self, data: Any, job: int) -> None:
+        """Run one job; the lock of the interpreter is released meanwhile."""
+        with LOCK:
+            data.job = job
+            self.function(ctypes.byref(data))
+
+
+def parse_header(text: str) -> tuple[str, list[tuple[str, Any]]]:
+    """Version and fields of ``DMUMPS_STRUC_C`` in the text of ``dmumps_c.h``; pointers become c_void_p.
+
+    Raises:
+        UnusableError: the text is not understood.
+    """
+    text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
+    constants = dict(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)[ \t]+(\S+)", text, flags=re.MULTILINE))
+    body = re.search(r"typedef\s+struct\s*\w*\s*\{([^{}]*)\}\s*DMUMPS_STRUC_C\s*;", text)
+    version = constants.get("MUMPS_VERSION", "").strip('"')
+    if body is None or not version:
+        raise UnusableError("its header defines no DMUMPS_STRUC_C or no MUMPS_VERSION")
+    fields: list[tuple[str, Any]] = []
+    for statement in filter(None, (part.strip() for part in body[1].split(";"))):
+        kind, *rest = statement.split(None, 1)
+        if kind not in _TYPES or not rest:
+            raise UnusableError(f"its header has a field that is not understood: {statement!r}")
+        for declarator in rest[0].split(","):
+            parts = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:\[([^\]]+)\])?\s*", declarator)
+            if parts is None:
+                raise UnusableError(f"its header has a field that is not understood: {statement!r}")
+            star, name, length = parts.groups()
+            fields.append((name, _field_type(kind, bool(star), length, constants)))
+    missing = sorted(_NEEDED - {name for name, _ in fields})
+    if missing:
+        raise UnusableError(f"the structure of its header lacks {', '.join(missing)}")
+    return version, fields
+
+
+def _field_type(kind: str, pointer: bool, length: str | None, constants: dict[str, str]) -> Any:
+    base = ctypes.c_void_p if pointer else _TYPES[kind]
+    if length is None:
+        return base
+    try:
+        size = sum(int(constants.get(term.strip(), term)) for term in length.split("+"))
+    except ValueError:
+        raise UnusableError(f"its header has an array length that is not understood: {length!r}") from None
+    return base * size
+
+
+def _structure(header: Path) -> tuple[str, type[ctypes.Structure]]:
+    version, fields = parse_header(header.read_text(encoding="latin-1"))
+    integers = header.with_name("mumps_int_def.h"), header.with_name("mumps_c_types.h")
+    for path in integers:
+        if not path.is_file():
+            continue
+        text = re.sub(r"/\*.*?\*/", " ", path.read_text(encoding="latin-1"), flags=re.DOTALL)
+        if re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", text, flags=re.MULTILINE):
+            raise UnusableError("it is built with 64-bit integers; a build with 32-bit ones is needed")
+    return version, type("DmumpsStructure", (ctypes.Structure,), {"_fields_": fields})
+
+
+def _open(path: str, header: Path, mode: int = 0) -> Library:
+    """Load a library and make an empty instance with it, to read the version it says it has."""
+    version, structure = _structure(header)
+    try:
+        function = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | mode).dmumps_c
+    except (OSError, AttributeError) as error:
+        raise UnusableError(f"it cannot be loaded: {error}") from None
+    function.restype = None
+    fields = [("data", structure), ("padding", ctypes.c_char * _PADDING)]
+    holder: Any = type("Padded", (ctypes.Structure,), {"_fields_": fields})()
+    data = holder.data
+    data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
+    library = Library(path, version, structure, function)
+    with LOCK:
+        library.call(data, -1)
+        found = data.version_number.decode("latin-1").strip()
+        data.icntl[:4] = [0] * 4
+        library.call(data, -2)
+    if found != version:
+        raise UnusableError(f"its header {header} is has version {version}, the library {found or 'another'}")
+    return library
+
+
+@cache
+def system_library() -> Library | str:
+    """The sequential MUMPS of the system, or why there is none."""
+    path = ctypes.util.find_library("dmumps_seq")
+    if path is None:
+        return f"no sequential MUMPS library (libdmumps_seq) was found; get it with: {SYSTEM_HINT}"
+    folders = (Path(sys.prefix) / "include", Path("/usr/local/include"), Path("/usr/include"))
+    headers = [folder / sub / "dmumps_c.h" for folder in folders for sub in ("", "mumps_seq", "MUMPS")]
+    reason = "its header dmumps_c.h was not found"
+    for header in filter(Path.is_file, headers):
+        try:
+            return _open(path, header)
+        except UnusableError as error:
+            reason = str(error)
+    return f"{path} cannot be used: {reason}; get both with: {SYSTEM_HINT}"
+
+
+@cache
+def casadi_folder() -> Path | None:
+    """Folder of the CasADi package, found without the seconds that importing it takes."""
+    spec = importlib.util.find_spec("casadi")
+    locations = list(spec.submodule_search_locations or []) if spec else []
+    return Path(locations[0]) if locations else None
+
+
+def casadi_file(folder: Path) -> Path | None:
+    """The MUMPS library in the folder of the CasADi package, whatever this system calls it."""
+    library = re.compile(r"\.so(\.\d+)?$|\.dylib$|\.dll$")
+    found = [path for path in folder.glob("libcoinmumps*") if library.search(path.name)]
+    # The one with the number of its interface is the one that CasADi itself loads: sharing it keeps a
+    # second copy out of the process.
+    return max(found, key=lambda path: len(path.name), default=None)
+
+
+@cache
+def embedded_library() -> Library | str:
+    """The MUMPS inside the CasADi wheel, or why it cannot be used."""
+    folder = casadi_folder()
+    path = casadi_file(folder) if folder else None
+    if folder is None or path is None:
+        return f"the CasADi package with its MUMPS library is not installed; get it with: {EMBEDDED_HINT}"
+    header = folder / "include" / "coin-or" / "mumps" / "dmumps_c.h"
+    if not header.is_file():
+        return f"{path.name} of CasADi has no header dmumps_c.h; get a complete one with: {EMBEDDED_HINT}"
+    try:
+        # Its own OpenBLAS must not mix with another one whose symbols are global (an older one lacks
+        # DGEMMT): the two share internal names, and the factor came out wrong without an error.
+        return _open(str(path), header, getattr(os, "RTLD_DEEPBIND", 0))
+    except UnusableError as error:
+        return f"{path.name} of CasADi cannot be used: {error}"

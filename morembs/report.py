@@ -1,0 +1,227 @@
+"""What people and scripts get to see: tables for a terminal, plain values for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from morembs.body import ElasticBody
+from morembs.check import Forecast
+from morembs.run import JobResult
+from morembs.storage import StoredBodies
+
+Floats = NDArray[np.float64]
+SHOWN_FREQUENCIES = 10
+
+
+def result_json(result: JobResult) -> dict[str, Any]:
+    """A finished job as plain values, SI units."""
+    part, first = result.bodies[0].part, result.bodies[0]
+    response = result.response
+    return {
+        "job": str(result.job.path),
+        "output": str(result.job.output),
+        "picture": None if result.job.picture is None else str(result.job.picture),
+        "solver": result.solver,
+        "nodes": result.nodes,
+        "elements": result.elements,
+        "dofs": result.dofs,
+        "mass": part.mass,
+        "center_of_mass": part.center_of_mass.tolist(),
+        "inertia": part.inertia.tolist(),
+        "frequencies_hz": first.frequencies_hz.tolist(),
+        "full_frequencies_hz": _listed(first.full_frequencies_hz),
+        "bodies": {
+            body.name: {
+                "order": body.reduced.order,
+                "rigid_count": body.reduced.rigid_count,
+                "frequencies_hz": body.frequencies_hz.tolist(),
+                "mode_kind": list(body.reduced.mode_kind),
+                "recipe": dict(body.recipe),
+                "largest_response_error": None if response is None else float(response.error[body.name].max()),
+            }
+            for body in result.bodies
+        },
+        "seconds": {stage.name: stage.seconds for stage in result.stages},
+        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
+    }
+
+
+def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
+    """A body file as plain values, SI units."""
+    first = next(iter(stored.bodies.values()))
+    origin: Mapping[str, Any] = getattr(stored, "provenance", None) or {}
+    return {
+        "output": path,
+        "format_version": stored.format_version,
+        "source": stored.recipe.get("source"),
+        "solver": origin.get("solver"),
+        "dofs": stored.recipe.get("dofs"),
+        "stored_nodes": len(stored.node_ids),
+        "mass": stored.mass,
+        "center_of_mass": stored.center_of_mass.tolist(),
+        "inertia": stored.inertia.tolist(),
+        "frequencies_hz": first.frequencies_hz.tolist(),
+        "full_frequencies_hz": _listed(first.full_frequencies_hz),
+        "interfaces": {
+            name: {
+                "coupling": one.coupling,
+                "components": list(one.components),
+                "point": one.point.tolist(),
+                "nodes": len(one.node_ids),
+            }
+            for name, one in stored.interfaces.items()
+        },
+        "bodies": {
+            name: {
+                "order": len(body.stiffness_matrix),
+                "rigid_count": body.rigid_count,
+                "frequencies_hz": body.frequencies_hz.tolist(),
+                "mode_kind": list(body.mode_kind),
+                "recipe": body.recipe,
+            }
+            for name, body in stored.bodies.items()
+        },
+        "seconds": dict(origin.get("seconds") or {}),
+        "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
+    }
+
+
+def _listed(values: Floats | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def print_result(console: Console, result: JobResult) -> None:
+    """Frequencies, mass and cost of a finished job."""
+    part = result.bodies[0].part
+    console.print(
+        f"[bold]{result.job.path.name}[/]: {result.nodes:,} nodes, {result.elements:,} elements, "
+        f"{result.dofs:,} degrees of freedom, solver {result.solver}",
+        highlight=False,
+    )
+    for body in result.bodies:
+        console.print(f"  {body.name}: {_words(body.reduced.mode_kind)}", highlight=False)
+    _titled(console, "free-free frequencies, rigid-body modes left out", _frequencies(result.bodies))
+    _titled(console, "mass properties", _mass(part.mass, part.center_of_mass, part.inertia))
+    _titled(console, "cost", _cost(result))
+    console.print()
+    if result.response is not None:
+        band = result.response.frequencies_hz
+        for name, error in result.response.error.items():
+            console.print(
+                f"{name}: frequency response off by at most {error.max():.2e} from {band[0]:,.4g} to "
+                f"{band[-1]:,.4g} Hz (median {np.median(error):.1e})",
+                highlight=False,
+                soft_wrap=True,
+            )
+    written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
+    console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+
+
+def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
+    """What a body file holds."""
+    values = stored_json(path, stored)
+    console.print(
+        f"[bold]{path}[/]: {values['source'] or 'model'}, {values['dofs'] or '?'} degrees of freedom, "
+        f"{values['stored_nodes']:,} nodes stored",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    for name, one in values["interfaces"].items():
+        console.print(f"  interface {name}: {one['coupling']}, {one['nodes']:,} nodes", highlight=False)
+    for name, body in stored.bodies.items():
+        console.print(f"  {name}: {_words(body.mode_kind)}", highlight=False)
+        elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
+        listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
+        console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
+    _titled(console, "mass properties", _mass(stored.mass, stored.center_of_mass, stored.inertia))
+
+
+def print_forecast(console: Console, job: str, forecast: Forecast) -> None:
+    """A checked job and what it will need."""
+    table = _table("", "")
+    for key, value in forecast.as_json().items():
+        if key == "warnings":
+            continue
+        shown = _bytes(value) if key.endswith("_bytes") else f"{value:,}" if isinstance(value, int) else str(value)
+        table.add_row(key.removesuffix("_bytes").replace("_", " "), shown)
+    _titled(console, f"{job} is sound", table)
+    for text in forecast.warnings:
+        console.print(f"[yellow]warning:[/] {text}", highlight=False)
+
+
+def _titled(console: Console, title: str, table: Table) -> None:
+    console.print(f"\n[bold]{title}[/]", highlight=False, soft_wrap=True)
+    console.print(table)
+
+
+def _words(kinds: Sequence[str]) -> str:
+    """``12 constraint + 30 fixed-interface = 42 coordinates``."""
+    counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
+    return " + ".join(f"{count} {kind}" for kind, count in counts.items()) + f" = {len(kinds)} coordinates"
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column(columns[0])
+    for column in columns[1:]:
+        table.add_column(column, justify="right")
+    table.show_header = any(columns)
+    return table
+
+
+def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
+    """Elastic frequencies, those of the full model first where they are known."""
+    full = bodies[0].full_frequencies_hz
+    rigid = bodies[0].reduced.rigid_count if full is None else int((full == 0).sum())
+    columns = ["mode"] + ["full Hz"] * (full is not None)
+    for body in bodies:
+        columns += [f"{body.name} Hz"] + ["deviation %"] * (full is not None)
+    table = _table(*columns)
+    elastic = None if full is None else full[rigid:]
+    rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
+    for number in range(rows):
+        row = [str(number + 1)] + ([] if elastic is None else [f"{elastic[number]:,.2f}"])
+        for body in bodies:
+            own = body.frequencies_hz[body.reduced.rigid_count :]
+            known = number < len(own)
+            row.append(f"{own[number]:,.2f}" if known else "-")
+            if elastic is not None:
+                fits = known and body.reduced.rigid_count == rigid
+                row.append(f"{100 * (own[number] / elastic[number] - 1):.1e}" if fits else "-")
+        table.add_row(*row)
+    return table
+
+
+def _mass(mass: float, center: Floats, inertia: Floats) -> Table:
+    table = _table("", "")
+    table.add_row("mass", f"{mass:.6g} kg")
+    table.add_row("centre of mass", ", ".join(f"{v:.6g}" for v in _clean(center)) + " m")
+    for label, row in zip(("inertia about it", "", ""), _clean(inertia), strict=True):
+        table.add_row(label, "  ".join(f"{v:12.5e}" for v in row) + " kg m2")
+    return table
+
+
+def _clean(values: Floats) -> Floats:
+    """What lies below the digits shown, against the largest entry, becomes zero."""
+    return np.where(np.abs(values) < 1e-7 * np.abs(values).max(initial=0.0), 0.0, values)
+
+
+def _cost(result: JobResult) -> Table:
+    table = _table("stage", "seconds", "peak memory")
+    for stage in result.stages:
+        table.add_row(stage.name, f"{stage.seconds:.2f}", _bytes(stage.peak_memory_bytes))
+    table.add_row("all", f"{sum(stage.seconds for stage in result.stages):.2f}", "")
+    return table
+
+
+def _bytes(count: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"

@@ -1,0 +1,218 @@
+"""Runs a job: mesh file to body file, every stage measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.compare import FrequencyResponse, Shapes, frequency_response, mode_shapes
+from morembs.errors import InputError
+from morembs.fem import assemble
+from morembs.importers import read_mesh
+from morembs.interface import Interface, make_interface
+from morembs.job import Job
+from morembs.linalg.select import select_solver
+from morembs.linalg.solver import LinearSolver
+from morembs.material import Material, isotropic, orthotropic
+from morembs.model import FEModel, Mesh
+from morembs.picture import draw
+from morembs.problem import Damping, Problem
+from morembs.progress import SILENT, Progress, Stage, Stopwatch
+from morembs.schema import MaterialTable
+from morembs.selection import select_nodes
+from morembs.storage import check_writable, write_body
+from morembs.units import Units, parse_units
+
+Floats = NDArray[np.float64]
+# Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
+BAND = (0.2, 1.1)
+BAND_POINTS = 400
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JobResult:
+    """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model."""
+
+    job: Job
+    nodes: int
+    elements: int
+    dofs: int
+    bodies: tuple[ElasticBody, ...]
+    solver: str
+    stages: tuple[Stage, ...]
+    response: FrequencyResponse | None = None
+    shapes: Shapes | None = None
+
+
+def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
+    """Reduce the model of ``job`` and write its body file and picture.
+
+    Raises:
+        MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
+    """
+    watch = Stopwatch(progress)
+    prepare_output(job)
+    solver, materials = solver_of(job), materials_of(job)
+    with watch.stage("read"):
+        mesh = read_mesh(job.resolve(job.tables.model.mesh), units_of(job))
+    with watch.stage("assemble"):
+        integration = job.tables.model.mass_integration
+        model = assemble(mesh, materials, mass_integration=integration, progress=progress)
+    with watch.stage("couple"):
+        interfaces = interfaces_of(job, model)
+        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), progress=progress)
+    with problem:
+        bodies = _reduce(job, problem, watch)
+        response = None
+        if job.tables.response is not None or (job.picture is not None and interfaces):
+            with watch.stage("response"):
+                response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
+        shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
+        name = problem.solver_name
+    with watch.stage("write"):
+        provenance = _provenance(job, name, watch.stages)
+        write_body(job.output, bodies, recipe=_recipe(job, model), provenance=provenance, progress=progress)
+    if job.picture is not None:
+        with watch.stage("draw"):
+            draw(job.picture, bodies, shapes, response)
+    return JobResult(
+        job=job, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=model.size, bodies=bodies,
+        solver=name, stages=tuple(watch.stages), response=response, shapes=shapes,
+    )  # fmt: skip
+
+
+def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, ...]:
+    """One body for each reduction, and the free-free frequencies of the full model to compare with."""
+    size = problem.K.shape[0]
+    refuse_too_many_modes(job, size)
+    with watch.stage("factorise"):
+        _ = problem.statics
+    count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
+    if count:
+        with watch.stage("solve modes"):
+            problem.elastic_modes(count=count)
+    reduced = []
+    for name, reducer in job.reducers.items():
+        with watch.stage(f"reduce {name}"):
+            reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
+    part = make_part(problem, job.tables.output.nodes)
+    return tuple(elastic_body(problem, one, part) for one in reduced)
+
+
+def units_of(job: Job) -> Units:
+    """The declared units."""
+    given = job.tables.model.units
+    return parse_units(given if isinstance(given, str) else given.model_dump())
+
+
+def materials_of(job: Job) -> list[Material]:
+    """The materials in SI units."""
+    units = units_of(job)
+    return [_material(table, units) for table in job.tables.material]
+
+
+def _material(table: MaterialTable, units: Units) -> Material:
+    density = table.density * units.density
+    if isinstance(table.young, list) and isinstance(table.poisson, list) and table.shear is not None:
+        E1, E2, E3 = (value * units.stress for value in table.young)
+        nu12, nu13, nu23 = table.poisson
+        G12, G13, G23 = (value * units.stress for value in table.shear)
+        return orthotropic(
+            set=table.set, young=(E1, E2, E3), poisson=(nu12, nu13, nu23), shear=(G12, G13, G23),
+            density=density, axes=None if table.axes is None else np.array(table.axes),
+        )  # fmt: skip
+    if isinstance(table.young, list) or isinstance(table.poisson, list):
+        raise InputError(f"material of set {table.set!r}: young and poisson must be one number each")
+    return isotropic(
+        set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density
+    )
+
+
+def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
+    """The interfaces on the nodes of ``model``."""
+    length = units_of(job).length
+    found = []
+    for table in job.tables.interface:
+        try:
+            rows = select_nodes(model, table.nodes, length=length)
+        except InputError as error:
+            raise InputError(f"interface {table.name!r}: {error}") from error
+        point = None if table.point is None else [length * value for value in table.point]
+        found.append(
+            make_interface(
+                model, name=table.name, nodes=rows, coupling=table.coupling, point=point,
+                components=table.components,
+            )
+        )  # fmt: skip
+    return found
+
+
+def damping_of(job: Job) -> Damping:
+    """The damping with alpha in 1/s and beta in s."""
+    given, time = job.tables.damping, units_of(job).time
+    if given.rayleigh is not None:
+        return Damping(alpha=given.rayleigh.alpha / time, beta=given.rayleigh.beta * time)
+    return Damping(modal=given.modal or 0.0)
+
+
+def solver_of(job: Job) -> LinearSolver:
+    """The solver with its budget and scratch folder."""
+    given = job.tables.solver
+    scratch = None if given.scratch is None else job.resolve(given.scratch)
+    if scratch is not None and not scratch.is_dir():
+        raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
+    return select_solver(given.name, memory=job.memory, scratch=scratch)
+
+
+def prepare_output(job: Job) -> None:
+    """Check before any work that the results can be written."""
+    check_writable(job.output)
+    if job.picture is not None:
+        check_writable(job.picture)
+
+
+def refuse_too_many_modes(job: Job, size: int) -> None:
+    """Check that no reduction asks for more modes than a model of ``size`` coupled dofs has.
+
+    Raises:
+        InputError: one does.
+    """
+    for name, reducer in job.reducers.items():
+        modes = getattr(reducer, "modes", None)
+        if modes is not None and modes > size:
+            raise InputError(
+                f"[[reduce]] {name!r}: modes = {modes} was given, but the coupled model has only {size} degrees of "
+                "freedom; ask for fewer modes"
+            )
+
+
+def count_elements(mesh: Mesh) -> int:
+    """Number of elements of all types."""
+    return sum(len(block.ids) for block in mesh.blocks)
+
+
+def _band(job: Job, body: ElasticBody) -> Floats:
+    given = job.tables.response
+    if given is not None:
+        return np.geomspace(given.from_hz, given.to_hz, given.points)
+    known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
+    elastic = known[known > 0][: max(job.tables.check.full_modes, 1)]
+    return np.geomspace(BAND[0] * elastic[0], BAND[1] * elastic[-1], BAND_POINTS)
+
+
+def _recipe(job: Job, model: FEModel) -> dict[str, object]:
+    """What was asked for and of what: the same for the same input."""
+    return {**job.tables.model_dump(exclude_none=True), "dofs": model.size, "source": model.source}
+
+
+def _provenance(job: Job, solver: str, stages: Sequence[Stage]) -> dict[str, object]:
+    return {
+        "job": job.text,
+        "solver": solver,
+        "seconds": {stage.name: stage.seconds for stage in stages},
+        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in stages},
+    }

@@ -1,0 +1,162 @@
+"""The tables and keys of a job file, as pydantic models; docs and error messages come from the descriptions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from morembs.reducers import REDUCERS
+
+Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+# Names become groups of the HDF5 file.
+SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
+
+
+class Table(BaseModel):
+    """A table of the job file. The description of a key is what its error message says was expected."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class UnitsTable(Table):
+    """Units by name."""
+
+    length: str = Field(description='a unit of length such as "mm"')
+    mass: str = Field(description='a unit of mass such as "t"')
+    time: str = Field(description='a unit of time such as "s"')
+
+
+class ModelTable(Table):
+    """``[model]``: the mesh file and the units of all numbers in the mesh and in the job."""
+
+    mesh: str = Field(min_length=1, description='the path of a mesh file such as "conrod.msh"')
+    units: str | UnitsTable = Field(
+        default="m-kg-s", description='"length-mass-time" such as "mm-t-s", or a table with length, mass and time'
+    )
+    mass_integration: Literal["exact", "reduced"] = Field(default="exact", description='"exact" or "reduced"')
+
+
+class MaterialTable(Table):
+    """``[[material]]``: elastic constants and density of an element set, isotropic or orthotropic."""
+
+    set: str = Field(default="all", description='the name of an element set, or "all"')
+    young: float | Three = Field(description="one number, or [E1, E2, E3] for an orthotropic material")
+    poisson: float | Three = Field(description="one number, or [nu12, nu13, nu23] for an orthotropic material")
+    density: float = Field(description="a number")
+    shear: Three | None = Field(default=None, description="[G12, G13, G23]")
+    axes: Annotated[list[Three], Field(min_length=3, max_length=3)] | None = Field(
+        default=None, description="three rows, the material directions 1, 2, 3 in the frame of the mesh"
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        lists = [isinstance(self.young, list), isinstance(self.poisson, list), self.shear is not None]
+        if any(lists) and not all(lists):
+            raise ValueError(
+                "an orthotropic material needs young = [E1, E2, E3], poisson = [nu12, nu13, nu23] and "
+                "shear = [G12, G13, G23]; an isotropic one needs one young, one poisson and no shear"
+            )
+        if self.axes is not None and not all(lists):
+            raise ValueError("axes was given for an isotropic material; leave it out")
+        return self
+
+
+class InterfaceTable(Table):
+    """``[[interface]]``: where other bodies touch the part."""
+
+    name: str = Field(min_length=1, pattern=r"^[^/\s][^/]*$", description="a name without slashes")
+    nodes: str = Field(description='a selection of nodes such as "set:BIGEND"')
+    coupling: str = Field(default="rigid", description='"rigid", "average" or "direct"')
+    point: Three | None = Field(default=None, description="the origin of the interface, [x, y, z]")
+    components: list[int] | None = Field(default=None, description="some of [0, 1, 2, 3, 4, 5]")
+
+
+class RayleighTable(Table):
+    """D = alpha M + beta K, in the declared unit of time."""
+
+    alpha: float = Field(default=0.0, ge=0, description="a number, zero or more (1/time)")
+    beta: float = Field(default=0.0, ge=0, description="a number, zero or more (time)")
+
+
+class DampingTable(Table):
+    """``[damping]``: Rayleigh or modal damping."""
+
+    rayleigh: RayleighTable | None = Field(default=None, description="a table { alpha = ..., beta = ... }")
+    modal: float | None = Field(default=None, ge=0, lt=1, description="a damping ratio from 0 to below 1")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.rayleigh is not None and self.modal is not None:
+            raise ValueError("rayleigh and modal were both given; choose one")
+        return self
+
+
+class SolverTable(Table):
+    """``[solver]``: which sparse solver, and what it may use."""
+
+    name: str = Field(default="auto", description='"auto" or a name that "morembs solvers" lists')
+    memory: str | None = Field(default=None, description='a text such as "4 GiB" or "500 MB"')
+    scratch: str | None = Field(default=None, min_length=1, description="the path of a folder for temporary files")
+
+
+class ReduceTable(Table):
+    """``[[reduce]]``: one reduced body. Further keys are the options of its method."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+    method: str = Field(description="one of " + ", ".join(REDUCERS))
+    name: str | None = Field(
+        default=None, pattern=SAFE_NAME, description="a name of letters, digits, _, -, + and ."
+    )
+
+    def options(self) -> dict[str, object]:
+        """Keys besides name and method."""
+        return dict(self.model_extra or {})
+
+
+class OutputTable(Table):
+    """``[output]``: the body file, and a picture if one is wanted."""
+
+    path: str = Field(min_length=1, description='the path of the body file such as "conrod.h5"')
+    nodes: Literal["all", "skin", "interfaces"] = Field(
+        default="all", description='"all", "skin" or "interfaces"'
+    )
+    picture: str | None = Field(
+        default=None, pattern=r"\.(png|pdf|svg)$", description="the path of a .png, .pdf or .svg file"
+    )
+
+
+class ResponseTable(Table):
+    """``[response]``: frequency response of the full and the reduced model at logarithmic steps."""
+
+    from_hz: float = Field(gt=0, description="a positive frequency in Hz")
+    to_hz: float = Field(gt=0, description="a positive frequency in Hz")
+    points: int = Field(default=200, ge=2, le=100_000, description="a count from 2 to 100000")
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if self.to_hz <= self.from_hz:
+            raise ValueError(f"from_hz = {self.from_hz:g} must lie below to_hz = {self.to_hz:g}")
+        return self
+
+
+class CheckTable(Table):
+    """``[check]``: what the reduced bodies are compared with."""
+
+    full_modes: int = Field(
+        default=10, ge=0, description="a count of free-free frequencies of the full model, 0 for none"
+    )
+
+
+class JobTables(Table):
+    """All tables of a job file."""
+
+    model: ModelTable = Field(description="a table [model]")
+    material: list[MaterialTable] = Field(min_length=1, description="at least one table [[material]]")
+    interface: list[InterfaceTable] = Field(default_factory=list, description="tables [[interface]]")
+    damping: DampingTable = Field(default_factory=DampingTable, description="a table [damping]")
+    solver: SolverTable = Field(default_factory=SolverTable, description="a table [solver]")
+    reduce: list[ReduceTable] = Field(min_length=1, description="at least one table [[reduce]]")
+    output: OutputTable = Field(description="a table [output]")
+    response: ResponseTable | None = Field(default=None, description="a table [response]")
+    check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")

@@ -1,0 +1,160 @@
+"""What a body file holds, as frozen types, taken from the open HDF5 file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MATRICES = ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix")
+_BODY = (*MATRICES, "basis", "frequencies_hz", "mode_kind", "rigid_count", "recipe")
+_INTERFACE = ("coupling", "components", "point", "axes", "node_ids", "weights")
+_COMMON = (
+    "body_names", "interface_names", "mode_kinds", "recipe", "nodes/ids", "nodes/coordinates",
+    "inputs/interface_index", "inputs/component", "inputs/node_id",
+    "mass_properties/mass", "mass_properties/center_of_mass", "mass_properties/inertia",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredInterface:
+    """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,)."""
+
+    coupling: str
+    components: tuple[int, ...]
+    point: Floats
+    axes: Floats
+    node_ids: Ints
+    weights: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredBody:
+    """One body of a file: matrices (n, n), ``input_matrix`` (n, m), ``frequencies_hz`` (n,), SI units."""
+
+    name: str
+    mass_matrix: Floats
+    stiffness_matrix: Floats
+    damping_matrix: Floats
+    input_matrix: Floats
+    frequencies_hz: Floats
+    mode_kind: tuple[str, ...]
+    rigid_count: int
+    full_frequencies_hz: Floats | None
+    recipe: dict[str, Any]
+    read_basis: Callable[[str, slice], Floats]
+
+    def basis(self, columns: slice = slice(None)) -> Floats:
+        """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
+
+        Raises:
+            InputError: the file is gone or damaged.
+        """
+        return self.read_basis(self.name, columns)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredBodies:
+    """All of a body file but its provenance; what is written first comes first in the mappings.
+
+    ``mass`` kg, ``center_of_mass`` (3,) m, ``inertia`` (3, 3) kg m2 about it; ``node_ids`` (n,),
+    ``coordinates`` (n, 3) m; ``input_interface``, ``input_component``, ``input_node_id`` (m,) tell for each
+    column of an input matrix the position of its interface, its motion 0..5 and its node (-1: a frame).
+    """
+
+    format_version: int
+    mass: float
+    center_of_mass: Floats
+    inertia: Floats
+    node_ids: Ints
+    coordinates: Floats
+    interfaces: dict[str, StoredInterface]
+    input_interface: Ints
+    input_component: Ints
+    input_node_id: Ints
+    bodies: dict[str, StoredBody]
+    recipe: dict[str, Any]
+
+
+def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floats]) -> StoredBodies:
+    """Everything but the bases of an open body file.
+
+    Raises:
+        InputError: some dataset is missing.
+    """
+    refuse_missing(path, file, _COMMON)
+    names, interfaces = _strings(file["body_names"]), _strings(file["interface_names"])
+    refuse_missing(path, file, (f"bodies/{name}/{data}" for name in names for data in _BODY))
+    refuse_missing(path, file, (f"interfaces/{name}/{data}" for name in interfaces for data in _INTERFACE))
+    kinds = _strings(file["mode_kinds"])
+    return StoredBodies(
+        format_version=int(file["format_version"][()]),
+        mass=float(file["mass_properties/mass"][()]),
+        center_of_mass=file["mass_properties/center_of_mass"][()],
+        inertia=file["mass_properties/inertia"][()],
+        node_ids=file["nodes/ids"][()],
+        coordinates=file["nodes/coordinates"][()],
+        interfaces={name: _interface(file[f"interfaces/{name}"]) for name in interfaces},
+        input_interface=file["inputs/interface_index"][()],
+        input_component=file["inputs/component"][()],
+        input_node_id=file["inputs/node_id"][()],
+        bodies={name: _body(name, file[f"bodies/{name}"], kinds, read_basis) for name in names},
+        recipe=json.loads(file["recipe"][()]),
+    )
+
+
+def basis_columns(data: Any, columns: slice) -> Floats:
+    """Columns of a basis dataset, one by one: each lies in one piece, and several at once take far longer."""
+    picked = range(data.shape[1])[columns]
+    block = np.empty((data.shape[0], len(picked)))
+    for place, column in enumerate(picked):
+        block[:, place] = data[:, column]
+    return block
+
+
+def refuse_missing(path: Path, file: Any, wanted: Iterable[str]) -> None:
+    """Name the datasets that a body file needs and this one lacks.
+
+    Raises:
+        InputError: there are some.
+    """
+    missing = [f"/{name}" for name in wanted if not hasattr(file.get(name), "shape")]
+    if missing:
+        raise InputError(f"{path} is an incomplete body file; missing: {', '.join(missing)}; write it again")
+
+
+def _interface(group: Any) -> StoredInterface:
+    return StoredInterface(
+        coupling=group["coupling"][()].decode(),
+        components=tuple(group["components"][()].tolist()),
+        **{name: group[name][()] for name in ("point", "axes", "node_ids", "weights")},
+    )
+
+
+def _body(
+    name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats]
+) -> StoredBody:
+    full = group.get("full_frequencies_hz")
+    return StoredBody(
+        name=name,
+        frequencies_hz=group["frequencies_hz"][()],
+        mode_kind=tuple(kinds[code] for code in group["mode_kind"][()]),
+        rigid_count=int(group["rigid_count"][()]),
+        full_frequencies_hz=None if full is None else full[()],
+        recipe=json.loads(group["recipe"][()]),
+        read_basis=read_basis,
+        **{matrix: group[matrix][()] for matrix in MATRICES},
+    )
+
+
+def _strings(data: Any) -> list[str]:
+    return [text.decode() for text in data[()].tolist()]
