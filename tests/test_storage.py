@@ -217,7 +217,9 @@ def test_interruption_leaves_the_old_file_or_none(tmp_path, monkeypatch, error, 
 
 
 def open_in_hdf5():
-    return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_ALL)
+    """Files, groups and datasets that HDF5 holds open; after a close that failed it may crash on them."""
+    kinds = h5py.h5f.OBJ_FILE | h5py.h5f.OBJ_GROUP | h5py.h5f.OBJ_DATASET
+    return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, kinds)
 
 
 def test_short_writes_are_continued(tmp_path, monkeypatch):
@@ -267,10 +269,9 @@ def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, 
     path = tmp_path / "body.h5"
     path.write_bytes(b"the old file")
     monkeypatch.setattr(SafeFile, "__init__", begin_failing)
-    before = open_in_hdf5()
     with pytest.raises(OutputError if isinstance(reason, OSError) else KeyboardInterrupt):
         write_body(path, [Made(2000, 6)])
-    assert open_in_hdf5() == before
+    assert open_in_hdf5() == 0
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("body.h5", b"the old file")]
 
 

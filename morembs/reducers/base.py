@@ -25,11 +25,16 @@ MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Basis:
-    """Columns ``V`` (Nc, n) in coupled dofs and the kind of each; stiffness ``K`` (n, n) if known exactly."""
+    """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, and their stiffness ``K`` (n, n).
+
+    "constraint" columns are unit interface motions, and "fixed-interface" columns (with the attachment modes
+    beside them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
+    """
 
     V: Floats
     kinds: tuple[str, ...]
     K: Floats
+    holds_interfaces: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +84,12 @@ class Reducer(ABC):
         M = V.T @ (problem.M @ V)
         M = 0.5 * (M + M.T)
         K = 0.5 * (basis.K + basis.K.T)
-        B = np.asarray((problem.B.T @ V).T)
+        if basis.holds_interfaces:
+            B = np.zeros((V.shape[1], problem.B.shape[1]))
+            constraint = basis.kinds.count("constraint")
+            B[:constraint, :constraint] = np.eye(constraint)
+        else:
+            B = np.asarray((problem.B.T @ V).T)
         rigid = problem.rigid_coordinates(V, M)
         D = problem.damping.matrix(M, K, rigid)
         if problem.D is not None:
@@ -120,4 +130,5 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
         V=np.hstack([basis.V, W]),
         kinds=basis.kinds + ("attachment",) * W.shape[1],
         K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
+        holds_interfaces=basis.holds_interfaces,
     )

@@ -56,6 +56,7 @@ class CraigBampton(Reducer):
             V=np.hstack([constraint, fixed.vectors]),
             kinds=("constraint",) * inputs + ("fixed-interface",) * len(fixed.eigenvalues),
             K=sl.block_diag(condensed, np.diag(fixed.eigenvalues)),
+            holds_interfaces=True,
         )
         if not self.inertia_modes:
             return basis

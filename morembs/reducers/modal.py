@@ -40,4 +40,5 @@ class Modal(Reducer):
             V=np.hstack([rigid, modes.vectors]),
             kinds=("rigid",) * r + (kind,) * m,
             K=np.diag(np.concatenate([np.zeros(r), modes.eigenvalues])),
+            holds_interfaces=self.interfaces == "fixed",
         )
