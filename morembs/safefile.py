@@ -120,7 +120,6 @@ def replacing(path: Path) -> Iterator[SafeFile]:
             # What a library says after a failed write is only a consequence of it.
             _refuse_failed(path, file)
             raise
-        _refuse_failed(path, file)
         _finish(path, file, temporary, target)
     finally:
         file.close()
@@ -138,6 +137,7 @@ def _refuse_failed(path: Path, file: SafeFile) -> None:
 def _finish(path: Path, file: SafeFile, temporary: Path, target: Path) -> None:
     """Bring everything to the disk, then take the name."""
     try:
+        file.check()
         os.fsync(file.fileno())
         file.close()
         file.check()
