@@ -137,7 +137,6 @@ def _refuse_failed(path: Path, file: SafeFile) -> None:
 def _finish(path: Path, file: SafeFile, temporary: Path, target: Path) -> None:
     """Bring everything to the disk, then take the name."""
     try:
-        file.check()
         os.fsync(file.fileno())
         file.close()
         file.check()

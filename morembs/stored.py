@@ -64,7 +64,7 @@ class StoredBody:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredBodies:
-    """All of a body file but its provenance; what is written first comes first in the mappings.
+    """All of a body file; what is written first comes first in the mappings.
 
     ``mass`` kg, ``center_of_mass`` (3,) m, ``inertia`` (3, 3) kg m2 about it; ``node_ids`` (n,),
     ``coordinates`` (n, 3) m; ``input_interface``, ``input_component``, ``input_node_id`` (m,) tell for each
@@ -83,6 +83,7 @@ class StoredBodies:
     input_node_id: Ints
     bodies: dict[str, StoredBody]
     recipe: dict[str, Any]
+    provenance: dict[str, Any]
 
 
 def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floats]) -> StoredBodies:
@@ -109,7 +110,20 @@ def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floa
         input_node_id=file["inputs/node_id"][()],
         bodies={name: _body(name, file[f"bodies/{name}"], kinds, read_basis) for name in names},
         recipe=json.loads(file["recipe"][()]),
+        provenance=_tree(file["provenance"]) if "provenance" in file else {},
     )
+
+
+def _tree(group: Any) -> dict[str, Any]:
+    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as lists."""
+    result: dict[str, Any] = {}
+    for name, item in group.items():
+        if hasattr(item, "shape"):
+            value = item[()]
+            result[name] = value.decode() if isinstance(value, bytes) else value.tolist()
+        else:
+            result[name] = _tree(item)
+    return result
 
 
 def basis_columns(data: Any, columns: slice) -> Floats:

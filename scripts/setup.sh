@@ -22,19 +22,22 @@ if command -v dpkg-query >/dev/null; then
         dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")
     done
 fi
-if [ ${#missing[@]} -gt 0 ]; then
-    as_root=()
-    if [ "$(id -u)" -ne 0 ]; then as_root=(sudo -n); fi
-    echo "setup: installing Debian packages: ${missing[*]}"
-    if command -v apt-get >/dev/null && { [ "$(id -u)" -eq 0 ] || sudo -n true 2>/dev/null; } \
-        && "${as_root[@]}" apt-get update -qq \
-        && "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null; then
-        echo "setup: Debian packages installed"
-    else
-        echo "setup: these Debian packages could not be installed and are left out: ${missing[*]}"
-        echo "setup: morembs then uses the MUMPS that comes with its Python packages. To add the rest later:"
-        echo "setup:   sudo apt-get install ${missing[*]} && rm -f $stamp && make setup"
+install_packages() {
+    local as_root=()
+    command -v apt-get >/dev/null || return 1
+    if [ "$(id -u)" -ne 0 ]; then
+        sudo -n true 2>/dev/null || return 1
+        as_root=(sudo -n)
     fi
+    echo "setup: installing Debian packages: ${missing[*]}"
+    "${as_root[@]}" apt-get update -qq \
+        && "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+            apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+}
+if [ ${#missing[@]} -gt 0 ] && ! install_packages; then
+    echo "setup: these Debian packages are missing and cannot be installed from here: ${missing[*]}"
+    echo "setup: morembs works without them, with the MUMPS that comes with its Python packages. To add them:"
+    echo "setup:   sudo apt-get install ${missing[*]}"
 fi
 
 python=${PYTHON:-python3}

@@ -75,9 +75,10 @@ class Made:
         )  # fmt: skip
         self.name, self.recipe, self.full_frequencies_hz = "made", {}, None
         self.frequencies_hz = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
-        self.fail_at, self.error = fail_at, error
+        self.fail_at, self.error, self.asked = fail_at, error, 0
 
     def basis(self, columns=slice(None)):
+        self.asked += 1
         wanted = range(self.reduced.order)[columns]
         if self.fail_at is not None and self.fail_at in wanted:
             raise self.error
@@ -153,7 +154,7 @@ def test_interfaces_and_the_meaning_of_the_inputs(bar, stored):
         node = int(np.flatnonzero(back.node_ids == back.input_node_id[column])[0])
         assert back.input_interface[column] == 2
         through_basis = body.basis()[3 * node + back.input_component[column]]
-        np.testing.assert_allclose(body.input_matrix[:, column], through_basis, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(body.input_matrix[:, column], through_basis, rtol=0, atol=1e-9)
     assert back.input_component[:7].tolist() == [0, 1, 2, 4, 0, 1, 2]
     assert back.input_interface[:7].tolist() == [0, 0, 0, 0, 1, 1, 1] and (back.input_node_id[:7] == -1).all()
 
@@ -269,8 +270,10 @@ def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, 
     path = tmp_path / "body.h5"
     path.write_bytes(b"the old file")
     monkeypatch.setattr(SafeFile, "__init__", begin_failing)
+    body = Made(2000, 6)
     with pytest.raises(OutputError if isinstance(reason, OSError) else KeyboardInterrupt):
-        write_body(path, [Made(2000, 6)])
+        write_body(path, [body])
+    assert number > 1 or not body.asked  # no work for a file that is lost
     assert open_in_hdf5() == 0
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("body.h5", b"the old file")]
 
