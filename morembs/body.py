@@ -78,15 +78,18 @@ class ElasticBody:
         return np.asarray(self.part.transformation @ self.reduced.V[:, columns])
 
 
-def mass_properties(M: sp.csr_array, R: Floats) -> tuple[float, Floats, Floats]:
-    """Mass, centre of mass (3,) and inertia (3, 3) about it, from consistent mass and rigid modes about 0."""
+def mass_properties(M: sp.csr_array, R: Floats, pole: Floats) -> tuple[float, Floats, Floats]:
+    """Mass, centre of mass (3,) and inertia (3, 3) about it.
+
+    From the consistent mass ``M`` (N, N) and rigid-body modes ``R`` (N, 6) with rotations about ``pole`` (3,).
+    """
     G = R.T @ (M @ R)
     mass = float(np.trace(G[:3, :3]) / 3)
     coupling = G[:3, 3:]  # -m c~
-    center = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / mass
-    shift = mass * (center @ center * np.eye(3) - np.outer(center, center))
+    arm = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / mass
+    shift = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     inertia = G[3:, 3:] - shift
-    return mass, center, 0.5 * (inertia + inertia.T)
+    return mass, pole + arm, 0.5 * (inertia + inertia.T)
 
 
 def make_part(problem: Problem, nodes: str = "all") -> Part:
@@ -103,7 +106,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     if (dofs < 0).any():
         # A node without some displacement (a matrix model) stays still along it.
         picked = sp.csr_array(sp.diags_array((dofs >= 0).astype(float)) @ picked)
-    mass, center, inertia = mass_properties(problem.M, problem.coupling.R)
+    mass, center, inertia = mass_properties(problem.M, problem.coupling.R, problem.coupling.pole)
     chosen = Nodes(ids=model.nodes.ids[rows], xyz=model.nodes.xyz[rows])
     return Part(
         mass=mass, center_of_mass=center, inertia=inertia, nodes=chosen, cells=cells, transformation=picked,

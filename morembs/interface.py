@@ -132,12 +132,14 @@ class Coupling:
 
     ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without rigid slaves, then six per rigid frame);
     ``B`` (Nc, m) inputs, one column per exposed interface motion, and also outputs as ``B'``;
-    ``R`` (Nc, 6) geometric rigid-body modes; ``columns`` interface name -> its columns of B.
+    ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
+    that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
     """
 
     T: sp.csr_array
     B: sp.csc_array
     R: Floats
+    pole: Floats
     columns: dict[str, slice]
 
 
@@ -166,14 +168,15 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
     data = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
     T = sp.csr_array(sp.coo_array(data, shape=(model.size, size)))
     T.eliminate_zeros()
-    R_fe = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    pole = model.nodes.xyz.mean(axis=0)
+    R_fe = rigid_motion(model.nodes.xyz[model.dofs.node] - pole, model.dofs.component)
     R = np.zeros((size, 6))
     R[: len(kept)] = R_fe[kept]
     for interface in rigid:
         at = masters[interface.name]
-        R[at : at + 6] = rigid_motion(np.tile(interface.point, (6, 1)), np.arange(6))
+        R[at : at + 6] = rigid_motion(np.tile(interface.point - pole, (6, 1)), np.arange(6))
     B, columns = _inputs(model, interfaces, T, masters)
-    return Coupling(T=T, B=B, R=R, columns=columns)
+    return Coupling(T=T, B=B, R=R, pole=pole, columns=columns)
 
 
 def _inputs(

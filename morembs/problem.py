@@ -197,9 +197,7 @@ def _congruence(T: sp.csr_array, A: sp.csr_array) -> sp.csr_array:
 def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
     """M-orthonormal basis (N, r) of the geometric motions that K leaves free of strain."""
     G = R.T @ (M @ R)
-    values, U = sl.eigh(G)
-    good = values > 1e-14 * max(values[-1], np.finfo(float).tiny)
-    # Modes of the inertia give orthonormal motions also where some vanish (all nodes on a line).
+    # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
     scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
     values, U = sl.eigh(G / np.outer(scale, scale))
     good = values > 1e-12

@@ -30,7 +30,7 @@ def test_rigid_motion_has_no_strain_and_its_inertia_is_exact(kind):
     R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
     assert np.abs(model.K @ R).max() <= 1e-12 * abs(model.K).max()
     assert abs(model.K - model.K.T).max() == 0.0
-    mass, center, inertia = mass_properties(model.M, R)
+    mass, center, inertia = mass_properties(model.M, R, np.zeros(3))
     m = STEEL["density"] * 0.3 * 0.2 * 0.1
     assert mass == pytest.approx(m, rel=1e-13)
     assert center == pytest.approx([0.15, 0.1, 0.05], rel=1e-13)
@@ -197,7 +197,7 @@ def test_two_materials_by_element_set():
             isotropic(set="right", young=2e9, poisson=0.3, density=3000.0)]  # fmt: skip
     model = assemble(mesh, both)
     R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
-    mass, center, _ = mass_properties(model.M, R)
+    mass, center, _ = mass_properties(model.M, R, np.zeros(3))
     assert mass == pytest.approx(0.01 * 2000.0)
     assert center[0] == pytest.approx((0.25 * 1000 + 0.75 * 3000) / 4000)
     with pytest.raises(InputError, match="no material"):

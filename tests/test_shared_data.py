@@ -22,7 +22,7 @@ def test_abaqus_conrod(shared_data):
     model = steel(read_mesh(shared_data / "conrod_abaqus" / "job_matrix_generate_conrod.inp"))
     assert model.mesh.blocks[0].type == "hex20" and "_PickedSet16" in model.nodes.sets
     with Problem(model) as problem:
-        mass, _, _ = mass_properties(problem.M, problem.coupling.R)
+        mass, _, _ = mass_properties(problem.M, problem.coupling.R, problem.coupling.pole)
         assert mass == pytest.approx(0.1379211513593743, rel=1e-10)
         assert problem.elastic_modes(count=8).frequencies_hz == pytest.approx(CONROD_HZ, rel=1e-6)
 
