@@ -7,6 +7,7 @@ body needs about half), 11 bytes each in memory, 35 % of that out of core. Super
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -29,7 +30,7 @@ from morembs.run import (
     interfaces_of,
     materials_of,
     prepare_output,
-    refuse_too_many_modes,
+    refuse_reductions_that_do_not_fit,
     solver_of,
     units_of,
 )
@@ -49,7 +50,8 @@ MANY_PIECES = 300
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a job will need. Bytes are rough; those of the factor are an upper estimate for slender bodies."""
+    """What a job will need. Bytes are rough: a compact body is assumed, a slender one needs a
+    third or less for its factor. ``extent`` (3,) in m."""
 
     solver: str
     nodes: int
@@ -65,6 +67,8 @@ class Forecast:
     factor_out_of_core_bytes: int
     columns_bytes: int
     total_bytes: int
+    extent: tuple[float, float, float]
+    interface_nodes: dict[str, int]
     warnings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -93,7 +97,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> Forecast:
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
     coupled = coupling.T.shape[1]
-    refuse_too_many_modes(job, coupled)
+    refuse_reductions_that_do_not_fit(job, coupled, coupling.B.shape[1])
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.coupling == "rigid"])
     if rigid > 6:
@@ -103,29 +107,34 @@ def check_job(job: Job, progress: Progress = SILENT) -> Forecast:
         )
     columns = coupling.B.shape[1] + job.tables.check.full_modes
     columns += max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
-    return _forecast(job, mesh, graph.nnz, coupled, rigid, columns, solver.name)
+    return _forecast(job, mesh, graph.nnz, coupled, rigid, columns, solver.name, interfaces)
 
 
-def _forecast(job: Job, mesh: Mesh, graph: int, coupled: int, rigid: int, columns: int, solver: str) -> Forecast:
+def _forecast(
+    job: Job, mesh: Mesh, graph: int, coupled: int, rigid: int, columns: int, solver: str,
+    interfaces: Sequence[Interface],
+) -> Forecast:  # fmt: skip
     entries = int(FILL.get(solver, 1.0) * ENTRIES * coupled ** (4 / 3))
     # K and M of the model, and again in coupled dofs where interfaces are rigid.
-    copies = 1 + any(table.coupling == "rigid" for table in job.tables.interface)
+    copies = 1 + any(interface.coupling == "rigid" for interface in interfaces)
     matrices = copies * BYTES_PER_NONZERO * 12 * graph
     factor = int(BYTES_PER_ENTRY * entries)
+    out_of_core = factor if solver == "superlu" else int(OUT_OF_CORE * factor)
     dense = COPIES * 8 * coupled * columns
-    held = factor if job.memory is None else min(factor, max(job.memory, int(OUT_OF_CORE * factor)))
+    held = factor if job.memory is None else min(factor, max(job.memory, out_of_core))
     warnings = []
-    if job.memory is not None and factor > job.memory:
+    if job.memory is not None and factor > job.memory and solver != "superlu":
         warnings.append(
-            f"the factors may exceed the budget of {job.tables.solver.memory}; a solver that works out of core "
-            "will put them into the scratch folder"
+            f"the factors may exceed the budget of {job.tables.solver.memory} and then go into the scratch folder"
         )
+    x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return Forecast(
         solver=solver, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=3 * len(mesh.nodes),
         coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=9 * graph, mass_nonzeros=3 * graph,
         matrices_bytes=matrices, factor_entries=entries, factor_bytes=factor,
-        factor_out_of_core_bytes=int(OUT_OF_CORE * factor), columns_bytes=dense,
-        total_bytes=matrices + held + dense, warnings=tuple(warnings),
+        factor_out_of_core_bytes=out_of_core, columns_bytes=dense,
+        total_bytes=matrices + held + dense, extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces}, warnings=tuple(warnings),
     )  # fmt: skip
 
 

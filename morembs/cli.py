@@ -17,7 +17,7 @@ from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs import __version__
 from morembs.check import check_job
-from morembs.errors import MorembsError
+from morembs.errors import InputError, MorembsError
 from morembs.job import load_job
 from morembs.linalg.select import available_solvers
 from morembs.progress import Progress
@@ -29,6 +29,7 @@ from morembs.storage import read_body
 BAD_INPUT, INTERRUPTED = 2, 130
 # Shorter work shows no progress.
 PATIENCE_SECONDS = 1.0
+PIPE_WIDTH = 160
 
 EPILOG = (
     "Exit codes: 0 done; 1 a fault of this program; 2 input that cannot be used, a model that cannot be solved, or "
@@ -121,6 +122,11 @@ def _each_job(jobs: Sequence[Path], as_json: bool, work: Work) -> None:
         raise typer.Exit(BAD_INPUT)
 
 
+def _console() -> Console:
+    """Standard output; a pipe or a file has no width that tables must fit."""
+    return Console() if sys.stdout.isatty() else Console(width=PIPE_WIDTH)
+
+
 def _print_json(document: object) -> None:
     typer.echo(json.dumps(document, indent=2, allow_nan=False))
 
@@ -129,9 +135,15 @@ def _print_json(document: object) -> None:
 def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
     """Reduce the models of job files and write their bodies."""
 
+    owner: dict[Path, Path] = {}
+
     def work(path: Path, progress: Progress) -> Done:
-        result = run_job(load_job(path), progress)
-        return result_json(result), lambda: print_result(Console(), result)
+        job = load_job(path)
+        other = owner.setdefault(job.output.resolve(), path)
+        if other is not path:
+            raise InputError(f"the output {job.output} is that of {other} too; give each job its own [output] path")
+        result = run_job(job, progress)
+        return result_json(result), lambda: print_result(_console(), result)
 
     _each_job(jobs, as_json, work)
 
@@ -142,7 +154,7 @@ def check(jobs: Jobs, as_json: AsJson = False) -> None:
 
     def work(path: Path, progress: Progress) -> Done:
         forecast = check_job(load_job(path), progress)
-        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(Console(), str(path), forecast)
+        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(_console(), str(path), forecast)
 
     _each_job(jobs, as_json, work)
 
@@ -159,7 +171,7 @@ def info(
         if as_json:
             _print_json(stored_json(str(file), stored))
         else:
-            print_stored(Console(), str(file), stored)
+            print_stored(_console(), str(file), stored)
     if failed:
         raise typer.Exit(BAD_INPUT)
 

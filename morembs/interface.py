@@ -100,8 +100,9 @@ def _refuse_collinear(interface: Interface, xyz: Floats) -> None:
         condition = float(np.linalg.cond(R.T @ (np.repeat(w / np.abs(w).sum(), 3)[:, None] * R)))
     if not condition < COLLINEAR:
         raise InputError(
-            f"interface {interface.name!r}: its {len(xyz)} nodes lie on a line or in a point; a {interface.coupling} "
-            "coupling needs at least three nodes that span a plane (take more nodes, or coupling = \"direct\")"
+            f"interface {interface.name!r}: its {len(xyz)} nodes lie on a line or in a point; "
+            f"{interface.coupling} coupling needs at least three nodes that span a plane "
+            '(take more nodes, or coupling = "direct")'
         )
 
 

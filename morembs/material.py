@@ -24,7 +24,7 @@ class Material:
     def __post_init__(self) -> None:
         if not self.density > 0:
             raise InputError(
-                f"material of set {self.set!r}: density = {self.density} was given; expected a positive number"
+                f"material of set {self.set!r}: density = {self.density:g} kg/m3 was given; expected a positive number"
             )
         if np.linalg.eigvalsh(self.stiffness)[0] <= 0:
             raise InputError(
@@ -40,7 +40,7 @@ def isotropic(*, set: str, young: float, poisson: float, density: float) -> Mate
         InputError: modulus or density not positive, or Poisson's ratio outside (-1, 0.5).
     """
     if not young > 0:
-        raise InputError(f"material of set {set!r}: young = {young} was given; expected a positive number")
+        raise InputError(f"material of set {set!r}: young = {young:g} Pa was given; expected a positive number")
     if not -1 < poisson < 0.5:
         raise InputError(
             f"material of set {set!r}: poisson = {poisson} was given; expected a number between -1 and 0.5 "
@@ -87,7 +87,7 @@ def orthotropic(
     S[3, 3], S[4, 4], S[5, 5] = 1 / G23, 1 / G13, 1 / G12
     if np.linalg.eigvalsh(S)[0] <= 0:
         raise InputError(
-            f"material of set {set!r}: poisson = {poisson} (nu12, nu13, nu23) with young = {young} gives no "
+            f"material of set {set!r}: poisson = {poisson} (nu12, nu13, nu23) with young = {young} Pa gives no "
             "positive strain energy; expected |nu_ij| < sqrt(E_i / E_j)"
         )
     C: Floats = np.asarray(np.linalg.inv(S), dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from morembs.storage import StoredBodies
 
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10
+BODIES_PER_TABLE = 2
 
 
 def result_json(result: JobResult) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
 def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
     """A body file as plain values, SI units."""
     first = next(iter(stored.bodies.values()))
-    origin: Mapping[str, Any] = getattr(stored, "provenance", None) or {}
+    origin = stored.provenance
     return {
         "output": path,
         "format_version": stored.format_version,
@@ -106,7 +107,10 @@ def print_result(console: Console, result: JobResult) -> None:
     )
     for body in result.bodies:
         console.print(f"  {body.name}: {_words(body.reduced.mode_kind)}", highlight=False)
-    _titled(console, "free-free frequencies, rigid-body modes left out", _frequencies(result.bodies))
+    # Side by side as far as 80 columns hold them.
+    for first in range(0, len(result.bodies), BODIES_PER_TABLE):
+        table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
+        _titled(console, "free-free frequencies, rigid-body modes left out", table)
     _titled(console, "mass properties", _mass(part.mass, part.center_of_mass, part.inertia))
     _titled(console, "cost", _cost(result))
     console.print()
@@ -114,7 +118,7 @@ def print_result(console: Console, result: JobResult) -> None:
         band = result.response.frequencies_hz
         for name, error in result.response.error.items():
             console.print(
-                f"{name}: frequency response off by at most {error.max():.2e} from {band[0]:,.4g} to "
+                f"{name}: relative error of the frequency response at most {error.max():.2e} from {band[0]:,.4g} to "
                 f"{band[-1]:,.4g} Hz (median {np.median(error):.1e})",
                 highlight=False,
                 soft_wrap=True,
@@ -127,8 +131,9 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
     """What a body file holds."""
     values = stored_json(path, stored)
     console.print(
-        f"[bold]{path}[/]: {values['source'] or 'model'}, {values['dofs'] or '?'} degrees of freedom, "
-        f"{values['stored_nodes']:,} nodes stored",
+        f"[bold]{path}[/]: {values['source'] or 'model'}, "
+        + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
+        + f"{values['stored_nodes']:,} nodes stored",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     for name, one in values["interfaces"].items():
@@ -147,6 +152,10 @@ def print_forecast(console: Console, job: str, forecast: Forecast) -> None:
     for key, value in forecast.as_json().items():
         if key == "warnings":
             continue
+        if key == "interface_nodes":
+            value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
+        elif key == "extent":
+            value = " x ".join(f"{length:.4g}" for length in value) + " m"
         shown = _bytes(value) if key.endswith("_bytes") else f"{value:,}" if isinstance(value, int) else str(value)
         table.add_row(key.removesuffix("_bytes").replace("_", " "), shown)
     _titled(console, f"{job} is sound", table)
@@ -180,7 +189,8 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     rigid = bodies[0].reduced.rigid_count if full is None else int((full == 0).sum())
     columns = ["mode"] + ["full Hz"] * (full is not None)
     for body in bodies:
-        columns += [f"{body.name} Hz"] + ["deviation %"] * (full is not None)
+        held = ", held" if body.reduced.rigid_count < rigid else ""
+        columns += [f"{body.name} Hz{held}"] + ["off by %"] * (full is not None)
     table = _table(*columns)
     elastic = None if full is None else full[rigid:]
     rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
@@ -191,10 +201,17 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
             known = number < len(own)
             row.append(f"{own[number]:,.2f}" if known else "-")
             if elastic is not None:
-                fits = known and body.reduced.rigid_count == rigid
-                row.append(f"{100 * (own[number] / elastic[number] - 1):.1e}" if fits else "-")
+                # Modes beyond those kept are not approximations of anything; held bodies have other modes.
+                kinds = body.reduced.mode_kind
+                kept = kinds.count("elastic") if "rigid" in kinds else len(own)
+                fits = known and number < kept and body.reduced.rigid_count == rigid
+                row.append(_percent(own[number] / elastic[number] - 1) if fits else "-")
         table.add_row(*row)
     return table
+
+
+def _percent(ratio: float) -> str:
+    return "0" if abs(ratio) < 1e-11 else f"{100 * ratio:.2g}"
 
 
 def _mass(mass: float, center: Floats, inertia: Floats) -> Table:

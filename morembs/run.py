@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from morembs.interface import Interface, make_interface
 from morembs.job import Job
 from morembs.linalg.select import select_solver
 from morembs.linalg.solver import LinearSolver
+from morembs.linalg.superlu import SuperLU
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh
 from morembs.picture import draw
@@ -27,6 +29,7 @@ from morembs.selection import select_nodes
 from morembs.storage import check_writable, write_body
 from morembs.units import Units, parse_units
 
+log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
 BAND = (0.2, 1.1)
@@ -88,7 +91,7 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
 def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, ...]:
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
-    refuse_too_many_modes(job, size)
+    refuse_reductions_that_do_not_fit(job, size, problem.B.shape[1])
     with watch.stage("factorise"):
         _ = problem.statics
     count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
@@ -98,7 +101,10 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
     reduced = []
     for name, reducer in job.reducers.items():
         with watch.stage(f"reduce {name}"):
-            reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
+            try:
+                reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
+            except InputError as error:
+                raise InputError(f"[[reduce]] {name!r}: {error}") from error
     part = make_part(problem, job.tables.output.nodes)
     return tuple(elastic_body(problem, one, part) for one in reduced)
 
@@ -165,7 +171,10 @@ def solver_of(job: Job) -> LinearSolver:
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
-    return select_solver(given.name, memory=job.memory, scratch=scratch)
+    solver = select_solver(given.name, memory=job.memory, scratch=scratch)
+    if job.memory is not None and isinstance(solver, SuperLU):
+        log.warning("the solver superlu keeps no memory budget; [solver] memory is not used")
+    return solver
 
 
 def prepare_output(job: Job) -> None:
@@ -175,8 +184,8 @@ def prepare_output(job: Job) -> None:
         check_writable(job.picture)
 
 
-def refuse_too_many_modes(job: Job, size: int) -> None:
-    """Check that no reduction asks for more modes than a model of ``size`` coupled dofs has.
+def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
+    """Check options against a model of ``size`` coupled dofs and ``inputs`` interface motions.
 
     Raises:
         InputError: one does.
@@ -187,6 +196,16 @@ def refuse_too_many_modes(job: Job, size: int) -> None:
             raise InputError(
                 f"[[reduce]] {name!r}: modes = {modes} was given, but the coupled model has only {size} degrees of "
                 "freedom; ask for fewer modes"
+            )
+        if not inputs and (reducer.method != "modal" or getattr(reducer, "interfaces", "") == "fixed"):
+            raise InputError(
+                f"[[reduce]] {name!r}: method = {reducer.method!r} needs interfaces; add at least one [[interface]], "
+                'or take method = "modal"'
+            )
+        if modes is not None and getattr(reducer, "inertia_modes", False) and modes < inputs:
+            raise InputError(
+                f"[[reduce]] {name!r}: modes = {modes} was given with inertia_modes; expected at least {inputs}, one "
+                "for each interface motion"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, nearest
+from morembs.errors import InputError
 from morembs.model import FEModel
 from morembs.surface import outer_faces
 
@@ -29,10 +29,12 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
     """
     kind, colon, rest = text.partition(":")
     known = ("set", "skin", "ids", *NUMBERS)
+    if not colon and text in _names(model):
+        raise InputError(f'nodes = {text!r} was given; did you mean "set:{text}"?')
     if not colon or kind not in known:
         raise InputError(
             f"nodes = {text!r} was given; expected set:NAME, skin:NAME, ids:1,2,3, box:x0,y0,z0,x1,y1,z1, "
-            f"sphere:x,y,z,r or cylinder:x,y,z,dx,dy,dz,r ({nearest(kind, known)})"
+            f"sphere:x,y,z,r or cylinder:x,y,z,dx,dy,dz,r"
         )
     if kind in ("set", "skin"):
         rows = _of_set(model, rest) if kind == "set" else _of_skin(model, rest)
@@ -45,6 +47,11 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
     return rows
 
 
+def _names(model: FEModel) -> set[str]:
+    """Names of all sets of the model."""
+    return {*model.nodes.sets, *(model.mesh.element_sets if model.mesh is not None else ())}
+
+
 def _of_set(model: FEModel, name: str) -> Ints:
     sets = model.nodes.sets
     if name in sets:
@@ -53,10 +60,9 @@ def _of_set(model: FEModel, name: str) -> Ints:
         picked = model.mesh.element_sets[name]
         pairs = zip(model.mesh.blocks, picked, strict=True)
         return np.unique(np.concatenate([block.nodes[rows].ravel() for block, rows in pairs]))
-    element_sets = model.mesh.element_sets if model.mesh is not None else {}
     raise InputError(
         f"the node set {name!r} does not exist or is empty; sets of this model: "
-        f"{', '.join(sorted({*sets, *element_sets})) or 'none'}"
+        f"{', '.join(sorted(_names(model))) or 'none'}"
     )
 
 
@@ -74,7 +80,9 @@ def _of_labels(model: FEModel, text: str) -> Ints:
     try:
         labels = np.unique(np.array([int(part) for part in text.split(",")], dtype=np.int64))
     except ValueError as error:
-        raise InputError(f"nodes = 'ids:{text}' was given; expected node labels such as ids:1,2,3") from error
+        raise InputError(
+            f"nodes = 'ids:{text}' was given; expected single node labels such as ids:1,2,3 (no ranges)"
+        ) from error
     order = np.argsort(model.nodes.ids, kind="stable")
     at = np.minimum(np.searchsorted(model.nodes.ids[order], labels), len(order) - 1)
     rows = order[at]

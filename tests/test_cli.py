@@ -119,7 +119,7 @@ def test_reduce_table_and_picture(tmp_path: Path) -> None:
     job = folder(tmp_path, {"output": 'path = "part.h5"\npicture = "part.png"', "damping": "modal = 0.01"})
     result = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert result.exit_code == 0, (result.stderr, result.exception)
-    for words in ("12 constraint + 4 fixed-interface = 16 coordinates", "deviation %", "0.1884 kg", "reduce cb"):
+    for words in ("12 constraint + 4 fixed-interface = 16 coordinates", "off by %", "0.1884 kg", "reduce cb"):
         assert words in result.stdout
     pixels = imread(tmp_path / "part.png")[:, :, :3]
     colored = np.ptp(pixels, axis=2) > 0.2

@@ -27,7 +27,7 @@ def read_mesh(path: str | Path, units: Units | None = None) -> Mesh:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"mesh file {str(path)!r} does not exist; check the path (relative to the job file)")
+        raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
     mesh = READERS.get(path.suffix.lower(), read_with_meshio)(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
