@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,8 +34,8 @@ PIPE_WIDTH = 160
 
 EPILOG = (
     "Exit codes: 0 done; 1 a fault of this program; 2 input that cannot be used, a model that cannot be solved, or "
-    "a result that cannot be written (one message on standard error); 130 interrupted. Of several jobs one that "
-    "fails does not stop the others; the exit code is then 2."
+    "a result that cannot be written (one message on standard error); 130 interrupted; 143 terminated. Of several "
+    "jobs one that fails does not stop the others; the exit code is then 2."
 )
 
 app = typer.Typer(
@@ -204,7 +205,19 @@ def _options(
 
 def main() -> None:
     """Entry point of the command ``morembs``."""
-    app()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _stop)
+    try:
+        app()
+    except OSError as error:
+        # Everything else that cannot be written has its own message: this is standard output.
+        typer.echo(f"error: the output cannot be printed ({error.strerror}); the results are written", err=True)
+        sys.exit(BAD_INPUT)
+
+
+def _stop(number: int, _: object) -> None:
+    """Leave through every ``with``, so that temporary files and factors on disk go."""
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

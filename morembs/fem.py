@@ -19,6 +19,7 @@ from morembs.errors import InputError, nearest
 from morembs.material import Material
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh
 from morembs.progress import SILENT, Progress
+from morembs.surface import seam_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +35,7 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
     """
     _material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
+    _refuse_gaps(mesh)
     for block, rows in _chunks(mesh):
         kind = TYPES[block.type]
         _geometry(mesh.nodes.xyz[block.nodes[rows]], kind.rule(kind.stiffness_order), block.ids[rows], kind)
@@ -61,6 +63,7 @@ def assemble(
         )
     owner = _material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
+    _refuse_gaps(mesh)
     graph = _node_graph(mesh)
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data = np.zeros(9 * graph.nnz)
@@ -87,6 +90,8 @@ def assemble(
                 np.add.at(k_data, first + a * step + b, values)
         done += len(rows)
         progress.update(f"assembled {done} of {total} elements")
+    if not (np.isfinite(k_data).all() and np.isfinite(m_data).all()):
+        raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
     indptr, K_indices = _scalar_pattern(graph, full=True)
     K = sp.csr_array((k_data, K_indices, indptr), shape=(3 * len(mesh.nodes),) * 2)
     M = _expand_mass(graph, m_data)
@@ -133,6 +138,15 @@ def _refuse_loose_nodes(mesh: Mesh) -> None:
     if len(loose):
         raise InputError(
             f"{len(loose)} nodes belong to no element (first: {mesh.nodes.ids[loose[0]]}); remove them from the mesh"
+        )
+
+
+def _refuse_gaps(mesh: Mesh) -> None:
+    seams = seam_faces(mesh) if len(mesh.blocks) > 1 else 0
+    if seams:
+        raise InputError(
+            f"elements of different types meet at {seams} faces whose nodes do not match (a quadratic beside a linear "
+            "face, or a quadrilateral beside two triangles): the mesh would gape there; make it conforming"
         )
 
 

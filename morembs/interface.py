@@ -9,6 +9,7 @@ Three couplings of slave nodes s to a frame at the point c with motion z = (tran
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -25,6 +26,9 @@ Ints = NDArray[np.int64]
 COUPLINGS = ("rigid", "average", "direct")
 # Scaled condition of R_s' W R_s above which the slave nodes count as collinear.
 COLLINEAR = 1e8
+# Model lengths from the nodes beyond which a frame's point is a mistake.
+FAR = 1000.0
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,19 +78,39 @@ def make_interface(
         raise InputError(
             f"interface {name!r}: components = {list(components or [])} was given; expected some of 0..{allowed - 1}"
         )
-    weights = np.ones(len(rows))
-    if model.mesh is not None:
-        areas = nodal_areas(model.nodes.xyz, outer_faces(model.mesh, within=rows))[rows]
-        if areas.sum() > 0:
-            weights = areas
+    weights, bare = _area_weights(model, rows)
     xyz = model.nodes.xyz[rows]
     origin = weights @ xyz / weights.sum() if point is None else np.asarray(point, dtype=float)
+    extent = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
+    if not np.linalg.norm(origin - xyz.mean(axis=0)) <= FAR * max(extent, np.finfo(float).tiny):
+        raise InputError(
+            f"interface {name!r}: its point {origin.tolist()} m lies more than {FAR:g} lengths of the model away from "
+            "its nodes; check the point and the units"
+        )
+    if coupling == "average" and bare:
+        log.warning(
+            "interface %s: %d of %d nodes carry no whole face of the selection and get no weight", name, bare, len(rows)
+        )
     interface = Interface(
         name=name, nodes=rows, coupling=coupling, point=origin, weights=weights, components=chosen
     )
     if coupling != "direct":
         _refuse_collinear(interface, xyz)
     return interface
+
+
+def _area_weights(model: FEModel, rows: Ints) -> tuple[Floats, int]:
+    """Areas (ns,) in m2 of the whole faces between the nodes, and how many nodes lie on none of these.
+
+    Ones, and no such nodes, where there are no faces at all.
+    """
+    if model.mesh is not None:
+        faces = outer_faces(model.mesh, within=rows)
+        areas = nodal_areas(model.nodes.xyz, faces)[rows]
+        if areas.sum() > 0:
+            on_face = np.isin(rows, np.concatenate([nodes.ravel() for nodes in faces.values()]))
+            return areas, int((~on_face).sum())
+    return np.ones(len(rows)), 0
 
 
 def _refuse_collinear(interface: Interface, xyz: Floats) -> None:

@@ -19,6 +19,7 @@ from morembs.schema import JobTables, ReduceTable
 
 # Where a key is: names of tables and keys, and numbers of tables in [[...]].
 Loc = tuple[int | str, ...]
+MOST_BYTES = 2.0**60
 BYTES = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
@@ -33,8 +34,17 @@ class Job:
     memory: int | None = None
 
     def resolve(self, path: str) -> Path:
-        """A path of the job file, seen from the working directory."""
-        return self.path.parent / Path(path).expanduser()
+        """A path of the job file, seen from the working directory.
+
+        Raises:
+            InputError: no file can have this path.
+        """
+        try:
+            whole = self.path.parent / Path(path).expanduser()
+            whole.exists()
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
+        return whole
 
     @property
     def output(self) -> Path:
@@ -63,7 +73,8 @@ def load_job(path: str | Path) -> Job:
         raise InputError(f"job file {str(path)!r} cannot be read ({reason}); check the path") from error
     except UnicodeDecodeError as error:
         raise InputError(f"job file {str(path)!r} is not UTF-8 text; expected a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
+        # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
         raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; mend that line") from error
     try:
         tables = JobTables.model_validate(data)
@@ -80,10 +91,10 @@ def parse_memory(text: str) -> int:
         InputError: not a positive number with a unit of memory.
     """
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
-    size = int(float(found[1]) * BYTES[found[2]]) if found and found[2] in BYTES else 0
-    if size <= 0:
+    size = float(found[1]) * BYTES[found[2]] if found and found[2] in BYTES else 0.0
+    if not 1 <= size < MOST_BYTES:
         raise InputError(f'[solver]: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
-    return size
+    return int(size)
 
 
 def _reducers(tables: list[ReduceTable]) -> dict[str, Reducer]:

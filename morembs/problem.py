@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from morembs.errors import InputError, SingularMatrixError
+from morembs.errors import InputError, MorembsError, SingularMatrixError
 from morembs.interface import Coupling, Interface, couple
 from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.select import select_solver
@@ -126,16 +126,6 @@ class Problem:
             return None
         return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
 
-    def rigid_coordinates(self, V: Floats, M: Floats) -> Floats:
-        """M-orthonormal rigid motions (n, j) within span(V), j = 0 where V does not hold them."""
-        if not self.rigid.shape[1] or not V.shape[1]:
-            return np.zeros((V.shape[1], 0))
-        Q = sl.solve(M, V.T @ (self.M @ self.rigid), assume_a="pos")
-        held = Q.T @ M @ Q
-        if np.abs(held - np.eye(len(held))).max() > 1e-6:
-            return np.zeros((V.shape[1], 0))
-        return np.asarray(Q @ np.linalg.inv(np.linalg.cholesky(held)).T)
-
     def close(self) -> None:
         """Release the factorisation."""
         if "statics" in self.__dict__:
@@ -174,8 +164,15 @@ class Problem:
         """Message for a stiffness with more zero-energy motions than the rigid ones."""
         # A shift far below every elastic mode of a sound part and far above round-off.
         sigma = 1e-11 * float(np.max(self.K.diagonal() / np.maximum(self.M.diagonal(), np.finfo(float).tiny)))
-        with self.solver.factorize(sp.csc_array(self.K - sigma * self.M), "symmetric", what="K - sigma M") as factor:
-            found = factor.negative_pivots()
+        try:
+            A = sp.csc_array(self.K - sigma * self.M)
+            with self.solver.factorize(A, "symmetric", what="K - sigma M") as factor:
+                found = factor.negative_pivots()
+        except MorembsError:
+            return (
+                "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
+                "far from its interface points that double precision does not resolve it; check the mesh and the units"
+            )
         return (
             f"the model has a mechanism: {found} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
             "look for parts that touch in a node or an edge only, or nodes that should be merged"

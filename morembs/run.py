@@ -179,9 +179,14 @@ def solver_of(job: Job) -> LinearSolver:
 
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
-    check_writable(job.output)
-    if job.picture is not None:
-        check_writable(job.picture)
+    inputs = {"the job file": job.path, "the mesh": job.resolve(job.tables.model.mesh)}
+    results = {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
+    for name, path in results.items():
+        for other, taken in inputs.items():
+            if path.resolve() == taken.resolve():
+                raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
+        check_writable(path)
+        inputs[name] = path
 
 
 def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
@@ -225,7 +230,8 @@ def _band(job: Job, body: ElasticBody) -> Floats:
 
 def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     """What was asked for and of what: the same for the same input."""
-    return {**job.tables.model_dump(exclude_none=True), "dofs": model.size, "source": model.source}
+    asked = job.tables.model_dump(exclude_none=True, exclude={"output", "solver"})
+    return {**asked, "dofs": model.size, "source": model.source}
 
 
 def _provenance(job: Job, solver: str, stages: Sequence[Stage]) -> dict[str, object]:

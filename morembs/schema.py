@@ -65,7 +65,7 @@ class MaterialTable(Table):
 class InterfaceTable(Table):
     """``[[interface]]``: where other bodies touch the part."""
 
-    name: str = Field(min_length=1, pattern=r"^[^/\s][^/]*$", description="a name without slashes")
+    name: str = Field(max_length=100, pattern=r"^[^/\s.\x00-\x1f][^/\x00-\x1f]*$", description="a name without slashes")
     nodes: str = Field(description='a selection of nodes such as "set:BIGEND"')
     coupling: str = Field(default="rigid", description='"rigid", "average" or "direct"')
     point: Three | None = Field(default=None, description="the origin of the interface, [x, y, z]")
@@ -106,7 +106,7 @@ class ReduceTable(Table):
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
     method: str = Field(description="one of " + ", ".join(REDUCERS))
     name: str | None = Field(
-        default=None, pattern=SAFE_NAME, description="a name of letters, digits, _, -, + and ."
+        default=None, max_length=100, pattern=SAFE_NAME, description="a name of letters, digits, _, -, + and ."
     )
 
     def options(self) -> dict[str, object]:
@@ -129,8 +129,8 @@ class OutputTable(Table):
 class ResponseTable(Table):
     """``[response]``: frequency response of the full and the reduced model at logarithmic steps."""
 
-    from_hz: float = Field(gt=0, description="a positive frequency in Hz")
-    to_hz: float = Field(gt=0, description="a positive frequency in Hz")
+    from_hz: float = Field(gt=1e-9, lt=1e12, description="a positive frequency in Hz")
+    to_hz: float = Field(gt=1e-9, lt=1e12, description="a positive frequency in Hz")
     points: int = Field(default=200, ge=2, le=100_000, description="a count from 2 to 100000")
 
     @model_validator(mode="after")

@@ -79,7 +79,7 @@ def _of_skin(model: FEModel, name: str) -> Ints:
 def _of_labels(model: FEModel, text: str) -> Ints:
     try:
         labels = np.unique(np.array([int(part) for part in text.split(",")], dtype=np.int64))
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise InputError(
             f"nodes = 'ids:{text}' was given; expected single node labels such as ids:1,2,3 (no ranges)"
         ) from error

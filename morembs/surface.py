@@ -50,6 +50,19 @@ def _once(faces: Ints, corners: int) -> NDArray[np.bool_]:
     return np.asarray(counts[inverse.ravel()] == 1)
 
 
+def seam_faces(mesh: Mesh) -> int:
+    """Faces that look like outer ones but have a face of another kind on the same corner nodes."""
+    faces = {kind: np.sort(nodes[:, : _corners(kind)], axis=1) for kind, nodes in outer_faces(mesh).items()}
+    seams = 0
+    for corners in (3, 4):
+        keys = [np.empty((0, corners), dtype=np.int64), *(f for f in faces.values() if f.shape[1] == corners)]
+        _, counts = np.unique(np.concatenate(keys), axis=0, return_counts=True)
+        seams += int((counts > 1).sum())
+    triangles = {tuple(t) for f in faces.values() if f.shape[1] == 3 for t in f.tolist()}
+    quads = [q for f in faces.values() if f.shape[1] == 4 for q in f.tolist()] if triangles else []
+    return seams + sum(any(tuple(q[:i] + q[i + 1 :]) in triangles for i in range(4)) for q in quads)
+
+
 def nodal_areas(xyz: Floats, faces: Mapping[str, Ints]) -> Floats:
     """Consistent area int N_a dA (n,) of each node in m2; sums to the area of the faces."""
     area = np.zeros(len(xyz))

@@ -11,7 +11,7 @@ from morembs.errors import InputError
 from morembs.fem import assemble
 from morembs.interface import make_interface
 from morembs.material import isotropic, orthotropic
-from morembs.model import ElementBlock, Mesh, rigid_motion
+from morembs.model import ElementBlock, Mesh, Nodes, rigid_motion
 from morembs.problem import Problem
 
 KINDS = list(TYPES)
@@ -224,3 +224,35 @@ def test_assembly_in_small_chunks_is_the_same(monkeypatch):
     pieces = steel(mesh)
     assert abs(whole.K - pieces.K).max() <= 1e-15 * abs(whole.K).max()
     assert abs(whole.M - pieces.M).max() <= 1e-15 * abs(whole.M).max()
+
+
+def joined(first, second):
+    """Two meshes as one, coincident nodes merged."""
+    xyz = np.vstack([first.nodes.xyz, second.nodes.xyz])
+    _, at, inverse = np.unique(np.round(xyz, 9), axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.ravel()
+    blocks = []
+    for mesh, offset in ((first, 0), (second, len(first.nodes))):
+        block = mesh.blocks[0]
+        blocks.append(ElementBlock(type=block.type, nodes=inverse[block.nodes + offset], ids=block.ids + offset))
+    return Mesh(nodes=Nodes(ids=np.arange(len(at)), xyz=xyz[at]), blocks=tuple(blocks))
+
+
+def moved(x):
+    return x + np.array([0.3, 0.0, 0.0])
+
+
+def test_types_that_fit_together_carry_a_linear_field_across():
+    """hex8 beside wedge6 on a quadrilateral: constant strain has no force at the seam."""
+    mesh = joined(box("hex8", (2, 2, 2), (0.3, 0.2, 0.1)), box("wedge6", (2, 2, 2), (0.3, 0.2, 0.1), warp=moved))
+    model = steel(mesh)
+    inner = (np.abs(mesh.nodes.xyz - [0.3, 0.1, 0.05]) < 1e-9).all(axis=1)
+    force = (model.K @ (mesh.nodes.xyz @ np.diag([1.0, -0.3, -0.3])).ravel()).reshape(-1, 3)
+    assert inner.sum() == 1 and np.abs(force[inner]).max() < 1e-10 * np.abs(force).max()
+
+
+@pytest.mark.parametrize(("one", "two"), [("hex20", "hex8"), ("tet10", "tet4"), ("hex8", "tet4"), ("hex20", "tet10")])
+def test_types_that_gape_are_refused(one, two):
+    mesh = joined(box(one, (2, 2, 2), (0.3, 0.2, 0.1)), box(two, (2, 2, 2), (0.3, 0.2, 0.1), warp=moved))
+    with pytest.raises(InputError, match="gape"):
+        steel(mesh)

@@ -226,6 +226,27 @@ def test_a_body_far_from_the_origin_keeps_its_digits():
         assert other == pytest.approx(near, rel=1e-7)
 
 
+@pytest.mark.parametrize("size", [1e-7, 1e-5, 1e4])
+def test_size_does_not_matter(size):
+    """Frequencies go with the inverse of the size, from a tenth of a micrometre to ten kilometres."""
+    found = []
+    for length in (1.0, size):
+        model = steel(box("hex20", (5, 1, 1), (0.5 * length, 0.05 * length, 0.03 * length)))
+        made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
+                for n, x in (("l", 0.0), ("r", 0.5 * length))]  # fmt: skip
+        with Problem(model, made) as problem:
+            reduced = CraigBampton(modes=14, inertia_modes=True).reduce(problem)
+        assert reduced.rigid_count == 6
+        found.append(frequencies(reduced) * length)
+    assert found[1] == pytest.approx(found[0], rel=1e-7)
+
+
+def test_a_far_interface_point_is_refused():
+    model = bar()
+    with pytest.raises(InputError, match="lengths of the model"):
+        make_interface(model, name="far", nodes=where(model, 0, 0.0), point=(1e5, 0.0, 0.0))
+
+
 def hexes(*corners):
     """hex8 unit cubes at integer corners, coincident nodes merged."""
     from meshes import merged, points_and_cells

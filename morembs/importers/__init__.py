@@ -26,6 +26,8 @@ def read_mesh(path: str | Path, units: Units | None = None) -> Mesh:
         InputError: the file is missing, cannot be read, or has elements of an unsupported type.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
     mesh = READERS.get(path.suffix.lower(), read_with_meshio)(path)

@@ -22,6 +22,8 @@ DENSE = 1500
 DENSE_PART = 6000
 # A Sturm count needs a shift in a gap: neighbours closer than this are one cluster.
 GAP = 1e-6
+# More modes than this of a large model are a mistake in the limit, not a reduction.
+MOST_SPARSE = 2000
 ATTEMPTS = 4
 
 
@@ -62,8 +64,15 @@ def lowest_modes(
     if count is None:
         if below is None:
             raise InputError("lowest_modes needs either count or below")
+        # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
+        below *= 1 + GAP
         if M.shape[0] > DENSE:
             count = pencil.count_below(below, M)
+            if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
+                raise InputError(
+                    f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
+                    "lower the limit"
+                )
     if count is not None and count > size:
         raise InputError(
             f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; "

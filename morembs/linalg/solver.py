@@ -169,25 +169,32 @@ class LinearSolver(ABC):
 
 
 def _check(factor: Factorization, A: sp.csc_array, what: str) -> None:
-    """Two steps of inverse iteration: no backend reports a singular matrix reliably."""
-    norm = float(np.max(np.asarray(abs(A).sum(axis=0)))) if A.nnz else 0.0
-    if norm == 0.0:
-        raise SingularMatrixError(f"{what} is zero")
+    """Two steps of inverse iteration with D A D, whose rows D scales to unit size.
+
+    No backend reports a singular matrix reliably; without the scaling a matrix that mixes forces with
+    moments would look singular in small units.
+    """
+    size = np.sqrt(np.asarray(abs(A).max(axis=0).toarray()).ravel())
+    if not (size > 0).all():
+        raise SingularMatrixError(f"{what} has {int((size == 0).sum())} rows that are zero; remove these dofs")
+    d = 1.0 / size
+    norm = float((d * (abs(A) @ d)).max())
     x = np.random.default_rng(7).standard_normal(A.shape[0])
     x /= np.linalg.norm(x)
     for _ in range(2):
         b = x
-        x = factor.solve(b)
-        size = float(np.linalg.norm(x))
-        if not np.isfinite(size) or norm * size > SINGULAR:
+        # D A D x = b means A (D x) = b / d.
+        x = factor.solve(b / d) / d
+        growth = float(np.linalg.norm(x))
+        if not np.isfinite(growth) or norm * growth > SINGULAR:
             raise SingularMatrixError(
                 f"{what} is singular (condition above {SINGULAR:.0e}); likely a mechanism, an unconnected "
                 "part, or a body that is not held where it should be"
             )
-        residual = float(np.linalg.norm(A @ x - b)) / (norm * size + 1.0)
+        residual = float(np.linalg.norm(d * (A @ (d * x)) - b)) / (norm * growth + 1.0)
         if residual > BACKWARD_ERROR:
             raise SolverError(
                 f"{factor.stats.backend} solved with {what} to a backward error of only {residual:.1e} "
                 f"(needed {BACKWARD_ERROR:.0e}); take another solver, or move the shift"
             )
-        x /= size
+        x /= growth

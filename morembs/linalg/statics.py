@@ -28,6 +28,7 @@ from morembs.linalg.solver import Factorization, LinearSolver
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 BLOCK = 256
+IMPOSED = 1e-6
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -131,6 +132,13 @@ class Restricted:
         both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
         lam = both[: self.count]
         U = self.statics.Z @ both[self.count :] - self.X @ lam
+        top = self.scale[: self.count, None]
+        off = float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
+        if off > IMPOSED:
+            raise SolverError(
+                f"unit interface motions could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); interface points "
+                "far from the body, or interfaces that nearly depend on each other, take the digits"
+            )
         return U, -0.5 * (lam + lam.T)
 
     def count_below(self, sigma: float, M: sp.csr_array) -> int:

@@ -19,13 +19,15 @@ from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 
+MOST_HZ = 1e12
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Basis:
-    """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, and their stiffness ``K`` (n, n).
+    """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, their stiffness ``K`` (n, n), and the
+    coordinates ``rigid`` (n, r) of the M-orthonormal rigid-body modes that they span.
 
     "constraint" columns are unit interface motions, and "fixed-interface" columns (with the attachment modes
     beside them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
@@ -34,6 +36,7 @@ class Basis:
     V: Floats
     kinds: tuple[str, ...]
     K: Floats
+    rigid: Floats
     holds_interfaces: bool = False
 
 
@@ -90,13 +93,12 @@ class Reducer(ABC):
             B[:constraint, :constraint] = np.eye(constraint)
         else:
             B = np.asarray((problem.B.T @ V).T)
-        rigid = problem.rigid_coordinates(V, M)
-        D = problem.damping.matrix(M, K, rigid)
+        D = problem.damping.matrix(M, K, basis.rigid)
         if problem.D is not None:
             D = D + V.T @ (problem.D @ V)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         return ReducedModel(
-            name=name or self.method, M=M, K=K, D=D, B=B, V=V, mode_kind=basis.kinds, rigid_count=rigid.shape[1],
+            name=name or self.method, M=M, K=K, D=D, B=B, V=V, mode_kind=basis.kinds, rigid_count=basis.rigid.shape[1],
             recipe={"method": self.method, **options},
         )  # fmt: skip
 
@@ -107,8 +109,8 @@ def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None
         raise InputError(f'method "{method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
     if modes is not None and modes < 0:
         raise InputError(f"modes = {modes} was given; expected a count, zero or more")
-    if up_to_hz is not None and not up_to_hz > 0:
-        raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz")
+    if up_to_hz is not None and not 0 < up_to_hz < MOST_HZ:
+        raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz below {MOST_HZ:g}")
 
 
 def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to: Floats) -> Basis:
@@ -134,5 +136,6 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
         V=np.hstack([basis.V, W]),
         kinds=basis.kinds + ("attachment",) * W.shape[1],
         K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
+        rigid=np.vstack([basis.rigid, np.zeros((W.shape[1], basis.rigid.shape[1]))]),
         holds_interfaces=basis.holds_interfaces,
     )

@@ -56,6 +56,8 @@ class CraigBampton(Reducer):
             V=np.hstack([constraint, fixed.vectors]),
             kinds=("constraint",) * inputs + ("fixed-interface",) * len(fixed.eigenvalues),
             K=sl.block_diag(condensed, np.diag(fixed.eigenvalues)),
+            # Rigid motion is that of the interfaces, without any internal coordinate.
+            rigid=np.vstack([problem.B.T @ problem.rigid, np.zeros((fixed.vectors.shape[1], problem.rigid.shape[1]))]),
             holds_interfaces=True,
         )
         if not self.inertia_modes:

@@ -38,5 +38,6 @@ class FreeInterface(Reducer):
             V=np.hstack([rigid, Phi]),
             kinds=("rigid",) * r + ("elastic",) * m,
             K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues])),
+            rigid=np.eye(r + m, r),
         )
         return add_residual_modes(problem, modes, Psi, modes.V)

@@ -20,7 +20,9 @@ class Guyan(Reducer):
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         require_interfaces(problem, self.method)
         V, K = problem.internal.impose()
-        return Basis(V=V, kinds=("constraint",) * V.shape[1], K=K, holds_interfaces=True)
+        return Basis(
+            V=V, kinds=("constraint",) * V.shape[1], K=K, rigid=problem.B.T @ problem.rigid, holds_interfaces=True
+        )
 
 
 def require_interfaces(problem: Problem, method: str) -> None:

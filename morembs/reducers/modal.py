@@ -40,5 +40,6 @@ class Modal(Reducer):
             V=np.hstack([rigid, modes.vectors]),
             kinds=("rigid",) * r + (kind,) * m,
             K=np.diag(np.concatenate([np.zeros(r), modes.eigenvalues])),
+            rigid=np.eye(r + m, r),
             holds_interfaces=self.interfaces == "fixed",
         )
