@@ -256,3 +256,12 @@ def test_types_that_gape_are_refused(one, two):
     mesh = joined(box(one, (2, 2, 2), (0.3, 0.2, 0.1)), box(two, (2, 2, 2), (0.3, 0.2, 0.1), warp=moved))
     with pytest.raises(InputError, match="gape"):
         steel(mesh)
+
+
+def test_axes_are_rows_also_where_the_turn_is_not_its_own_inverse():
+    """Directions 1, 2, 3 along the model's y, z, x."""
+    cyclic = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    constants = {"young": (140e9, 10e9, 9e9), "poisson": (0.3, 0.28, 0.4), "shear": (5e9, 4.5e9, 3.2e9)}
+    turned = orthotropic(set="all", **constants, density=1600.0, axes=cyclic)
+    compliance = np.linalg.inv(turned.stiffness)
+    assert 1 / np.diag(compliance) == pytest.approx([9e9, 140e9, 10e9, 5e9, 3.2e9, 4.5e9])

@@ -35,6 +35,26 @@ def test_full_response_solves_the_damped_equations(coupling):
         assert np.abs(mine - H).max() < 1e-7 * np.abs(H).max()
 
 
+def test_few_vectors_suffice_whatever_the_damping():
+    """The error estimate is sharp enough to stop early, with stiffness damping too."""
+    model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
+    made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
+            for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
+
+    class Orders:
+        def stage(self, name):
+            pass
+
+        def update(self, text):
+            self.last = int(text.split("order ")[1].split(",")[0])
+
+    for damping in (Damping(alpha=5.0), Damping(alpha=5.0, beta=1e-5), Damping(modal=0.02)):
+        orders = Orders()
+        with Problem(model, made, damping=damping) as problem:
+            full_response(problem, OMEGA, progress=orders)
+        assert 24 <= orders.last <= 80, damping
+
+
 def test_modal_damping_limits_the_resonance_to_its_quality():
     """At a lone resonance the response is 1/(2 zeta) times the modal flexibility."""
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
