@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError, MorembsError, SingularMatrixError
 from morembs.interface import Coupling, Interface, couple
-from morembs.linalg.eigen import Modes, lowest_modes
+from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.select import select_solver
 from morembs.linalg.solver import LinearSolver
 from morembs.linalg.statics import Restricted, Statics
@@ -144,7 +144,7 @@ class Problem:
     ) -> Modes:
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
-            or (below is not None and known.verified_below >= below)
+            or (below is not None and known.verified_below > below * (1 + GAP))
         )
         if known is not None and enough:
             return known
@@ -181,7 +181,7 @@ class Problem:
 
 def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     if count is None:
-        count = int((modes.eigenvalues <= below).sum()) if below is not None else len(modes.eigenvalues)
+        count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
     return modes.first(count)
 
 

@@ -104,3 +104,20 @@ def test_orthonormalisation_drops_what_depends(square_bar):
     assert np.abs(Q.T @ (M @ Q) - np.eye(5)).max() < 1e-13 * 5
     V = W / np.where(np.linalg.norm(W, axis=0) > 0, np.linalg.norm(W, axis=0), 1)
     assert np.abs(V - Q @ (Q.T @ (M @ V))).max() < 1e-9
+
+
+@pytest.mark.parametrize("dense", [0, 10_000])
+def test_modes_kept_from_an_earlier_call_do_not_cut_a_later_one(square_bar, monkeypatch, dense):
+    """First a few modes by count, then all up to a limit far above them, then fewer again."""
+    monkeypatch.setattr(eigen, "DENSE", dense)
+    monkeypatch.setattr(eigen, "DENSE_PART", dense)
+    with Problem(square_bar) as problem:
+        exact = sl.eigh(problem.K.toarray(), problem.M.toarray(), eigvals_only=True)[6:]
+        gap = next(k for k in range(12, 40) if exact[k] > 1.01 * exact[k - 1])
+        limit = 0.5 * (exact[gap - 1] + exact[gap])
+        assert len(problem.elastic_modes(count=3).eigenvalues) == 3
+        assert len(problem.elastic_modes(below=limit).eigenvalues) == gap
+        # The fourth mode may be half of a pair; the limit takes the pair whole.
+        pair = int((exact <= exact[3] * (1 + 1e-6)).sum())
+        assert len(problem.elastic_modes(below=float(exact[3])).eigenvalues) == pair
+        assert len(problem.elastic_modes(count=gap + 5).eigenvalues) == gap + 5

@@ -45,9 +45,8 @@ class Modes:
 
     def first(self, count: int) -> Modes:
         """The lowest ``count`` of these modes."""
-        return Modes(
-            eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=self.verified_below
-        )
+        held = self.verified_below if count >= len(self.eigenvalues) else float(self.eigenvalues[count])
+        return Modes(eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held)
 
 
 def lowest_modes(
@@ -93,7 +92,9 @@ def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float 
     values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
     m = int((values <= below).sum()) if count is None and below is not None else count
     vectors = signed(Q @ vectors[:, :m])
-    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=float(values[-1]))
+    # All modes are known here, but only those that are returned count as held.
+    held = float(values[m]) if m is not None and m < len(values) else np.inf
+    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held)
 
 
 def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
@@ -132,7 +133,8 @@ def _sparse(
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
         if found == true:
             vectors = signed(Y[:, :count])
-            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=float(cut))
+            held = float(cut) if found == count else float(values[count])
+            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
     raise SolverError(
         f"the Sturm count finds {true} {what} below {np.sqrt(cut) / (2 * np.pi):.6g} Hz, the eigensolver {found}; "
