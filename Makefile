@@ -2,10 +2,13 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup demo test lint benchmark clean
+.PHONY: setup mumps demo test lint benchmark clean
 
 setup:
 	@bash scripts/setup.sh
+
+mumps: setup
+	@bash scripts/mumps.sh
 
 demo: setup
 	@$(RUN)/python pipelines/connecting_rod.py

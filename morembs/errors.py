@@ -22,6 +22,14 @@ class SolverError(MorembsError, RuntimeError):
     """A linear solver or eigensolver failed, or its result did not pass the check that follows it."""
 
 
+class BudgetError(SolverError):
+    """The memory budget is too small; ``needed`` bytes would do."""
+
+    def __init__(self, message: str, *, needed: int) -> None:
+        super().__init__(message)
+        self.needed = needed
+
+
 class OutputError(MorembsError, OSError):
     """A result could not be written; the file that was there before is untouched."""
 

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import UNLIMITED, Budget
 from morembs.elements import TYPES, ElementType, Rule
 from morembs.errors import InputError, nearest
 from morembs.material import Material
@@ -44,8 +45,9 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
 
 
 def assemble(
-    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "exact", progress: Progress = SILENT
-) -> FEModel:
+    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> FEModel:  # fmt: skip
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
     ``mass_integration`` is "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the
@@ -66,8 +68,7 @@ def assemble(
     _refuse_gaps(mesh)
     graph = _node_graph(mesh)
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
-    k_data = np.zeros(9 * graph.nnz)
-    m_data = np.zeros(graph.nnz)
+    k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
     done, total = 0, sum(len(block.ids) for block in mesh.blocks)
     for block, rows in _chunks(mesh):
         which = owner[id(block)][rows]
@@ -89,16 +90,15 @@ def assemble(
                 values = stiffness[:, a::3, b::3].ravel()
                 np.add.at(k_data, first + a * step + b, values)
         done += len(rows)
+        budget.relax()
         progress.update(f"assembled {done} of {total} elements")
-    if not (np.isfinite(k_data).all() and np.isfinite(m_data).all()):
+    if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
-    indptr, K_indices = _scalar_pattern(graph, full=True)
+    indptr, K_indices = _scalar_pattern(graph, budget, full=True)
     K = sp.csr_array((k_data, K_indices, indptr), shape=(3 * len(mesh.nodes),) * 2)
-    M = _expand_mass(graph, m_data)
+    M = _expand_mass(graph, m_data, budget)
     K.has_canonical_format = True
-    return FEModel(
-        K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, source=mesh.source
-    )
+    return FEModel(K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, source=mesh.source)
 
 
 def _material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int, Ints]:
@@ -179,12 +179,12 @@ def _node_graph(mesh: Mesh) -> sp.csr_array:
     return sp.csr_array((numbers, graph.indices.astype(small), graph.indptr.astype(small)), shape=graph.shape)
 
 
-def _scalar_pattern(graph: sp.csr_array, *, full: bool) -> tuple[NDArray, NDArray]:  # type: ignore[type-arg]
+def _scalar_pattern(graph: sp.csr_array, budget: Budget, *, full: bool) -> tuple[Ints, Ints]:
     """indptr and indices of the matrix with 3x3 blocks on ``graph``: full, or diagonal blocks b*I3."""
     blocks = np.diff(graph.indptr)
     width = 3 if full else 1
     indptr = np.concatenate([[0], np.cumsum(np.repeat(width * blocks, 3))]).astype(graph.indptr.dtype)
-    indices = np.empty(indptr[-1], dtype=graph.indices.dtype)
+    indices = budget.empty(int(indptr[-1]), graph.indices.dtype)
     # The columns of node block p repeat in the three rows of its node.
     start = graph.indptr[:-1].repeat(blocks)
     local = np.arange(graph.nnz, dtype=graph.indices.dtype) - start
@@ -199,13 +199,13 @@ def _scalar_pattern(graph: sp.csr_array, *, full: bool) -> tuple[NDArray, NDArra
     return indptr, indices
 
 
-def _expand_mass(graph: sp.csr_array, m_data: Floats) -> sp.csr_array:
+def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_array:
     """Ms (x) I3 in CSR form."""
-    indptr, indices = _scalar_pattern(graph, full=False)
+    indptr, indices = _scalar_pattern(graph, budget, full=False)
     blocks = np.diff(graph.indptr)
     start = graph.indptr[:-1].repeat(blocks)
     local = np.arange(graph.nnz, dtype=graph.indices.dtype) - start
-    data = np.empty(3 * graph.nnz)
+    data = budget.empty(3 * graph.nnz)
     for a in range(3):
         data[3 * start + a * blocks.repeat(blocks) + local] = m_data
     M = sp.csr_array((data, indices, indptr), shape=(3 * graph.shape[0],) * 2)
@@ -255,9 +255,7 @@ def _stiffness(kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Mate
     return np.asarray(0.5 * (stiffness + stiffness.transpose(0, 2, 1)))
 
 
-def _mass(
-    kind: ElementType, x: Floats, materials: Sequence[Material], which: Ints, *, reduced: bool
-) -> Floats:
+def _mass(kind: ElementType, x: Floats, materials: Sequence[Material], which: Ints, *, reduced: bool) -> Floats:
     """Scalar mass (ne, k, k) of elements with node coordinates ``x`` (ne, k, 3).
 
     The Jacobian is checked where the stiffness is integrated, as FE codes do; a strongly curved element

@@ -91,9 +91,7 @@ def make_interface(
         log.warning(
             "interface %s: %d of %d nodes carry no whole face of the selection and get no weight", name, bare, len(rows)
         )
-    interface = Interface(
-        name=name, nodes=rows, coupling=coupling, point=origin, weights=weights, components=chosen
-    )
+    interface = Interface(name=name, nodes=rows, coupling=coupling, point=origin, weights=weights, components=chosen)
     if coupling != "direct":
         _refuse_collinear(interface, xyz)
     return interface

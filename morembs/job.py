@@ -23,6 +23,7 @@ MOST_BYTES = 2.0**60
 BYTES = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
     """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder."""
@@ -108,9 +109,7 @@ def _reducers(tables: list[ReduceTable]) -> dict[str, Reducer]:
 
 def _reducer(name: str, table: ReduceTable) -> Reducer:
     if table.method not in REDUCERS:
-        raise InputError(
-            f"[[reduce]] {name!r}: method = {table.method!r} was given; {nearest(table.method, REDUCERS)}"
-        )
+        raise InputError(f"[[reduce]] {name!r}: method = {table.method!r} was given; {nearest(table.method, REDUCERS)}")
     kind = REDUCERS[table.method]
     known = {field.name for field in fields(kind)}
     hints = get_type_hints(kind)
@@ -124,9 +123,7 @@ def _reducer(name: str, table: ReduceTable) -> Reducer:
             TypeAdapter(hints[key]).validate_python(value, strict=not isinstance(value, list))
         except ValidationError as error:
             expected = " or ".join(dict.fromkeys(_expected(e["msg"]) for e in error.errors()))
-            raise InputError(
-                f"[[reduce]] {name!r}: {key} = {_toml(value)} was given; expected {expected}"
-            ) from error
+            raise InputError(f"[[reduce]] {name!r}: {key} = {_toml(value)} was given; expected {expected}") from error
     try:
         reducer = kind(**table.options())
         if {"modes", "up_to_hz"} <= known:

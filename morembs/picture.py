@@ -32,9 +32,7 @@ FULL_COLOR = "#202020"
 BODY_COLORS = ("#d1495b", "#2e86ab", "#3d9970", "#b5651d", "#7b4fa3", "#607d8b")
 
 
-def draw(
-    path: Path, bodies: Sequence[ElasticBody], shapes: Shapes | None, response: FrequencyResponse | None
-) -> None:
+def draw(path: Path, bodies: Sequence[ElasticBody], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
     """Write the picture (png, pdf or svg by the ending of ``path``); the old one stays if that fails.
 
     Raises:

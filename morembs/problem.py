@@ -14,9 +14,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.budget import Budget
 from morembs.errors import InputError, MorembsError, SingularMatrixError
 from morembs.interface import Coupling, Interface, couple
+from morembs.linalg.congruence import congruence, max_norm
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.ordering import node_graph
 from morembs.linalg.select import select_solver
 from morembs.linalg.solver import LinearSolver
 from morembs.linalg.statics import Restricted, Statics
@@ -60,6 +64,7 @@ class Damping:
 class Problem:
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
+    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``.
     ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
     analytic, never from an eigensolver.
 
@@ -69,41 +74,43 @@ class Problem:
 
     def __init__(
         self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
-        damping: Damping | None = None, progress: Progress = SILENT,
+        damping: Damping | None = None, budget: Budget | None = None, progress: Progress = SILENT,
     ) -> None:  # fmt: skip
         self.model = model
         self.interfaces = tuple(interfaces)
         self.solver = solver if solver is not None else select_solver()
+        self.budget = budget if budget is not None else Budget(self.solver.memory, self.solver.scratch)
         self.damping = damping if damping is not None else Damping()
         self.progress = progress
         self.coupling: Coupling = couple(model, self.interfaces)
         T = self.coupling.T
         square = T.shape[0] == T.shape[1]
-        self.K, self.M = (A if square else _congruence(T, A) for A in (model.K, model.M))
-        self.D = model.D if model.D is None or square else _congruence(T, model.D)
+        self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
+        self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
         self.B = self.coupling.B
-        self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
+        self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
         self._refuse_unconnected()
+        self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
 
     @property
     def solver_name(self) -> str:
-        """Name of the linear solver in use."""
-        return self.solver.name
+        """Name of the linear solver in use: the one that was chosen, once there is a factor."""
+        return self.statics.factor.stats.backend if "statics" in self.__dict__ else self.solver.name
 
     @cached_property
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
         try:
-            return Statics(self.K, self.rigid, self.solver)
+            return Statics(self.stiffness, self.rigid)
         except SingularMatrixError as error:
             raise SingularMatrixError(self._mechanism()) from error
 
     @cached_property
     def elastic(self) -> Restricted:
         """The free body without its rigid-body motion (mean axes): C = M rigid."""
-        return Restricted(self.statics, self.M @ self.rigid, "the rigid-body modes")
+        return Restricted(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
 
     @cached_property
     def internal(self) -> Restricted:
@@ -127,9 +134,10 @@ class Problem:
         return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
 
     def close(self) -> None:
-        """Release the factorisation."""
+        """Release the factorisations."""
         if "statics" in self.__dict__:
             self.statics.close()
+        self.stiffness.close()
 
     def __enter__(self) -> Self:
         return self
@@ -151,9 +159,11 @@ class Problem:
         return lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
 
     def _refuse_unconnected(self) -> None:
-        parts, label = connected_components(self.K, directed=False)
+        graph, starts = node_graph(self.stiffness.lower)
+        parts, label = connected_components(graph, directed=False)
         if parts > 1:
-            sizes = np.sort(np.bincount(label))[::-1]
+            rows = np.diff(np.append(starts, self.K.shape[0]))
+            sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
             raise InputError(
                 f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
                 f"{6 * parts} rigid-body modes where one free body has 6; "
@@ -165,9 +175,8 @@ class Problem:
         # A shift far below every elastic mode of a sound part and far above round-off.
         sigma = 1e-11 * float(np.max(self.K.diagonal() / np.maximum(self.M.diagonal(), np.finfo(float).tiny)))
         try:
-            A = sp.csc_array(self.K - sigma * self.M)
-            with self.solver.factorize(A, "symmetric", what="K - sigma M") as factor:
-                found = factor.negative_pivots()
+            solver = self.solver.with_memory(self.budget.left())
+            found = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
         except MorembsError:
             return (
                 "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
@@ -185,12 +194,6 @@ def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     return modes.first(count)
 
 
-def _congruence(T: sp.csr_array, A: sp.csr_array) -> sp.csr_array:
-    result = sp.csr_array(T.T @ A @ T)
-    # Equal to the last bit on both sides of the diagonal, as the solvers expect.
-    return sp.csr_array(0.5 * (result + result.T))
-
-
 def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
     """M-orthonormal basis (N, r) of the geometric motions that K leaves free of strain."""
     G = R.T @ (M @ R)
@@ -199,7 +202,7 @@ def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
     values, U = sl.eigh(G / np.outer(scale, scale))
     good = values > 1e-12
     Phi = (R / scale) @ (U[:, good] / np.sqrt(values[good]))
-    size = np.linalg.norm(Phi, axis=0) * float(abs(K).sum(axis=0).max())
+    size = np.linalg.norm(Phi, axis=0) * max_norm(K)
     _, s, Wt = np.linalg.svd((K @ Phi) / size, full_matrices=False)
     Z = Phi @ Wt.T[:, s < STRAIN_FREE]
     if Z.shape[1]:

@@ -62,6 +62,4 @@ class Stopwatch:
         self.progress.stage(name)
         start = time.perf_counter()
         yield
-        self.stages.append(
-            Stage(name=name, seconds=time.perf_counter() - start, peak_memory_bytes=peak_memory_bytes())
-        )
+        self.stages.append(Stage(name=name, seconds=time.perf_counter() - start, peak_memory_bytes=peak_memory_bytes()))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos
+from morembs.linalg.orthogonal import dot
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -26,6 +27,8 @@ from morembs.reducers.base import ReducedModel
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 MAX_ORDER = 2000
+# Room for the space to begin with.
+FIRST_ORDER = 250
 
 
 def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
@@ -72,7 +75,8 @@ def full_response(
         raise InputError("an interface motion does not deform the body; check the interfaces")
     start /= scale
     room = M.shape[0] - problem.rigid.shape[1]
-    lanczos = BlockLanczos(problem.elastic.flexibility, M, start, capacity=min(MAX_ORDER, room), seed=3)
+    capacity = min(FIRST_ORDER, room)
+    lanczos = BlockLanczos(problem.elastic.flexibility, M, start, capacity=capacity, seed=3, budget=problem.budget)
     loads = lanczos.pending.T @ (M @ start)
     stiffness = np.zeros((0, 0))
     while True:
@@ -82,6 +86,8 @@ def full_response(
         progress.update(f"frequency response: order {lanczos.size}, error {error:.1e}")
         if error <= tolerance or not lanczos.pending.shape[1]:
             return np.asarray(scale[:, None] * H * scale)
+        if lanczos.full() and lanczos.capacity < min(MAX_ORDER, room):
+            lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, room))
         if lanczos.full():
             raise SolverError(
                 f"the full response reached an error of only {error:.1e} with {lanczos.size} vectors; lower the "
@@ -93,7 +99,7 @@ def _bordered(problem: Problem, lanczos: BlockLanczos, known: Floats) -> Floats:
     """V' K V with the newest block of V added to what is ``known``."""
     k = lanczos.size
     new = lanczos.V[:, lanczos.last]
-    columns = lanczos.V[:, :k].T @ (problem.K @ new)
+    columns = dot(lanczos.V[:, :k], problem.K @ new, problem.budget)
     result = np.zeros((k, k))
     result[: len(known), : len(known)] = known
     result[:, lanczos.last] = columns
@@ -109,7 +115,7 @@ def _projected(
     values, Y = sl.eigh(stiffness)
     V, W, T = lanczos.V[:, :k], lanczos.rest_vectors, lanczos.T[:k, :k]
     KW = problem.K @ W
-    cross = V.T @ KW
+    cross = dot(V, KW, problem.budget)
     energy = np.block([[stiffness, cross], [cross.T, W.T @ KW]])
     # G B = V g, so B seen by the modes is V' K V g.
     g = np.zeros((k, loads.shape[1]))

@@ -133,9 +133,7 @@ def _material(table: MaterialTable, units: Units) -> Material:
         )  # fmt: skip
     if isinstance(table.young, list) or isinstance(table.poisson, list):
         raise InputError(f"material of set {table.set!r}: young and poisson must be one number each")
-    return isotropic(
-        set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density
-    )
+    return isotropic(set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density)
 
 
 def interfaces_of(job: Job, model: FEModel) -> list[Interface]:

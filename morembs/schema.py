@@ -118,9 +118,7 @@ class OutputTable(Table):
     """``[output]``: the body file, and a picture if one is wanted."""
 
     path: str = Field(min_length=1, description='the path of the body file such as "conrod.h5"')
-    nodes: Literal["all", "skin", "interfaces"] = Field(
-        default="all", description='"all", "skin" or "interfaces"'
-    )
+    nodes: Literal["all", "skin", "interfaces"] = Field(default="all", description='"all", "skin" or "interfaces"')
     picture: str | None = Field(
         default=None, pattern=r"\.(png|pdf|svg)$", description="the path of a .png, .pdf or .svg file"
     )

@@ -132,9 +132,7 @@ class _Writer:
             self.put(name, value)
 
 
-def _write_common(
-    out: _Writer, part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, object]
-) -> None:
+def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, object]) -> None:
     """Everything the bodies share."""
     out.put("format", FORMAT)
     out.put("format_version", FORMAT_VERSION)
@@ -247,8 +245,7 @@ def _refuse_other(path: Path, file: Any) -> None:
     version = int(file["format_version"][()])
     if not 1 <= version <= FORMAT_VERSION:
         raise InputError(
-            f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; "
-            "install a newer one"
+            f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a newer one"
         )
 
 

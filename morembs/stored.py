@@ -154,9 +154,7 @@ def _interface(group: Any) -> StoredInterface:
     )
 
 
-def _body(
-    name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats]
-) -> StoredBody:
+def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats]) -> StoredBody:
     full = group.get("full_frequencies_hz")
     return StoredBody(
         name=name,

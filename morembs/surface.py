@@ -14,9 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def outer_faces(
-    mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints, ...] | None = None
-) -> dict[str, Ints]:
+def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints, ...] | None = None) -> dict[str, Ints]:
     """Faces that belong to one element only, as {face type: (nf, k) node rows in VTK order}.
 
     Args:

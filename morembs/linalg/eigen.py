@@ -10,6 +10,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.statics import Restricted, dense
@@ -66,7 +67,7 @@ def lowest_modes(
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if M.shape[0] > DENSE:
-            count = pencil.count_below(below, M)
+            count = pencil.count_below(below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
@@ -87,7 +88,7 @@ def lowest_modes(
 def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
     C = dense(pencil.C)
     Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
-    K = Q.T @ (pencil.statics.K @ Q)
+    K = Q.T @ (pencil.statics.pencil.lower @ Q)
     Mq = Q.T @ (M @ Q)
     values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
     m = int((values <= below).sum()) if count is None and below is not None else count
@@ -118,9 +119,8 @@ def _sparse(
     block = int(np.clip(count // 2, 8, 16))
     start = pencil.flexibility(M @ rng.standard_normal((M.shape[0], block)))
     wanted = min(count + 2, M.shape[0] - pencil.count)
-    lanczos = BlockLanczos(
-        pencil.flexibility, M, start, capacity=min(3 * wanted + 8 * block, M.shape[0] - pencil.count)
-    )
+    capacity = min(3 * wanted + 8 * block, M.shape[0] - pencil.count)
+    lanczos = BlockLanczos(pencil.flexibility, M, start, capacity=capacity, budget=pencil.statics.budget)
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
@@ -129,10 +129,10 @@ def _sparse(
             wanted = min(wanted + block, M.shape[0] - pencil.count)
             continue
         found = int((values < cut).sum())
-        true = count if below is not None else pencil.count_below(cut, M)
+        true = count if below is not None else pencil.count_below(cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
         if found == true:
-            vectors = signed(Y[:, :count])
+            vectors = signed(Y[:, :count], pencil.statics.budget)
             held = float(cut) if found == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
@@ -152,10 +152,12 @@ def _gap_after(values: Floats, count: int) -> float | None:
     return None
 
 
-def signed(V: Floats) -> Floats:
-    """Columns with the first of their large entries positive, so that equal input gives equal signs."""
-    if not V.size:
-        return V
-    large = np.abs(V) >= 0.99 * np.abs(V).max(axis=0)
-    first = large.argmax(axis=0)
-    return V * np.where(V[first, range(V.shape[1])] < 0, -1.0, 1.0)
+def signed(V: Floats, budget: Budget = UNLIMITED) -> Floats:
+    """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
+    for column in V.T:
+        size = np.abs(column)
+        if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
+            # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
+            column *= -1.0
+        budget.relax()
+    return V

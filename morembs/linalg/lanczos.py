@@ -15,8 +15,9 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
-from morembs.linalg.orthogonal import m_norms, m_orthonormal, remove
+from morembs.linalg.orthogonal import combine, m_norms, m_orthonormal, remove
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -27,18 +28,20 @@ MAX_STEPS = 400
 class BlockLanczos:
     """Krylov space of ``flexibility(M .)`` that grows block by block.
 
-    Peak memory: ``capacity`` columns of length N and a few blocks.
+    Peak memory: ``capacity`` columns of length N, where ``budget`` wants them, and a few blocks.
     """
 
     def __init__(
-        self, flexibility: Callable[[Floats], Floats], M: sp.sparray, start: Floats, *, capacity: int, seed: int = 1
-    ) -> None:
+        self, flexibility: Callable[[Floats], Floats], M: sp.sparray, start: Floats, *, capacity: int, seed: int = 1,
+        budget: Budget = UNLIMITED,
+    ) -> None:  # fmt: skip
         self.flexibility = flexibility
         self.M = M
         self.block = start.shape[1]
         self.capacity = max(capacity, 3 * self.block)
         self.rng = np.random.default_rng(seed)
-        self.V = np.empty((M.shape[0], self.capacity), order="F")
+        self.budget = budget
+        self.V = budget.empty((M.shape[0], self.capacity), order="F")
         self.T = np.zeros((self.capacity, self.capacity))
         self.size = 0
         self.pending = m_orthonormal(start, M)
@@ -54,7 +57,7 @@ class BlockLanczos:
         W = self.flexibility(self.M @ Q)
         MW = self.M @ W
         norms = m_norms(W, MW)
-        H = remove(self.V[:, : k + b], W, self.M, MW)
+        H = remove(self.V[:, : k + b], W, self.M, MW, self.budget)
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
@@ -72,10 +75,10 @@ class BlockLanczos:
             missing = self.block - Q.shape[1]
             fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
             before = m_norms(fresh, self.M @ fresh)
-            known = np.hstack([self.V[:, : self.size], Q])
-            remove(known, fresh, self.M)
+            remove(self.V[:, : self.size], fresh, self.M, budget=self.budget)
+            remove(Q, fresh, self.M)
             Q = np.hstack([Q, m_orthonormal(fresh, self.M, before)])
-            remove(self.V[:, : self.size], Q, self.M)
+            remove(self.V[:, : self.size], Q, self.M, budget=self.budget)
             Q = m_orthonormal(Q, self.M)
         return Q
 
@@ -90,10 +93,16 @@ class BlockLanczos:
     def restart(self, keep: int) -> None:
         """Keep the ``keep`` best Ritz vectors and go on from them."""
         theta, Y, _ = self.ritz()
-        self.V[:, :keep] = self.V[:, : self.size] @ Y[:, :keep]
+        combine(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep], self.budget)
         self.T[:] = 0.0
         self.T[range(keep), range(keep)] = theta[:keep]
         self.size = keep
+
+    def enlarge(self, capacity: int) -> None:
+        """Make room for ``capacity`` columns."""
+        V, T = self.budget.empty((len(self.V), capacity), order="F"), np.zeros((capacity, capacity))
+        V[:, : self.size], T[: self.size, : self.size] = self.V[:, : self.size], self.T[: self.size, : self.size]
+        self.V, self.T, self.capacity = V, T, capacity
 
     def full(self) -> bool:
         """No room for another block."""
@@ -101,7 +110,8 @@ class BlockLanczos:
 
     def vectors(self, Y: Floats) -> Floats:
         """Columns V Y (N, j)."""
-        return np.asarray(self.V[:, : self.size] @ Y)
+        out = self.budget.empty((len(self.V), Y.shape[1]), order="F")
+        return combine(self.V[:, : self.size], Y, out, self.budget)
 
 
 def largest(

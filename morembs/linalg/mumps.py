@@ -1,275 +1,341 @@
-"""MUMPS: multifrontal factor of symmetric matrices, in memory or on disk, with the inertia."""
+"""MUMPS: multifrontal factor of symmetric matrices, in memory or on disk, with the inertia.
+
+Amestoy, Duff, L'Excellent and Koster 2001. Only half of the matrix is stored and factorised; METIS orders
+the graph of the nodes; the analysis serves all matrices of one pattern.
+"""
 
 from __future__ import annotations
 
 import logging
-import shutil
-import tempfile
 import time
-import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, SingularMatrixError, SolverError
-from morembs.linalg.mumps_library import LOCK, USE_COMM_WORLD, Library, embedded_library, system_library
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.mumps_instance import ANALYSE, FACTORIZE, Instance
+from morembs.linalg.mumps_library import Library, embedded_library, system_library
 from morembs.linalg.ordering import metis_ordering
-from morembs.linalg.solver import Factorization, FactorStats, Floats, LinearSolver
+from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.symmetric import Lower
+from morembs.linalg.threads import blas_threads
+from morembs.progress import SILENT, Progress
+from morembs.scratch import ScratchFolder, free_bytes
 
 log = logging.getLogger(__name__)
-
-_SYM = {"spd": 1, "symmetric": 2}
+Values = NDArray[Any]
+PRECISIONS = ("double", "single")
 _MEGABYTE = 1_000_000
-_RELAXATION = 30
+_RELAXATION = 20
 _ATTEMPTS = 4
 # Workspace or buffers found too small in the numerical phase: more of them cures it.
 _TOO_SMALL = {-8, -9, -14, -15, -17, -18, -20}
-_SINGULAR = {-10, -40}
-# Columns solved at once: wide blocks are fast, and on disk each block reads every factor again.
-_BLOCK, _BLOCK_ON_DISK = 64, 128
-_WORDS = {
-    -5: "memory could not be allocated", -7: "memory could not be allocated",
-    -13: "memory could not be allocated", -8: "integer workspace too small", -9: "workspace too small",
-    -11: "workspace too small for the solution", -14: "integer workspace too small for the solution",
-    -19: "the memory budget is too small", -20: "buffer too small",
-    -51: "the graph is too large for 32-bit integers", -52: "the graph is too large for 32-bit integers",
-    -90: "the scratch folder cannot be written or is full",
-}
-
-
-class _MumpsFactor(Factorization):
-    """One instance of MUMPS. ``run`` computes the factor; whoever calls it closes it when it fails."""
-
-    def __init__(self, library: Library, backend: str, n: int, structure: str) -> None:
-        super().__init__(n)
-        self._library = library
-        self._backend = backend
-        self._structure = structure
-        self._folder: weakref.finalize[..., Any] | None = None
-        self._stats: FactorStats | None = None
-        self._negative = 0
-        # MUMPS keeps the addresses: these have to live as long as it may read them.
-        self._arrays: list[NDArray[Any]] = []
-        # None where MUMPS has no instance: a call would end the process without a message.
-        self._data: Any = None
-        data: Any = library.structure()
-        data.par, data.sym, data.comm_fortran = 1, _SYM[structure], USE_COMM_WORLD
-        library.call(data, -1)
-        self._data = data
-        for number in (1, 2, 3, 4):
-            self._control(number, 0)
-        self._control(14, _RELAXATION)
-
-    def _control(self, number: int, value: int) -> None:
-        """Set ICNTL(number) of the manual."""
-        self._data.icntl[number - 1] = value
-
-    def _info(self, number: int) -> int:
-        """INFOG(number) of the manual."""
-        return int(self._data.infog[number - 1])
-
-    def _entries(self, number: int) -> int:
-        """INFOG(number), a count that MUMPS gives in negative millions where 32 bits are too few."""
-        value = self._info(number)
-        return value if value >= 0 else -value * 1_000_000
-
-    def _call(self, job: int) -> int:
-        """Run a job of MUMPS and return INFOG(1), which is negative when it failed."""
-        self._library.call(self._data, job)
-        return self._info(1)
-
-    def _set_matrix(self, A: sp.csc_array) -> None:
-        """Give MUMPS the lower triangle, numbered from one."""
-        column = np.repeat(np.arange(self.n, dtype=np.int32), np.diff(A.indptr))
-        lower = A.indices >= column
-        irn = A.indices[lower].astype(np.int32) + np.int32(1)
-        jcn = column[lower] + np.int32(1)
-        values = np.ascontiguousarray(A.data[lower], dtype=np.float64)
-        self._arrays += [irn, jcn, values]
-        self._data.n, self._data.nnz = self.n, values.size
-        self._data.irn, self._data.jcn = irn.ctypes.data, jcn.ctypes.data
-        self._data.a = values.ctypes.data
-
-    def _set_order(self, order: NDArray[np.int64] | None) -> None:
-        if order is None:
-            # Its own METIS; a build without one takes the next best.
-            self._control(7, 5)
-            return
-        position = np.empty(self.n, dtype=np.int32)
-        position[order] = np.arange(1, self.n + 1, dtype=np.int32)
-        self._arrays.append(position)
-        self._data.perm_in = position.ctypes.data
-        self._control(7, 1)
-
-    def run(self, A: sp.csc_array, memory: int | None, scratch: Path | None) -> None:
-        """Analyse and factorise ``A`` within ``memory`` bytes, on disk in ``scratch`` where that is needed.
-
-        Raises:
-            SingularMatrixError: zero pivot, or a pivot that is not positive in an "spd" matrix.
-            SolverError: it does not fit into the budget even on disk, or MUMPS failed.
-        """
-        start = time.perf_counter()
-        self._set_matrix(A)
-        self._set_order(metis_ordering(A))
-        self._analyse()
-        in_core = self._info(16)
-        if memory is not None and in_core * _MEGABYTE > memory:
-            self._use_disk(scratch)
-            self._analyse()
-            on_disk = self._info(26)
-            if on_disk * _MEGABYTE > memory:
-                raise SolverError(
-                    f"{memory / _MEGABYTE:.1f} MB were given for factors; {on_disk} MB are needed even with "
-                    f"the factors on disk ({in_core} MB without); give more memory or take a coarser mesh"
-                )
-            self._control(23, memory // _MEGABYTE)
-        self._eliminate()
-        self._free_matrix()
-        entries = self._entries(29)
-        self._stats = FactorStats(
-            backend=self._backend, size=self.n, nnz=int(A.nnz), factor_entries=entries,
-            memory_bytes=0 if self._folder else 8 * entries, out_of_core=self._folder is not None,
-            seconds=time.perf_counter() - start,
-        )
-
-    def _analyse(self) -> None:
-        if self._call(1) < 0:
-            raise self._error("analysis")
-
-    def _eliminate(self) -> None:
-        """Numerical phase, with more workspace each time it was too small."""
-        relaxation = _RELAXATION
-        for attempt in range(_ATTEMPTS):
-            code = self._call(2)
-            if code >= 0:
-                break
-            if code not in _TOO_SMALL or attempt == _ATTEMPTS - 1:
-                raise self._error("factorisation")
-            relaxation *= 2
-            log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self._backend, code, relaxation)
-            self._control(14, relaxation)
-        self._negative = self._info(12)
-        if self._structure == "spd" and self._negative > 0:
-            raise SingularMatrixError(
-                f"the matrix should be positive definite but has {self._negative} negative pivots; likely a "
-                "mechanism, an unconnected part, or a body that is not held where it should be"
-            )
-
-    def _free_matrix(self) -> None:
-        """MUMPS reads the matrix no more once factorised, as no refinement is asked for."""
-        self._data.irn = self._data.jcn = self._data.a = self._data.perm_in = None
-        self._arrays.clear()
-
-    def _use_disk(self, scratch: Path | None) -> None:
-        """Make a private folder in ``scratch`` and have the factors written there."""
-        if scratch is not None:
-            try:
-                scratch.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"the scratch folder {scratch} cannot be made: {error}") from error
-        try:
-            folder = tempfile.mkdtemp(prefix="morembs-", dir=scratch)
-        except OSError as error:
-            raise InputError(f"the scratch folder {scratch} cannot be written: {error}") from error
-        # Also runs when the interpreter ends without a close.
-        self._folder = weakref.finalize(self, shutil.rmtree, folder, True)
-        path = str(Path(folder).resolve()).encode()
-        room = self._library.structure.ooc_tmpdir.size - 1
-        if len(path) > room:
-            raise InputError(
-                f"the scratch folder {folder} has a path of {len(path)} bytes; "
-                f"MUMPS {self._library.version} takes up to {room}: give a shorter one"
-            )
-        self._data.ooc_tmpdir, self._data.ooc_prefix = path, b"factor"
-        self._control(22, 1)
-
-    def _error(self, phase: str) -> SolverError | SingularMatrixError:
-        code, detail = self._info(1), self._info(2)
-        if code in _SINGULAR:
-            return SingularMatrixError(
-                f"the matrix is singular (MUMPS INFOG(1) = {code}); likely a mechanism, an unconnected part, "
-                "or a body that is not held where it should be"
-            )
-        words = _WORDS.get(code, "see the manual of MUMPS")
-        return SolverError(f"MUMPS failed in the {phase}: INFOG(1) = {code}, INFOG(2) = {detail}: {words}")
-
-    @property
-    def stats(self) -> FactorStats:
-        if self._stats is None:
-            raise SolverError("the factorisation has not been computed")
-        return self._stats
-
-    def _solve(self, B: Floats) -> Floats:
-        columns = B.shape[1]
-        self._control(27, _BLOCK_ON_DISK if self._folder else _BLOCK)
-        # The entries of a right-hand side are counted in 32 bits in places.
-        step = max(1, (2**31 - 1) // self.n)
-        for first in range(0, columns, step):
-            part = B[:, first : first + step]
-            with LOCK:
-                self._data.rhs, self._data.lrhs, self._data.nrhs = part.ctypes.data, self.n, part.shape[1]
-                if self._call(3) < 0:
-                    raise self._error("solution")
-                self._data.rhs = None
-        return B
-
-    def _negative_pivots(self) -> int | None:
-        return self._negative
-
-    def _close(self) -> None:
-        if self._data is not None:
-            self._call(-2)
-            self._data = None
-        self._arrays.clear()
-        if self._folder is not None:
-            self._folder()
+# Columns solved at once in memory; on disk each block reads every factor again, so all go at once.
+_BLOCK = 64
+_MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _MumpsSolver(LinearSolver):
-    """What both libraries share."""
+    """What the libraries share.
 
-    library: ClassVar[Callable[[], Library | str]]
+    ``precision`` "single" and ``low_rank`` (relative size of what a low-rank block drops, 0 for none) make
+    a rough factor: a preconditioner, which does not pass the check of ``factorize``.
+    ``null_pivots`` is the size below which a pivot of a "symmetric" matrix counts as zero, relative to the
+    largest. ``discard`` throws the factor away while it is computed: only the inertia is known then.
+    """
+
+    precision: str = "double"
+    low_rank: float = 0.0
+    null_pivots: float = 0.0
+    out_of_core: bool | None = None
+    discard: bool = False
+    progress: Progress = field(default=SILENT, compare=False, repr=False)
+
+    library: ClassVar[Callable[[str], Library | str]]
+
+    def __post_init__(self) -> None:
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision = {self.precision!r} was given; expected one of {', '.join(PRECISIONS)}")
 
     @classmethod
     def unavailable(cls) -> str:
-        found = cls.library()
+        found = cls.library("float64")
         return found if isinstance(found, str) else ""
 
-    def _factorize(self, A: sp.csc_array, structure: str) -> Factorization:
-        """Raises InputError (empty, scratch folder), SingularMatrixError, SolverError."""
-        library = type(self).library()
+    def _inertia(self, A: Lower, what: str) -> int:
+        if isinstance(type(self).library("float64"), str):
+            return super()._inertia(A, what)
+        # Backward stable by its choice of pivots, so the count holds for a matrix next to this one.
+        exact = replace(self, precision="double", low_rank=0.0, out_of_core=False, discard=True)
+        with exact.analyse(A, "symmetric", what) as analysis, analysis._factorize(A) as factor:
+            return factor.negative_pivots()
+
+    @classmethod
+    def lacks(cls, precision: str, structure: str) -> str:
+        """Why there is no arithmetic of this ``precision`` for this ``structure``; empty: there is."""
+        found = cls.library(_dtype(precision, structure))
+        return found if isinstance(found, str) else ""
+
+    def _analyse(self, A: Lower, structure: str) -> Analysis:
+        library = type(self).library(_dtype(self.precision, structure))
+        if isinstance(library, str):
+            raise InputError(f"solver = {self.name!r} cannot take {structure} matrices here: {library}")
+        if self.low_rank and not library.low_rank:
+            raise InputError(
+                f"low_rank = {self.low_rank} was given, but this build of MUMPS crashes at random in low-rank mode; "
+                "build one with METIS (make mumps)"
+            )
+        return _MumpsAnalysis(self, library, A, structure)
+
+    def schur_complement(self, A: sp.sparray | Lower, rows: NDArray[np.int64]) -> Values:
+        """S (k, k) = A_bb - A_bi A_ii^-1 A_ib of ``rows`` (k,) of a symmetric ``A`` (n, n).
+
+        Raises:
+            InputError: rows that are not there or given twice.
+            SingularMatrixError: A_ii is singular.
+        """
+        lower = Lower.of(A)
+        rows = np.asarray(rows, dtype=np.int64)
+        if not len(rows) or len(np.unique(rows)) != len(rows) or rows.min() < 0 or rows.max() >= lower.n:
+            raise InputError(f"rows of a Schur complement must differ and lie within 0 to {lower.n - 1}")
+        structure = "complex-symmetric" if lower.data.dtype.kind == "c" else "symmetric"
+        library = type(self).library(_dtype("double", structure))
         if isinstance(library, str):
             raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        if A.shape[0] == 0:
-            raise InputError("the matrix has no rows; nothing can be solved with it")
-        if A.nnz == 0:
-            raise SingularMatrixError("the matrix is zero")
-        factor = _MumpsFactor(library, self.name, A.shape[0], structure)
+        with _MumpsAnalysis(self, library, lower, structure, schur=rows) as analysis:
+            return analysis.schur_of(lower)
+
+
+def _dtype(precision: str, structure: str) -> str:
+    if structure == "complex-symmetric":
+        return "complex64" if precision == "single" else "complex128"
+    return "float32" if precision == "single" else "float64"
+
+
+class _MumpsAnalysis(Analysis):
+    """An instance of MUMPS after JOB = 1."""
+
+    def __init__(
+        self, solver: _MumpsSolver, library: Library, A: Lower, structure: str, schur: NDArray[np.int64] | None = None
+    ) -> None:
+        super().__init__(A, structure)
+        self.solver, self.backend = solver, solver.name
+        self.schur: Values | None = None
+        self._folder: ScratchFolder | None = None
+        self.instance = Instance(library, structure, _dtype(solver.precision, structure))
         try:
-            factor.run(A, self.memory, self.scratch)
+            self._set_up(A, schur)
+            self._forecast = self._within_budget(A)
         except BaseException:
-            factor.close()
+            self.close()
             raise
-        return factor
+
+    def _set_up(self, A: Lower, schur: NDArray[np.int64] | None) -> None:
+        instance, solver = self.instance, self.solver
+        instance.control(14, _RELAXATION)
+        # Neither of these may depend on the values: one analysis serves many shifts.
+        instance.control(6, 0)
+        instance.control(12, 1)
+        order = metis_ordering(A)
+        if order is None:
+            # Its own METIS; a build without one takes the next best.
+            instance.control(7, 5)
+        else:
+            if schur is not None:
+                # MUMPS wants them behind all others.
+                last = np.isin(order, schur)
+                order = np.concatenate([order[~last], schur])
+            position = np.empty(A.n, dtype=np.int32)
+            position[order] = np.arange(1, A.n + 1, dtype=np.int32)
+            instance.give("perm_in", position)
+            instance.control(7, 1)
+        if schur is not None:
+            self.schur = instance.set_schur(schur)
+        if solver.low_rank:
+            instance.control(35, 2)
+            instance.real_control(7, solver.low_rank)
+        if solver.discard:
+            instance.control(31, 1)
+        if solver.null_pivots and self.structure == "symmetric":
+            instance.control(24, 1)
+            instance.real_control(3, -solver.null_pivots)
+        instance.set_pattern(A)
+        if solver.out_of_core:
+            self._use_disk()
+
+    def _within_budget(self, A: Lower) -> Forecast:
+        """Analyse, on disk where the budget asks for it."""
+        self._analyse()
+        budget = self.solver.memory
+        wanted = self._demand(A, 16 if self._folder is None else 26)
+        if budget is None or wanted.memory <= budget:
+            return self._have_room(wanted)
+        if self._folder is None and self.solver.out_of_core is None and self._demand(A, 26).memory <= budget:
+            self._use_disk()
+            self._analyse()
+            wanted = self._demand(A, 26)
+        if wanted.memory > budget:
+            on_disk = self._demand(A, 26)
+            raise BudgetError(
+                f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
+                f"{on_disk.memory / _MEGABYTE:.0f} MB are needed even with the factors on disk "
+                f"({self._demand(A, 16).memory / _MEGABYTE:.0f} MB without); give more memory or take a coarser mesh",
+                needed=on_disk.memory,
+            )
+        return self._have_room(wanted)
+
+    def _analyse(self) -> None:
+        if self.instance.run(ANALYSE, self.solver.progress, "ordering") < 0:
+            raise self.instance.error("analysis")
+
+    def _demand(self, A: Lower, number: int) -> Forecast:
+        """Forecast in core (INFOG(16)) or out of core (INFOG(26))."""
+        instance = self.instance
+        entries = instance.count(3)
+        size = instance.dtype.itemsize
+        # Coordinates and values of the triangle are ours, the rest is what MUMPS will allocate.
+        matrix = (8 + size) * self.lower_nnz
+        disk = size * entries if number == 26 else 0
+        return Forecast(
+            backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),
+            memory=instance.info(number) * _MEGABYTE + matrix, kept=0 if disk else size * entries, disk=disk,
+            precision=self.solver.precision,
+        )  # fmt: skip
+
+    def _have_room(self, wanted: Forecast) -> Forecast:
+        if wanted.disk:
+            free = free_bytes(self.solver.scratch)
+            if free < wanted.disk:
+                raise SolverError(
+                    f"the scratch folder has {free / 1e9:.1f} GB left, the factor needs {wanted.disk / 1e9:.1f} GB; "
+                    "make room, give another scratch folder, or give more memory"
+                )
+        return wanted
+
+    def _use_disk(self) -> None:
+        """Make a private folder and have the factors written there."""
+        self._folder = ScratchFolder(self.solver.scratch)
+        path, room = str(self._folder.path).encode(), self.instance.longest_folder
+        if len(path) > room:
+            raise InputError(
+                f"the scratch folder {self._folder.path} has a path of {len(path)} bytes; "
+                f"MUMPS {self.instance.library.version} takes up to {room}: give a shorter one"
+            )
+        self.instance.set_disk(path)
+
+    @property
+    def forecast(self) -> Forecast:
+        return self._forecast
+
+    def _factorize(self, A: Lower) -> Factorization:
+        start = time.perf_counter()
+        self._eliminate(A)
+        instance, expected = self.instance, self._forecast
+        entries, bytes_ = instance.count(29), instance.dtype.itemsize
+        on_disk = self._folder is not None
+        stats = FactorStats(
+            backend=self.backend, size=self.n, nnz=self.nnz, factor_entries=entries,
+            memory_bytes=0 if on_disk else bytes_ * entries, disk_bytes=bytes_ * entries if on_disk else 0,
+            out_of_core=on_disk, seconds=time.perf_counter() - start, flops=instance.real_info(3),
+            precision=expected.precision, threads=blas_threads(),
+        )  # fmt: skip
+        return _MumpsFactor(self, stats)
+
+    def _eliminate(self, A: Lower) -> None:
+        """Numerical phase, with more workspace each time it was too small."""
+        instance = self.instance
+        instance.set_pattern(A)
+        instance.set_values(A)
+        relaxation = _RELAXATION
+        for attempt in range(_ATTEMPTS):
+            news = f"factorising ({self._forecast.flops:.2g} operations)"
+            code = instance.run(FACTORIZE, self.solver.progress, news)
+            if code >= 0:
+                break
+            if code not in _TOO_SMALL or attempt == _ATTEMPTS - 1:
+                raise instance.error("factorisation")
+            relaxation *= 2
+            log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self.backend, code, relaxation)
+            instance.control(14, relaxation)
+        instance.drop_matrix()
+        if self.structure == "spd" and instance.info(12) > 0:
+            raise SingularMatrixError(
+                f"the matrix should be positive definite but has {instance.info(12)} negative pivots; {_MECHANISM}"
+            )
+
+    def schur_of(self, A: Lower) -> Values:
+        """The Schur complement that ``schur`` rows of the constructor asked for."""
+        self._eliminate(A)
+        if self.schur is None:
+            raise SolverError("no Schur complement was asked for")
+        return np.array(self.schur)
+
+    def _release(self) -> None:
+        self.instance.end()
+        if self._folder is not None:
+            self._folder.close()
+
+
+class _MumpsFactor(Factorization):
+    """The factor that an analysis holds."""
+
+    def __init__(self, analysis: _MumpsAnalysis, stats: FactorStats) -> None:
+        super().__init__(analysis.n, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
+        self._instance = analysis.instance
+        self._stats = stats
+        self._negative = self._instance.info(12)
+
+    @property
+    def stats(self) -> FactorStats:
+        return self._stats
+
+    def _solve(self, B: Values) -> Values:
+        instance = self._instance
+        X = B if B.dtype == instance.dtype else B.astype(instance.dtype)
+        # The entries of a right-hand side are counted in 32 bits in places.
+        step = max(1, (2**31 - 1) // self.n)
+        for first in range(0, X.shape[1], step):
+            part = X[:, first : first + step]
+            instance.control(27, part.shape[1] if self._stats.out_of_core else _BLOCK)
+            instance.solve_dense(part)
+        return X.astype(self.dtype, copy=False)
+
+    def _solve_sparse(self, B: sp.csc_array) -> Values | None:
+        if not B.nnz or self.n * B.shape[1] >= 2**31:
+            return None
+        self._instance.control(27, B.shape[1] if self._stats.out_of_core else _BLOCK)
+        return self._instance.solve_sparse(B).astype(self.dtype, copy=False)
+
+    def null_space(self) -> tuple[Values, NDArray[np.int64]]:
+        """Null vectors (n, k) and the rows (k,) whose pivots vanished, of a solver with ``null_pivots``."""
+        rows = self._instance.null_pivots()
+        if not len(rows):
+            return np.zeros((self.n, 0), dtype=self.dtype), rows
+        return self._instance.null_space(len(rows)).astype(self.dtype, copy=False), rows
+
+    def _negative_pivots(self) -> int | None:
+        return self._negative
+
+    def _release(self) -> None:
+        """The analysis keeps the instance; the next factorisation replaces the factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mumps(_MumpsSolver):
-    """The sequential MUMPS of the system (Debian: libmumps-seq-dev)."""
+    """The sequential MUMPS of the system (Debian: libmumps-seq-dev), or one built with METIS."""
 
     name: ClassVar[str] = "mumps"
-    library: ClassVar[Callable[[], Library | str]] = staticmethod(system_library)
+    library: ClassVar[Callable[[str], Library | str]] = staticmethod(system_library)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EmbeddedMumps(_MumpsSolver):
-    """The MUMPS that comes with the CasADi package."""
+    """The MUMPS that comes with the CasADi package: real double precision."""
 
     name: ClassVar[str] = "mumps-embedded"
-    library: ClassVar[Callable[[], Library | str]] = staticmethod(embedded_library)
+    library: ClassVar[Callable[[str], Library | str]] = staticmethod(embedded_library)

@@ -24,17 +24,15 @@ USE_COMM_WORLD = -987654
 SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
 EMBEDDED_HINT = "pip install casadi"
 
-_TYPES: dict[str, Any] = {
-    "MUMPS_INT": ctypes.c_int32,
-    "MUMPS_INT8": ctypes.c_int64,
-    "DMUMPS_REAL": ctypes.c_double,
-    "DMUMPS_COMPLEX": ctypes.c_double,
-    "char": ctypes.c_char,
-}
+_TYPES: dict[str, Any] = {"MUMPS_INT": ctypes.c_int32, "MUMPS_INT8": ctypes.c_int64, "char": ctypes.c_char}
 _NEEDED = {
-    "sym", "par", "job", "comm_fortran", "icntl", "n", "nnz", "irn", "jcn", "a", "perm_in", "rhs", "nrhs",
-    "lrhs", "infog", "version_number", "ooc_tmpdir", "ooc_prefix",
-}
+    "sym", "par", "job", "comm_fortran", "icntl", "cntl", "n", "nnz", "irn", "jcn", "a", "perm_in", "rhs", "nrhs",
+    "lrhs", "rhs_sparse", "irhs_sparse", "irhs_ptr", "nz_rhs", "infog", "rinfog", "pivnul_list", "size_schur",
+    "listvar_schur", "schur", "schur_lld", "nprow", "npcol", "mblock", "nblock", "version_number", "ooc_tmpdir",
+    "ooc_prefix",
+}  # fmt: skip
+# The letter that MUMPS puts before its names, by type of the values.
+ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c"}
 # MUMPS keeps state in global variables, so one job runs at a time. Reentrant, because the garbage
 # collector may close a factorisation of the thread that holds it; one for all, because two threads that
 # look for the library at the same time both open it.
@@ -55,6 +53,8 @@ class Library:
     version: str
     structure: type[ctypes.Structure]
     function: Callable[[Any], None]
+    # Debian's build clusters with SCOTCH and crashes at random in low-rank mode; builds with METIS do not.
+    low_rank: bool = False
 
     def call(self, data: Any, job: int) -> None:
         """Run one job; the lock of the interpreter is released meanwhile."""
@@ -63,37 +63,43 @@ class Library:
             self.function(ctypes.byref(data))
 
 
-def parse_header(text: str) -> tuple[str, list[tuple[str, Any]]]:
+def parse_header(text: str, letter: str = "d") -> tuple[str, list[tuple[str, Any]]]:
     """Version and fields of ``DMUMPS_STRUC_C`` in the text of ``dmumps_c.h``; pointers become c_void_p.
+
+    ``letter`` is that of the arithmetic: s, d, c or z.
 
     Raises:
         UnusableError: the text is not understood.
     """
     text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
     constants = dict(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)[ \t]+(\S+)", text, flags=re.MULTILINE))
-    body = re.search(r"typedef\s+struct\s*\w*\s*\{([^{}]*)\}\s*DMUMPS_STRUC_C\s*;", text)
+    struct = f"{letter.upper()}MUMPS_STRUC_C"
+    body = re.search(r"typedef\s+struct\s*\w*\s*\{([^{}]*)\}\s*" + struct + r"\s*;", text)
     version = constants.get("MUMPS_VERSION", "").strip('"')
     if body is None or not version:
-        raise UnusableError("its header defines no DMUMPS_STRUC_C or no MUMPS_VERSION")
+        raise UnusableError(f"its header defines no {struct} or no MUMPS_VERSION")
+    real = ctypes.c_float if letter in "sc" else ctypes.c_double
+    # Complex values occur behind pointers only.
+    types = {**_TYPES, f"{letter.upper()}MUMPS_REAL": real, f"{letter.upper()}MUMPS_COMPLEX": real}
     fields: list[tuple[str, Any]] = []
     for statement in filter(None, (part.strip() for part in body[1].split(";"))):
         kind, *rest = statement.split(None, 1)
-        if kind not in _TYPES or not rest:
+        if kind not in types or not rest:
             raise UnusableError(f"its header has a field that is not understood: {statement!r}")
         for declarator in rest[0].split(","):
             parts = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:\[([^\]]+)\])?\s*", declarator)
             if parts is None:
                 raise UnusableError(f"its header has a field that is not understood: {statement!r}")
             star, name, length = parts.groups()
-            fields.append((name, _field_type(kind, bool(star), length, constants)))
+            fields.append((name, _field_type(types[kind], bool(star), length, constants)))
     missing = sorted(_NEEDED - {name for name, _ in fields})
     if missing:
         raise UnusableError(f"the structure of its header lacks {', '.join(missing)}")
     return version, fields
 
 
-def _field_type(kind: str, pointer: bool, length: str | None, constants: dict[str, str]) -> Any:
-    base = ctypes.c_void_p if pointer else _TYPES[kind]
+def _field_type(kind: Any, pointer: bool, length: str | None, constants: dict[str, str]) -> Any:
+    base = ctypes.c_void_p if pointer else kind
     if length is None:
         return base
     try:
@@ -103,8 +109,8 @@ def _field_type(kind: str, pointer: bool, length: str | None, constants: dict[st
     return base * size
 
 
-def _structure(header: Path) -> tuple[str, type[ctypes.Structure]]:
-    version, fields = parse_header(header.read_text(encoding="latin-1"))
+def _structure(header: Path, letter: str) -> tuple[str, type[ctypes.Structure]]:
+    version, fields = parse_header(header.read_text(encoding="latin-1"), letter)
     integers = header.with_name("mumps_int_def.h"), header.with_name("mumps_c_types.h")
     for path in integers:
         if not path.is_file():
@@ -112,14 +118,15 @@ def _structure(header: Path) -> tuple[str, type[ctypes.Structure]]:
         text = re.sub(r"/\*.*?\*/", " ", path.read_text(encoding="latin-1"), flags=re.DOTALL)
         if re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", text, flags=re.MULTILINE):
             raise UnusableError("it is built with 64-bit integers; a build with 32-bit ones is needed")
-    return version, type("DmumpsStructure", (ctypes.Structure,), {"_fields_": fields})
+    return version, type(f"{letter.upper()}mumpsStructure", (ctypes.Structure,), {"_fields_": fields})
 
 
-def _open(path: str, header: Path, mode: int = 0) -> Library:
+def _open(path: str, folder: Path, letter: str, mode: int = 0, low_rank: bool = False) -> Library:
     """Load a library and make an empty instance with it, to read the version it says it has."""
-    version, structure = _structure(header)
+    header = folder / f"{letter}mumps_c.h"
+    version, structure = _structure(header, letter)
     try:
-        function = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | mode).dmumps_c
+        function = getattr(ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | mode), f"{letter}mumps_c")
     except (OSError, AttributeError) as error:
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
@@ -127,7 +134,7 @@ def _open(path: str, header: Path, mode: int = 0) -> Library:
     holder: Any = type("Padded", (ctypes.Structure,), {"_fields_": fields})()
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
-    library = Library(path, version, structure, function)
+    library = Library(path, version, structure, function, low_rank)
     with LOCK:
         library.call(data, -1)
         found = data.version_number.decode("latin-1").strip()
@@ -138,18 +145,31 @@ def _open(path: str, header: Path, mode: int = 0) -> Library:
     return library
 
 
+def _own_build() -> Path | None:
+    """Library with all arithmetics that the optional set-up step built with METIS into this Python environment."""
+    path = Path(sys.prefix) / "lib" / "libmumps_metis.so"
+    return path if path.is_file() else None
+
+
 @cache
-def system_library() -> Library | str:
-    """The sequential MUMPS of the system, or why there is none."""
-    path = ctypes.util.find_library("dmumps_seq")
+def system_library(dtype: str = "float64") -> Library | str:
+    """The sequential MUMPS of this environment or else of the system, or why there is none.
+
+    ``dtype`` is that of the factor: float64, complex128, float32 or complex64.
+    """
+    letter = ARITHMETIC[dtype]
+    own = _own_build()
+    path = str(own) if own else ctypes.util.find_library(f"{letter}mumps_seq")
     if path is None:
-        return f"no sequential MUMPS library (libdmumps_seq) was found; get it with: {SYSTEM_HINT}"
-    folders = (Path(sys.prefix) / "include", Path("/usr/local/include"), Path("/usr/include"))
-    headers = [folder / sub / "dmumps_c.h" for folder in folders for sub in ("", "mumps_seq", "MUMPS")]
-    reason = "its header dmumps_c.h was not found"
-    for header in filter(Path.is_file, headers):
+        return f"no sequential MUMPS library (lib{letter}mumps_seq) was found; get it with: {SYSTEM_HINT}"
+    folders = [Path(sys.prefix) / "include"] if own else [Path("/usr/local/include"), Path("/usr/include")]
+    places = [folder / sub for folder in folders for sub in ("mumps_seq", "MUMPS", "")]
+    reason = f"its header {letter}mumps_c.h was not found"
+    for place in places:
+        if not (place / f"{letter}mumps_c.h").is_file():
+            continue
         try:
-            return _open(path, header)
+            return _open(path, place, letter, low_rank=own is not None)
         except UnusableError as error:
             reason = str(error)
     return f"{path} cannot be used: {reason}; get both with: {SYSTEM_HINT}"
@@ -173,18 +193,20 @@ def casadi_file(folder: Path) -> Path | None:
 
 
 @cache
-def embedded_library() -> Library | str:
+def embedded_library(dtype: str = "float64") -> Library | str:
     """The MUMPS inside the CasADi wheel, or why it cannot be used."""
+    if dtype != "float64":
+        return f"the MUMPS of CasADi has no {dtype} arithmetic; get one that has it with: {SYSTEM_HINT}"
     folder = casadi_folder()
     path = casadi_file(folder) if folder else None
     if folder is None or path is None:
         return f"the CasADi package with its MUMPS library is not installed; get it with: {EMBEDDED_HINT}"
-    header = folder / "include" / "coin-or" / "mumps" / "dmumps_c.h"
-    if not header.is_file():
+    headers = folder / "include" / "coin-or" / "mumps"
+    if not (headers / "dmumps_c.h").is_file():
         return f"{path.name} of CasADi has no header dmumps_c.h; get a complete one with: {EMBEDDED_HINT}"
     try:
         # Its own OpenBLAS must not mix with another one whose symbols are global (an older one lacks
         # DGEMMT): the two share internal names, and the factor came out wrong without an error.
-        return _open(str(path), header, getattr(os, "RTLD_DEEPBIND", 0))
+        return _open(str(path), headers, "d", getattr(os, "RTLD_DEEPBIND", 0), low_rank=True)
     except UnusableError as error:
         return f"{path.name} of CasADi cannot be used: {error}"

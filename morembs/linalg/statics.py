@@ -1,11 +1,11 @@
 """Static solves with a stiffness matrix that has rigid-body modes, which is never factorised as it is.
 
-As many dofs as there are rigid modes are supported (statically determinate, so the supports carry
-nothing under loads in equilibrium); the rest K_c is positive definite. With rigid modes Z and
-constraints C' u = g, u = K_c^+ (f - C lam) + Z a follows from
+As many dofs as there are rigid modes are held by springs (statically determinate, so the springs carry
+nothing under loads in equilibrium); K_c = K + springs is positive definite and has the pattern of K. With
+rigid modes Z and constraints C' u = g, u = K_c^-1 (f - C lam) + Z a follows from
 
-    [ C'K_c^+C   -C'Z ] [lam]   [ C'K_c^+ f - g ]
-    [ -Z'C         0  ] [ a ] = [ -Z'f          ]
+    [ C'K_c^-1 C  -C'Z ] [lam]   [ C'K_c^-1 f - g ]
+    [ -Z'C          0  ] [ a ] = [ -Z'f           ]
 
 so one factorisation serves the free body (C = M Z: mean axes, inertia relief) and the body held at any
 interface (C = B), whatever its coupling.
@@ -22,13 +22,15 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError, SolverError
-from morembs.linalg.solver import Factorization, LinearSolver
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-BLOCK = 256
 IMPOSED = 1e-6
+# Columns of length n that exist beside a factor while it solves.
+RESERVED_COLUMNS = 48
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -41,25 +43,27 @@ def support_dofs(Z: Floats) -> Ints:
 
 
 class Statics:
-    """K_c^+ of a symmetric positive semidefinite ``K`` (N, N) with null space ``Z`` (N, r).
+    """K_c^-1 of the stiffness of ``pencil`` (N, N), positive semidefinite with null space ``Z`` (N, r).
 
     Raises:
         SingularMatrixError: K has more zero-energy motions than Z.
+        SolverError: no method fits into the memory budget.
     """
 
-    def __init__(self, K: sp.csr_array, Z: Floats, solver: LinearSolver) -> None:
-        self.K, self.Z, self.solver = K, Z, solver
-        kept = np.ones(K.shape[0], dtype=bool)
-        kept[support_dofs(Z)] = False
-        self.kept = np.flatnonzero(kept)
-        held = K if kept.all() else sp.csr_array(K[self.kept][:, self.kept])
-        self.factor = solver.factorize(held, "spd", what="the supported stiffness matrix")
+    def __init__(self, pencil: DynamicStiffness, Z: Floats) -> None:
+        self.pencil, self.Z = pencil, Z
+        supported = sprung(pencil.lower, support_dofs(Z)) if Z.shape[1] else pencil.lower
+        solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget, len(Z)))
+        self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
+
+    @property
+    def budget(self) -> Budget:
+        """The memory budget of the process."""
+        return self.pencil.budget
 
     def apply(self, F: Floats) -> Floats:
-        """K_c^+ F (N, k): displacements with the supports at rest."""
-        U = np.zeros(F.shape)
-        U[self.kept] = self.factor.solve(F[self.kept])
-        return U
+        """K_c^-1 F (N, k): displacements with the supports on springs."""
+        return np.asarray(self.factor.solve(F))
 
     def close(self) -> None:
         """Give the factor's memory back."""
@@ -77,16 +81,17 @@ class Statics:
 class Restricted:
     """The body on the subspace C' u = 0, with C (N, c) dense or sparse.
 
+    ``mean_axes`` says that C = M Z with the rigid modes Z, which the modes are orthogonal to anyway.
     Peak memory: one dense (N, c) array besides the factor.
 
     Raises:
         InputError: the constraints depend on each other or leave rigid motions free.
     """
 
-    def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str) -> None:
-        self.statics, self.C = statics, C
+    def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
+        self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = _in_blocks(statics.apply, C)
+        self.X = _in_blocks(statics.apply, C, statics.budget)
         E = C.T @ self.X
         H = C.T @ Z
         c, r = H.shape
@@ -126,7 +131,7 @@ class Restricted:
     def impose(self) -> tuple[Floats, Floats]:
         """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c)."""
         if self.border is None:
-            return np.zeros((self.statics.K.shape[0], 0)), np.zeros((0, 0))
+            return np.zeros((len(self.statics.Z), 0)), np.zeros((0, 0))
         rhs = np.zeros((len(self.scale), self.count))
         rhs[: self.count] = -np.eye(self.count)
         both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
@@ -141,34 +146,55 @@ class Restricted:
             )
         return U, -0.5 * (lam + lam.T)
 
-    def count_below(self, sigma: float, M: sp.csr_array) -> int:
-        """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester, Haynsworth 1968).
+    def count_below(self, sigma: float) -> int:
+        """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester).
 
-        One LDL' of K - sigma M: its negative pivots less those of C' (K - sigma M)^-1 C.
+        Rigid modes are simply not counted; rows that are held drop out of the matrix. For general constraints the
+        negative pivots of K - sigma M less those of C' (K - sigma M)^-1 C are the count (Haynsworth 1968).
 
         Raises:
             SolverError: eigenvalues lie so close to ``sigma`` that no count is possible.
         """
-        with self._shifted(sigma, M) as factor:
-            negative = factor.negative_pivots()
-            S = self.C.T @ _in_blocks(factor.solve, self.C)
-        if not self.count:
-            return negative
-        scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
-        return negative - int((sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0).sum())
-
-    def _shifted(self, sigma: float, M: sp.csr_array) -> Factorization:
-        """Factor of K - sigma M, sigma moved a little where it hits an eigenvalue."""
         for nudge in NUDGES:
-            A = sp.csc_array(self.statics.K - sigma * (1 + nudge) * M)
             try:
-                return self.statics.solver.factorize(A, "symmetric", what="K - sigma M")
+                return self._count_below(sigma * (1 + nudge))
             except SingularMatrixError:
                 continue
         raise SolverError(
             f"many eigenfrequencies crowd about {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
             "move the limit by a percent"
         )
+
+    def _count_below(self, sigma: float) -> int:
+        pencil = self.statics.pencil
+        A = pencil.shifted(sigma)
+        rows = None if self.mean_axes else unit_rows(self.C)
+        solver = pencil.solver.with_memory(room_for_factor(pencil.budget, A.n))
+        what = "K - sigma M"
+        if self.mean_axes:
+            return int(solver.negative_eigenvalues(A, what)) - self.count
+        if rows is not None:
+            return solver.negative_eigenvalues(held(A, rows), what)
+        with solver.factorize(A, "symmetric", what) as factor:
+            negative = factor.negative_pivots()
+            S = self.C.T @ _in_blocks(factor.solve, self.C, pencil.budget)
+        scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
+        return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
+
+
+def room_for_factor(budget: Budget, n: int) -> int | None:
+    """Bytes that a factorisation of ``n`` rows may take, blocks of columns for its solves left aside."""
+    budget.rest()
+    left = budget.left()
+    return None if left is None else max(0, left - RESERVED_COLUMNS * 8 * n)
+
+
+def unit_rows(C: Floats | sp.csc_array) -> Ints | None:
+    """Rows (c,) that C' u picks, where every column has a single entry; None otherwise."""
+    if isinstance(C, np.ndarray):
+        return None if C.shape[1] else np.empty(0, dtype=np.int64)
+    C = sp.csc_array(C)
+    return np.asarray(C.indices, dtype=np.int64) if (np.diff(C.indptr) == 1).all() else None
 
 
 def _scales(flexibility: Floats, H: Floats) -> Floats:
@@ -191,10 +217,12 @@ def dense(C: Floats | sp.csc_array) -> Floats:
     return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
 
 
-def _in_blocks(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array) -> Floats:
+def _in_blocks(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array, budget: Budget) -> Floats:
     """solve(C) as a dense (N, c) array, the columns made dense a block at a time."""
-    X = np.empty(C.shape, order="F")
-    for at in range(0, C.shape[1], BLOCK):
-        part = C[:, at : at + BLOCK]
-        X[:, at : at + BLOCK] = solve(dense(part))
+    X = budget.empty((C.shape[0], C.shape[1]), order="F")
+    width = budget.columns(C.shape[0])
+    for at in range(0, C.shape[1], width):
+        part = C[:, at : at + width]
+        X[:, at : at + width] = solve(dense(part))
+        budget.relax()
     return X

@@ -9,11 +9,13 @@ from typing import ClassVar, final
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
-from morembs.linalg.orthogonal import m_norms, m_orthonormal, remove
+from morembs.linalg.orthogonal import dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -84,8 +86,7 @@ class Reducer(ABC):
         """
         basis = self._basis(problem, progress)
         V = basis.V
-        M = V.T @ (problem.M @ V)
-        M = 0.5 * (M + M.T)
+        M = projected(V, problem.M, problem.budget)
         K = 0.5 * (basis.K + basis.K.T)
         if basis.holds_interfaces:
             B = np.zeros((V.shape[1], problem.B.shape[1]))
@@ -95,12 +96,31 @@ class Reducer(ABC):
             B = np.asarray((problem.B.T @ V).T)
         D = problem.damping.matrix(M, K, basis.rigid)
         if problem.D is not None:
-            D = D + V.T @ (problem.D @ V)
+            D = D + projected(V, problem.D, problem.budget)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         return ReducedModel(
             name=name or self.method, M=M, K=K, D=D, B=B, V=V, mode_kind=basis.kinds, rigid_count=basis.rigid.shape[1],
             recipe={"method": self.method, **options},
         )  # fmt: skip
+
+
+def projected(V: Floats, A: sp.csr_array, budget: Budget) -> Floats:
+    """V' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
+    width = budget.columns(len(V))
+    parts = [dot(V, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
+    whole = np.hstack(parts) if parts else np.zeros((0, 0))
+    return 0.5 * (whole + whole.T)
+
+
+def beside(*parts: Floats, budget: Budget) -> Floats:
+    """Columns of the ``parts`` (Nc, .) beside each other, where the budget wants them."""
+    V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
+    at = 0
+    for part in parts:
+        V[:, at : at + part.shape[1]] = part
+        at += part.shape[1]
+        budget.relax()
+    return V
 
 
 def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None:
@@ -133,7 +153,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(
-        V=np.hstack([basis.V, W]),
+        V=beside(basis.V, W, budget=problem.budget),
         kinds=basis.kinds + ("attachment",) * W.shape[1],
         K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
         rigid=np.vstack([basis.rigid, np.zeros((W.shape[1], basis.rigid.shape[1]))]),

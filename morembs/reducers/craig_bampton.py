@@ -20,7 +20,7 @@ import scipy.linalg as sl
 from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
+from morembs.reducers.base import Basis, Reducer, add_residual_modes, beside, chosen_modes
 from morembs.reducers.guyan import require_interfaces
 
 
@@ -53,7 +53,7 @@ class CraigBampton(Reducer):
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.internal.impose()
         basis = Basis(
-            V=np.hstack([constraint, fixed.vectors]),
+            V=beside(constraint, fixed.vectors, budget=problem.budget),
             kinds=("constraint",) * inputs + ("fixed-interface",) * len(fixed.eigenvalues),
             K=sl.block_diag(condensed, np.diag(fixed.eigenvalues)),
             # Rigid motion is that of the interfaces, without any internal coordinate.

@@ -14,7 +14,7 @@ import numpy as np
 
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
+from morembs.reducers.base import Basis, Reducer, add_residual_modes, beside, chosen_modes
 from morembs.reducers.guyan import require_interfaces
 
 
@@ -35,7 +35,7 @@ class FreeInterface(Reducer):
         Psi = problem.elastic.flexibility(problem.B.toarray())
         r, m = rigid.shape[1], Phi.shape[1]
         modes = Basis(
-            V=np.hstack([rigid, Phi]),
+            V=beside(rigid, Phi, budget=problem.budget),
             kinds=("rigid",) * r + ("elastic",) * m,
             K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues])),
             rigid=np.eye(r + m, r),

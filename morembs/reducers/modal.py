@@ -10,7 +10,7 @@ import numpy as np
 from morembs.errors import InputError, nearest
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, chosen_modes
+from morembs.reducers.base import Basis, Reducer, beside, chosen_modes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class Modal(Reducer):
             rigid, kind = problem.rigid, "elastic"
         r, m = rigid.shape[1], len(modes.eigenvalues)
         return Basis(
-            V=np.hstack([rigid, modes.vectors]),
+            V=beside(rigid, modes.vectors, budget=problem.budget),
             kinds=("rigid",) * r + (kind,) * m,
             K=np.diag(np.concatenate([np.zeros(r), modes.eigenvalues])),
             rigid=np.eye(r + m, r),

@@ -1,0 +1,129 @@
+"""The resident memory that a process may use, and the disk for what does not fit.
+
+Large arrays can live in scratch files that are mapped into memory. ``rest`` lets go of their pages: the values
+stay in the file (and in the cache of the operating system), the resident memory of the process falls.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from morembs.errors import OutputError
+from morembs.scratch import ScratchFolder
+
+Values = NDArray[Any]
+# Arrays below this size are never worth a file.
+_SMALL = 16_000_000
+# Part of the budget that arrays may take in memory before they go to files.
+_IN_MEMORY = 0.02
+# Part of what is left that one block of columns may take.
+_BLOCK_SHARE = 0.25
+_WIDEST = 256
+# Less than this part of the budget left is tight.
+_TIGHT = 0.3
+# Where no budget is given, this part of the memory that the machine has free.
+_OF_MACHINE = 0.9
+
+
+def resident_bytes() -> int:
+    """Resident memory of this process now; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * mmap.PAGESIZE
+    except OSError:
+        return 0
+
+
+def available_bytes() -> int | None:
+    """Memory that this machine (or the control group of this process) has free, None where it does not tell."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            fields = dict(line.split(":", 1) for line in file)
+        return int(fields["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        return None
+
+
+@dataclass(eq=False)
+class Budget:
+    """``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the
+    temporary folder of the system)."""
+
+    memory: int | None = None
+    scratch: Path | None = None
+    _folder: ScratchFolder | None = field(default=None, repr=False)
+    _maps: list[mmap.mmap] = field(default_factory=list, repr=False)
+    _count: int = field(default=0, repr=False)
+
+    def left(self) -> int | None:
+        """Bytes that may still be allocated; None without a limit."""
+        return None if self.memory is None else self.memory - resident_bytes()
+
+    def columns(self, n: int, copies: int = 4, widest: int = _WIDEST) -> int:
+        """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two."""
+        left = self.left()
+        if left is None:
+            return widest
+        width = int(_BLOCK_SHARE * max(left, 0) / (8 * n * copies))
+        return max(4, min(widest, 1 << max(width, 1).bit_length() - 1))
+
+    def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64, order: str = "C") -> Values:
+        """An array of zeros or of nothing in particular, in memory or in a scratch file.
+
+        Raises:
+            OutputError: the scratch folder is full.
+        """
+        kind = np.dtype(dtype)
+        size = int(np.prod(shape)) * kind.itemsize
+        if self.memory is None or size < max(_SMALL, _IN_MEMORY * self.memory):
+            return np.zeros(shape, dtype=kind, order="F" if order == "F" else "C")
+        return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
+
+    def rest(self) -> None:
+        """Let go of the pages of all arrays in files."""
+        for mapped in self._maps:
+            if hasattr(mmap, "MADV_DONTNEED"):
+                mapped.madvise(mmap.MADV_DONTNEED)
+
+    def relax(self) -> None:
+        """As ``rest``, where the budget is nearly used up: for loops over large arrays."""
+        left = self.left()
+        if left is not None and self._maps and left < _TIGHT * (self.memory or 0):
+            self.rest()
+
+    def close(self) -> None:
+        """Remove the files; arrays in them stay readable as long as somebody holds them."""
+        self._maps.clear()
+        if self._folder is not None:
+            self._folder.close()
+            self._folder = None
+
+    def _map(self, size: int) -> mmap.mmap:
+        if self._folder is None:
+            self._folder = ScratchFolder(self.scratch)
+        self._count += 1
+        path = self._folder.path / f"array-{self._count}"
+        with open(path, "w+b") as file:
+            try:
+                # Reserved now: a full disk would otherwise end the process when a page is written.
+                os.posix_fallocate(file.fileno(), 0, size)
+            except OSError as error:
+                raise OutputError(
+                    f"the scratch folder {self._folder.path.parent} has no room for {size / 1e9:.2f} GB more "
+                    f"({error.strerror}); make room, or give another scratch folder or more memory"
+                ) from error
+            mapped = mmap.mmap(file.fileno(), size)
+        # Nothing needs the name any more: the file is gone as soon as nobody maps it.
+        path.unlink()
+        self._maps.append(mapped)
+        return mapped
+
+
+UNLIMITED = Budget()

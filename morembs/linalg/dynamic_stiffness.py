@@ -1,0 +1,176 @@
+"""A(s) = s^2 M + s D + K on one pattern, so that one symbolic analysis serves all shifts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.errors import InputError
+from morembs.linalg.solver import Analysis, Factorization, LinearSolver
+from morembs.linalg.symmetric import Lower
+
+Values = NDArray[Any]
+Ints = NDArray[Any]
+_CHUNK = 1 << 22
+
+
+class DynamicStiffness:
+    """The pencil of ``K``, ``M`` and optionally ``D`` (N, N), symmetric. A context manager.
+
+    ``lower`` is the lower triangle of K on the union of the patterns. Peak memory: that triangle, one more of
+    it for each A(s), and 4 bytes for each entry of M and D.
+
+    Raises:
+        InputError: matrices that are not symmetric, not finite, or of different sizes.
+    """
+
+    def __init__(
+        self, K: sp.csr_array, M: sp.csr_array, D: sp.csr_array | None = None, *, solver: LinearSolver,
+        budget: Budget = UNLIMITED,
+    ) -> None:  # fmt: skip
+        self.solver, self.budget = solver, budget
+        stiffness = Lower.of(K, "the stiffness matrix")
+        parts = [Lower.of(A, what) for A, what in ((M, "the mass matrix"), (D, "the damping matrix")) if A is not None]
+        if any(part.n != stiffness.n for part in parts):
+            raise InputError(
+                f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
+            )
+        for part in parts:
+            stiffness = _widened(stiffness, part)
+        self.lower = _kept(stiffness, budget)
+        self._added = [(_kept_array(_places(stiffness, part), budget), part.data) for part in parts]
+        self._analyses: dict[str, Analysis] = {}
+
+    def at(self, s: complex) -> Lower:
+        """Lower triangle of A(s): real for real ``s``, and for imaginary ``s`` without damping."""
+        scales = [s * s, s][: len(self._added)]
+        real = all(complex(scale).imag == 0.0 for scale in scales)
+        data: Values = np.array(self.lower.data, dtype=np.float64 if real else np.complex128)
+        for scale, (place, values) in zip(scales, self._added, strict=True):
+            factor = complex(scale).real if real else scale
+            for first in range(0, len(place), _CHUNK):
+                part = slice(first, first + _CHUNK)
+                data[place[part]] += factor * values[part]
+        return replace(self.lower, data=data)
+
+    def shifted(self, sigma: float) -> Lower:
+        """Lower triangle of K - sigma M."""
+        place, values = self._added[0]
+        data = np.array(self.lower.data)
+        for first in range(0, len(place), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            data[place[part]] -= sigma * values[part]
+        return replace(self.lower, data=data)
+
+    def factorize(self, s: complex, structure: str | None = None) -> Factorization:
+        """Factor of A(s), which lives until the next one of the same structure; the analysis is shared.
+
+        ``structure`` None: "symmetric", or "complex-symmetric" where A(s) is complex.
+
+        Raises:
+            SingularMatrixError: ``s`` is an eigenvalue.
+            SolverError: the backend failed or the budget is too small.
+        """
+        A = self.at(s)
+        if structure is None:
+            structure = "complex-symmetric" if A.data.dtype.kind == "c" else "symmetric"
+        what = f"s^2 M + s D + K at s = {s:.6g}"
+        if structure not in self._analyses:
+            self.budget.rest()
+            self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
+        return self._analyses[structure].factorize(A, what)
+
+    def close(self) -> None:
+        """Release all factors."""
+        for analysis in self._analyses.values():
+            analysis.close()
+        self._analyses.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def held(A: Lower, rows: NDArray[np.int64]) -> Lower:
+    """``A`` on the subspace where ``rows`` vanish, padded there with their largest diagonal: same pattern."""
+    data = np.array(A.data)
+    on = np.zeros(A.n, dtype=bool)
+    on[rows] = True
+    scale = float(np.abs(A.diagonal()).max())
+    for first in range(0, A.n, _CHUNK >> 5):
+        last = min(first + (_CHUNK >> 5), A.n)
+        begin, end = A.indptr[first], A.indptr[last]
+        column = np.repeat(np.arange(first, last), np.diff(A.indptr[first : last + 1]))
+        row = A.indices[begin:end]
+        out = on[column] | on[row]
+        data[begin:end][out] = np.where(row[out] == column[out], scale, 0.0)
+    return replace(A, data=data)
+
+
+def sprung(A: Lower, rows: NDArray[np.int64]) -> Lower:
+    """``A`` with a spring to the ground at ``rows``, each as stiff as its diagonal."""
+    data = np.array(A.data)
+    # The first entry of a column is its diagonal, as a stiffness has one in every row.
+    first = A.indptr[rows]
+    if not np.array_equal(A.indices[first], rows):
+        raise InputError("the stiffness matrix has rows without a diagonal entry; remove these dofs")
+    data[first] *= 2.0
+    return replace(A, data=data)
+
+
+def _widened(A: Lower, other: Lower) -> Lower:
+    """``A`` with explicit zeros where only ``other`` has entries."""
+    if (_places(A, other) >= 0).all():
+        return A
+    shape = (A.n, A.n)
+    one, two = (sp.csc_array((np.ones(B.nnz, dtype=np.int8), B.indices, B.indptr), shape=shape) for B in (A, other))
+    union = sp.csc_array(one + two)
+    union.sort_indices()
+    wide = Lower(union.indptr, union.indices, np.zeros(union.nnz, dtype=A.data.dtype))
+    wide.data[_places(wide, A)] = A.data
+    return wide
+
+
+def _places(A: Lower, other: Lower) -> Ints:
+    """Where (nnz of other,) each entry of ``other`` lies in ``A``; -1 where it does not."""
+    place = np.empty(other.nnz, dtype=A.indptr.dtype)
+    rows = max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
+    for first in range(0, A.n, rows):
+        last = min(first + rows, A.n)
+        keys = [_keys(B, first, last) for B in (A, other)]
+        begin, end = other.indptr[first], other.indptr[last]
+        found = np.searchsorted(keys[0], keys[1])
+        missing = found == len(keys[0])
+        found[missing] = 0
+        missing |= keys[0][found] != keys[1] if len(keys[0]) else True
+        place[begin:end] = np.where(missing, -1, found + A.indptr[first])
+    return place
+
+
+def _keys(A: Lower, first: int, last: int) -> NDArray[np.int64]:
+    """One ascending number for each entry of the columns ``first`` to ``last``."""
+    column = np.repeat(np.arange(last - first, dtype=np.int64), np.diff(A.indptr[first : last + 1]))
+    return np.asarray(column * A.n + A.indices[A.indptr[first] : A.indptr[last]], dtype=np.int64)
+
+
+def _kept(A: Lower, budget: Budget) -> Lower:
+    return Lower(*(_kept_array(array, budget) for array in (A.indptr, A.indices, A.data)))
+
+
+def _kept_array(array: Values, budget: Budget) -> Values:
+    """``array`` where the budget wants it."""
+    if budget.memory is None:
+        return array
+    copy = budget.empty(array.shape, array.dtype)
+    copy[:] = array
+    return copy

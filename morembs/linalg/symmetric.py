@@ -1,0 +1,143 @@
+"""Lower triangle of a sparse symmetric matrix: what factorisations of symmetric matrices read."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, SingularMatrixError
+
+Values = NDArray[Any]
+Ints = NDArray[Any]
+# Rows handled at once: the temporaries of a piece stay small beside the matrix.
+_ROWS = 1 << 17
+# Relative difference between the two triangles that is still round-off of an assembly.
+SYMMETRIC = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Lower:
+    """Lower triangle of a symmetric (n, n) matrix by columns, row numbers ascending, no duplicates.
+
+    Read by rows the same arrays are the upper triangle. Real or complex symmetric (not Hermitian).
+    """
+
+    indptr: Ints
+    indices: Ints
+    data: Values
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return len(self.indptr) - 1
+
+    @property
+    def nnz(self) -> int:
+        """Number of stored entries."""
+        return len(self.indices)
+
+    @cached_property
+    def pattern(self) -> int:
+        """A checksum of the pattern, equal for matrices that can share a symbolic analysis."""
+        start = zlib.crc32(self.indptr.view(np.uint8))
+        return zlib.crc32(self.indices.view(np.uint8), start)
+
+    @classmethod
+    def of(cls, A: sp.sparray | Lower, what: str = "the matrix") -> Lower:
+        """Lower triangle of ``A``, which is checked.
+
+        Peak memory: the triangle itself and a piece of it.
+
+        Raises:
+            InputError: not square, empty, not symmetric, or values that are not finite.
+            SingularMatrixError: a row or column without any value but zero.
+        """
+        if isinstance(A, Lower):
+            return A
+        if A.ndim != 2 or A.shape[0] != A.shape[1]:
+            raise InputError(f"{what} has the shape {A.shape}; a square one is needed")
+        if A.shape[0] == 0:
+            raise InputError(f"{what} has no rows; nothing can be solved with it")
+        if not isinstance(A, sp.csr_array) or not A.has_canonical_format:
+            A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
+            A.sum_duplicates()
+        _check_values(A, what)
+        counts, pieces = [], []
+        for first in range(0, A.shape[0], _ROWS):
+            last = min(first + _ROWS, A.shape[0])
+            begin, end = A.indptr[first], A.indptr[last]
+            row = np.repeat(np.arange(first, last, dtype=A.indices.dtype), np.diff(A.indptr[first : last + 1]))
+            keep = A.indices[begin:end] >= row
+            counts.append(np.bincount(row[keep] - first, minlength=last - first))
+            pieces.append((A.indices[begin:end][keep], A.data[begin:end][keep]))
+        indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(A.indptr.dtype)
+        indices = np.concatenate([piece[0] for piece in pieces])
+        return cls(indptr, indices, np.concatenate([piece[1] for piece in pieces]))
+
+    def columns(self) -> Ints:
+        """Column number (nnz,) of each entry."""
+        return np.repeat(np.arange(self.n, dtype=self.indices.dtype), np.diff(self.indptr))
+
+    def full(self) -> sp.csc_array:
+        """Both triangles, for algorithms that need them."""
+        half = sp.csc_array((self.data, self.indices, self.indptr), shape=(self.n, self.n))
+        strict = sp.csc_array(half.T)
+        strict.setdiag(0.0)
+        whole = sp.csc_array(half + strict)
+        whole.sort_indices()
+        return whole
+
+    def diagonal(self) -> Values:
+        """Diagonal (n,)."""
+        result = np.zeros(self.n, dtype=self.data.dtype)
+        begin = self.indptr[:-1]
+        held = np.flatnonzero(np.diff(self.indptr) > 0)
+        first = begin[held]
+        on = self.indices[first] == held
+        result[held[on]] = self.data[first[on]]
+        return result
+
+    def __matmul__(self, X: Values) -> Values:
+        """A X for (n,) or (n, k)."""
+        half = sp.csc_array((self.data, self.indices, self.indptr), shape=(self.n, self.n))
+        result = half @ X
+        result += half.T @ X
+        d = self.diagonal()
+        result -= (d if X.ndim == 1 else d[:, None]) * X
+        return np.asarray(result)
+
+    def largest_in_rows(self) -> NDArray[np.float64]:
+        """Largest magnitude (n,) of each row of the whole matrix."""
+        size = np.zeros(self.n)
+        for first in range(0, self.n, _ROWS):
+            last = min(first + _ROWS, self.n)
+            begin, end = self.indptr[first], self.indptr[last]
+            values = np.abs(self.data[begin:end])
+            column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
+            np.maximum.at(size, column, values)
+            np.maximum.at(size, self.indices[begin:end], values)
+        return size
+
+
+def _check_values(A: sp.csr_array, what: str) -> None:
+    if not np.isfinite(A.data).all():
+        raise InputError(f"{what} has values that are not finite; check the input matrices")
+    x = np.random.default_rng(11).standard_normal(A.shape[0])
+    size = np.asarray(np.sqrt(abs(A.diagonal())))
+    x = np.divide(x, size, out=x, where=size > 0)
+    one, other = A @ x, A.T @ x
+    if np.linalg.norm(one - other) > SYMMETRIC * (np.linalg.norm(one) + np.linalg.norm(other)):
+        raise InputError(f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping")
+    if not A.nnz:
+        raise SingularMatrixError(f"{what} is zero")
+    empty = np.flatnonzero(np.diff(A.indptr) == 0)
+    if len(empty):
+        raise SingularMatrixError(
+            f"{what} has {len(empty)} rows that are zero (the first is row {empty[0]}); remove these dofs"
+        )
