@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +21,7 @@ from morembs import __version__
 from morembs.check import check_job
 from morembs.errors import InputError, MorembsError
 from morembs.job import load_job
+from morembs.linalg.interruptible import calls_running
 from morembs.linalg.select import available_solvers
 from morembs.progress import Progress
 from morembs.report import print_forecast, print_result, print_stored, result_json, stored_json
@@ -209,6 +211,12 @@ def main() -> None:
         signal.signal(number, _stop)
     try:
         app()
+    except SystemExit as end:
+        if calls_running():
+            # A library still computes in another thread; ending as usual would take its memory from under it.
+            sys.stdout.flush()
+            os._exit(end.code if isinstance(end.code, int) else BAD_INPUT)
+        raise
     except OSError as error:
         # Everything else that cannot be written has its own message: this is standard output.
         typer.echo(f"error: the output cannot be printed ({error.strerror}); the results are written", err=True)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.budget import Budget
 from morembs.compare import FrequencyResponse, Shapes, frequency_response, mode_shapes
 from morembs.errors import InputError
 from morembs.fem import assemble
@@ -17,8 +18,8 @@ from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
 from morembs.job import Job
 from morembs.linalg.select import select_solver
-from morembs.linalg.solver import LinearSolver
-from morembs.linalg.superlu import SuperLU
+from morembs.linalg.solver import FactorStats, LinearSolver
+from morembs.linalg.threads import limit_threads
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh
 from morembs.picture import draw
@@ -38,17 +39,23 @@ BAND_POINTS = 400
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobResult:
-    """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model."""
+    """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
+    ``factor`` is the cost of the one factorisation."""
 
     job: Job
     nodes: int
     elements: int
     dofs: int
     bodies: tuple[ElasticBody, ...]
-    solver: str
+    factor: FactorStats
     stages: tuple[Stage, ...]
     response: FrequencyResponse | None = None
     shapes: Shapes | None = None
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver that made the factor."""
+        return self.factor.backend
 
 
 def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
@@ -60,14 +67,20 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
     watch = Stopwatch(progress)
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        return _run(job, solver, materials, budget, watch)
+
+
+def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> JobResult:
+    progress = watch.progress
     with watch.stage("read"):
         mesh = read_mesh(job.resolve(job.tables.model.mesh), units_of(job))
     with watch.stage("assemble"):
         integration = job.tables.model.mass_integration
-        model = assemble(mesh, materials, mass_integration=integration, progress=progress)
+        model = assemble(mesh, materials, mass_integration=integration, budget=budget, progress=progress)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
-        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), progress=progress)
+        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
     with problem:
         bodies = _reduce(job, problem, watch)
         response = None
@@ -75,16 +88,16 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
         shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
-        name = problem.solver_name
+        factor = problem.statics.factor.stats
     with watch.stage("write"):
-        provenance = _provenance(job, name, watch.stages)
+        provenance = _provenance(job, factor, watch.stages)
         write_body(job.output, bodies, recipe=_recipe(job, model), provenance=provenance, progress=progress)
     if job.picture is not None:
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
     return JobResult(
         job=job, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=model.size, bodies=bodies,
-        solver=name, stages=tuple(watch.stages), response=response, shapes=shapes,
+        factor=factor, stages=tuple(watch.stages), response=response, shapes=shapes,
     )  # fmt: skip
 
 
@@ -169,10 +182,7 @@ def solver_of(job: Job) -> LinearSolver:
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
-    solver = select_solver(given.name, memory=job.memory, scratch=scratch)
-    if job.memory is not None and isinstance(solver, SuperLU):
-        log.warning("the solver superlu keeps no memory budget; [solver] memory is not used")
-    return solver
+    return select_solver(given.name, memory=job.memory, scratch=scratch)
 
 
 def prepare_output(job: Job) -> None:
@@ -232,10 +242,11 @@ def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     return {**asked, "dofs": model.size, "source": model.source}
 
 
-def _provenance(job: Job, solver: str, stages: Sequence[Stage]) -> dict[str, object]:
+def _provenance(job: Job, factor: FactorStats, stages: Sequence[Stage]) -> dict[str, object]:
     return {
         "job": job.text,
-        "solver": solver,
+        "solver": factor.backend,
+        "factor": asdict(factor),
         "seconds": {stage.name: stage.seconds for stage in stages},
         "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in stages},
     }

@@ -65,8 +65,8 @@ class Library:
     def serial_loops(self) -> Iterator[None]:
         """Run the small loops of CHOLMOD itself in one thread, for the calls that this thread makes inside.
 
-        They ask for four OpenMP threads, which then spin between the loops and take the processors from the
-        threads of the BLAS: a factorisation took ten times as long.
+        They ask for OpenMP threads that spin between the loops and take the processors from the threads of the
+        BLAS: with one for each processor of a busy machine, a factorisation took ten times as long.
         """
         if self.openmp is None:
             yield

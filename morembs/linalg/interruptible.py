@@ -17,6 +17,12 @@ from morembs.progress import SILENT, Progress
 T = TypeVar("T")
 # How often news of a long call is given, in seconds.
 _TICK = 0.5
+_NAME = "morembs-call"
+
+
+def calls_running() -> bool:
+    """Whether a call goes on that nobody waits for: the libraries it uses must not be unloaded then."""
+    return any(thread.name == _NAME for thread in threading.enumerate())
 
 
 class LongCalls:
@@ -50,7 +56,7 @@ class LongCalls:
             return function(*args)
         job = _Job(function, args, free)
         start = time.perf_counter()
-        worker = threading.Thread(target=job.run, daemon=True)
+        worker = threading.Thread(target=job.run, daemon=True, name=_NAME)
         try:
             worker.start()
             while not job.done.wait(_TICK):

@@ -102,7 +102,11 @@ class _MixedFactor(Factorization):
 
     def _iterate(self, B: Values) -> Values | None:
         found = conjugate_gradients(
-            lambda X: np.asfortranarray(self._A @ X), self._rough._solve, B, norm=self._norm, max_steps=MOST_STEPS
+            lambda X: np.asfortranarray(self._A @ X),
+            lambda R: self._rough._solve(R.copy(order="F")),
+            B,
+            norm=self._norm,
+            max_steps=MOST_STEPS,
         )
         log.debug("%d steps to a backward error of %.1e", found.steps, found.residual.max(initial=0.0))
         return None if found.stagnated else found.X

@@ -6,8 +6,6 @@ Numbers of controls are those of the manual: ICNTL(k), CNTL(k), INFOG(k), RINFOG
 from __future__ import annotations
 
 import ctypes
-import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
+from morembs.linalg.interruptible import LongCalls
 from morembs.linalg.mumps_library import USE_COMM_WORLD, Library
 from morembs.linalg.symmetric import Lower
 from morembs.progress import SILENT, Progress
@@ -32,22 +31,19 @@ _WORDS = {
     -51: "the graph is too large for 32-bit integers", -52: "the graph is too large for 32-bit integers",
     -90: "the scratch folder cannot be written or is full",
 }  # fmt: skip
-# How often news of a long job is given.
-_TICK = 0.5
 
 
 class Instance:
     """MUMPS between JOB = -1 and JOB = -2.
 
-    A job runs in a thread of its own while the main thread waits, so that a signal ends the wait at once.
-    The job itself cannot be stopped: the instance is then abandoned, and freed when the job has ended.
+    A signal ends the wait for a job at once. The job itself cannot be stopped: the instance is then abandoned,
+    and freed when the job has ended.
     """
 
     def __init__(self, library: Library, structure: str, dtype: Any) -> None:
         self.library = library
         self.dtype = np.dtype(dtype)
-        self._abandoned = False
-        self._guard = threading.Lock()
+        self._calls = LongCalls()
         # MUMPS keeps the addresses: these have to live as long as it may read them.
         self._held: dict[str, Values] = {}
         # None where MUMPS has no instance: a call would end the process without a message.
@@ -138,30 +134,8 @@ class Instance:
 
     def run(self, job: int, progress: Progress = SILENT, news: str = "") -> int:
         """Run a job; returns INFOG(1), which is negative when it failed."""
-        if threading.current_thread() is not threading.main_thread():
-            self.library.call(self._data, job)
-            return self.info(1)
-        done = threading.Event()
-        worker = threading.Thread(target=self._work, args=(job, done), daemon=True)
-        start = time.perf_counter()
-        worker.start()
-        try:
-            while not done.wait(_TICK):
-                progress.update(f"{news} {time.perf_counter() - start:.0f} s".strip())
-        except BaseException:
-            with self._guard:
-                self._abandoned = not done.is_set()
-            raise
-        worker.join()
+        self._calls.call(self.library.call, self._data, job, free=self._end, progress=progress, news=news)
         return self.info(1)
-
-    def _work(self, job: int, done: threading.Event) -> None:
-        self.library.call(self._data, job)
-        with self._guard:
-            done.set()
-            mine = self._abandoned
-        if mine:
-            self._end()
 
     def solve_dense(self, B: Values) -> None:
         """Overwrite the Fortran-ordered ``B`` (n, k) with the solution."""
@@ -199,7 +173,7 @@ class Instance:
             if self.run(SOLVE) < 0:
                 raise self.error("solution")
         finally:
-            if not self._abandoned:
+            if not self._calls.abandoned:
                 for name in ("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr"):
                     self.give(name, None)
 
@@ -216,7 +190,7 @@ class Instance:
 
     def end(self) -> None:
         """Free the memory and the files of MUMPS; a second call does nothing."""
-        if self._data is not None and not self._abandoned:
+        if self._data is not None and not self._calls.abandoned:
             self._end()
 
     def _end(self) -> None:

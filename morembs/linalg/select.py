@@ -23,8 +23,8 @@ SOLVERS: dict[str, type[LinearSolver]] = {
     solver.name: solver for solver in (Mumps, EmbeddedMumps, Mixed, Cholmod, Umfpack, Amg, SuperLU)
 }
 # What "auto" takes, the best first: fast in memory, then those that need less of it.
-FAST = ("mumps", "mumps-embedded", "superlu")
-LEAN = ("mumps", "mumps-embedded", "mumps-mixed")
+FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
+LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg")
 
 
 def available_solvers() -> dict[str, str]:

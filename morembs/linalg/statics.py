@@ -172,7 +172,7 @@ class Restricted:
         solver = pencil.solver.with_memory(room_for_factor(pencil.budget, A.n))
         what = "K - sigma M"
         if self.mean_axes:
-            return int(solver.negative_eigenvalues(A, what)) - self.count
+            return solver.negative_eigenvalues(A, what) - int(self.count)
         if rows is not None:
             return solver.negative_eigenvalues(held(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:

@@ -45,8 +45,8 @@ class Lower:
     @cached_property
     def pattern(self) -> int:
         """A checksum of the pattern, equal for matrices that can share a symbolic analysis."""
-        start = zlib.crc32(self.indptr.view(np.uint8))
-        return zlib.crc32(self.indices.view(np.uint8), start)
+        buffers: list[Any] = [self.indptr.view(np.uint8), self.indices.view(np.uint8)]
+        return zlib.crc32(buffers[1], zlib.crc32(buffers[0]))
 
     @classmethod
     def of(cls, A: sp.sparray | Lower, what: str = "the matrix") -> Lower:
