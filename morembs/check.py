@@ -1,27 +1,23 @@
-"""Checks a job and forecasts its size without assembling or factorising anything.
-
-The forecast of the factor comes from measured nested-dissection factors of quadratic tetrahedra in compact
-bodies: entries = 24 N^(4/3) (measured 18.6 to 26.2 times N^(4/3) from 26 thousand to 2 million dofs; a slender
-body needs about half), 11 bytes each in memory, 35 % of that out of core. SuperLU stores 5.7 times as many.
-"""
+"""Checks a job and forecasts its cost without assembling or factorising anything."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.budget import Budget, available_bytes, resident_bytes
 from morembs.elements import TYPES
 from morembs.errors import InputError
-from morembs.fem import check_mesh
+from morembs.fem import check_mesh, stiffness_pattern
+from morembs.forecast import Cost, JobForecast, forecast_cost
 from morembs.importers import read_mesh
 from morembs.interface import Interface, couple
 from morembs.job import Job
+from morembs.linalg.threads import blas_threads, limit_threads
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
 from morembs.progress import SILENT, Progress
 from morembs.run import (
@@ -34,54 +30,23 @@ from morembs.run import (
     solver_of,
     units_of,
 )
+from morembs.scratch import free_bytes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-ENTRIES = 24.0
-BYTES_PER_ENTRY = 11.0
-OUT_OF_CORE = 0.35
-FILL = {"superlu": 5.7}
-BYTES_PER_NONZERO = 12
-# Bytes of all dense columns (basis, Krylov spaces of modes and response) against those of the basis, measured.
-COPIES = 12
 # More pieces than this are not searched for hinges.
 MANY_PIECES = 300
 
 
-@dataclass(frozen=True, kw_only=True)
-class Forecast:
-    """What a job will need. Bytes are rough: a compact body is assumed, a slender one needs a
-    third or less for its factor. ``extent`` (3,) in m."""
-
-    solver: str
-    nodes: int
-    elements: int
-    dofs: int
-    coupled_dofs: int
-    rigid_modes: int
-    stiffness_nonzeros: int
-    mass_nonzeros: int
-    matrices_bytes: int
-    factor_entries: int
-    factor_bytes: int
-    factor_out_of_core_bytes: int
-    columns_bytes: int
-    total_bytes: int
-    extent: tuple[float, float, float]
-    interface_nodes: dict[str, int]
-    warnings: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The fields as plain values."""
-        return {**asdict(self), "warnings": list(self.warnings)}
-
-
-def check_job(job: Job, progress: Progress = SILENT) -> Forecast:
+def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     """Check everything that can be checked without a factorisation, and forecast the cost.
+
+    Peak memory: the stiffness pattern and its triangle; the budget of the job is kept here too.
 
     Raises:
         MorembsError: what ``run_job`` would refuse too.
     """
+    start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
@@ -96,8 +61,8 @@ def check_job(job: Job, progress: Progress = SILENT) -> Forecast:
     model = FEModel(K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, source=mesh.source)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
-    coupled = coupling.T.shape[1]
-    refuse_reductions_that_do_not_fit(job, coupled, coupling.B.shape[1])
+    coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
+    refuse_reductions_that_do_not_fit(job, coupled, inputs)
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.coupling == "rigid"])
     if rigid > 6:
@@ -105,37 +70,39 @@ def check_job(job: Job, progress: Progress = SILENT) -> Forecast:
             f"the model has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that "
             "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
         )
-    columns = coupling.B.shape[1] + job.tables.check.full_modes
-    columns += max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
-    return _forecast(job, mesh, graph.nnz, coupled, rigid, columns, solver.name, interfaces)
-
-
-def _forecast(
-    job: Job, mesh: Mesh, graph: int, coupled: int, rigid: int, columns: int, solver: str,
-    interfaces: Sequence[Interface],
-) -> Forecast:  # fmt: skip
-    entries = int(FILL.get(solver, 1.0) * ENTRIES * coupled ** (4 / 3))
-    # K and M of the model, and again in coupled dofs where interfaces are rigid.
-    copies = 1 + any(interface.coupling == "rigid" for interface in interfaces)
-    matrices = copies * BYTES_PER_NONZERO * 12 * graph
-    factor = int(BYTES_PER_ENTRY * entries)
-    out_of_core = factor if solver == "superlu" else int(OUT_OF_CORE * factor)
-    dense = COPIES * 8 * coupled * columns
-    held = factor if job.memory is None else min(factor, max(job.memory, out_of_core))
-    warnings = []
-    if job.memory is not None and factor > job.memory and solver != "superlu":
-        warnings.append(
-            f"the factors may exceed the budget of {job.tables.solver.memory} and then go into the scratch folder"
-        )
+    progress.stage("analyse")
+    columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
+    columns = max(columns, job.tables.check.full_modes)
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        cost = forecast_cost(stiffness_pattern(graph, budget), coupling.T, columns, solver, budget, start)
+        threads = blas_threads()
+    plan = cost.plan
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
-    return Forecast(
-        solver=solver, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=3 * len(mesh.nodes),
-        coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=9 * graph, mass_nonzeros=3 * graph,
-        matrices_bytes=matrices, factor_entries=entries, factor_bytes=factor,
-        factor_out_of_core_bytes=out_of_core, columns_bytes=dense,
-        total_bytes=matrices + held + dense, extent=(x, y, z),
-        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces}, warnings=tuple(warnings),
+    return JobForecast(
+        solver=plan.backend, choice=cost.choice, nodes=len(mesh.nodes), elements=count_elements(mesh),
+        dofs=size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz,
+        mass_nonzeros=3 * graph.nnz, matrices_bytes=12 * 12 * graph.nnz, factor_entries=plan.factor_entries,
+        factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk, columns_bytes=cost.columns,
+        peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads, extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        warnings=_warnings(cost, solver.scratch),
     )  # fmt: skip
+
+
+def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
+    """What may go wrong on this machine."""
+    found = []
+    available = available_bytes()
+    if available is not None and cost.peak > available:
+        found.append(
+            f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
+            "memory budget and a scratch folder"
+        )
+    if cost.plan.disk > (free := free_bytes(scratch)):
+        found.append(
+            f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give another folder"
+        )
+    return tuple(found)
 
 
 def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:

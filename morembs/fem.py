@@ -44,6 +44,16 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
     return _node_graph(mesh)
 
 
+def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr_array:
+    """Matrix (3 n, 3 n) of ones with the pattern of the stiffness on the node ``graph`` (n, n) of ``check_mesh``."""
+    indptr, indices = _scalar_pattern(graph, budget, full=True)
+    ones = budget.empty(len(indices))
+    ones[:] = 1.0
+    K = sp.csr_array((ones, indices, indptr), shape=(3 * graph.shape[0],) * 2)
+    K.has_canonical_format = True
+    return K
+
+
 def assemble(
     mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
     progress: Progress = SILENT,

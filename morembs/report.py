@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from morembs.body import ElasticBody
-from morembs.check import Forecast
+from morembs.forecast import JobForecast
 from morembs.run import JobResult
 from morembs.storage import StoredBodies
 
@@ -105,6 +105,8 @@ def print_result(console: Console, result: JobResult) -> None:
         f"{result.dofs:,} degrees of freedom, solver {result.solver}",
         highlight=False,
     )
+    if result.choice:
+        console.print(f"  solver: {result.choice}", highlight=False, soft_wrap=True)
     for body in result.bodies:
         console.print(f"  {body.name}: {_words(body.reduced.mode_kind)}", highlight=False)
     # Side by side as far as 80 columns hold them.
@@ -146,19 +148,26 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
     _titled(console, "mass properties", _mass(stored.mass, stored.center_of_mass, stored.inertia))
 
 
-def print_forecast(console: Console, job: str, forecast: Forecast) -> None:
+def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
     """A checked job and what it will need."""
     table = _table("", "")
     for key, value in forecast.as_json().items():
-        if key == "warnings":
+        if key in ("warnings", "choice"):
             continue
         if key == "interface_nodes":
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
         elif key == "extent":
             value = " x ".join(f"{length:.4g}" for length in value) + " m"
-        shown = _bytes(value) if key.endswith("_bytes") else f"{value:,}" if isinstance(value, int) else str(value)
+        if key.endswith("_bytes"):
+            shown = _bytes(value)
+        elif isinstance(value, int):
+            shown = f"{value:,}"
+        else:
+            shown = f"{value:.3g}" if isinstance(value, float) else str(value)
         table.add_row(key.removesuffix("_bytes").replace("_", " "), shown)
     _titled(console, f"{job} is sound", table)
+    if forecast.choice:
+        console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
     for text in forecast.warnings:
         console.print(f"[yellow]warning:[/] {text}", highlight=False)
 

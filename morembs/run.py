@@ -40,7 +40,7 @@ BAND_POINTS = 400
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
-    ``factor`` is the cost of the one factorisation."""
+    ``factor`` is the cost of the one factorisation and ``choice`` says why this solver made it."""
 
     job: Job
     nodes: int
@@ -48,6 +48,7 @@ class JobResult:
     dofs: int
     bodies: tuple[ElasticBody, ...]
     factor: FactorStats
+    choice: str
     stages: tuple[Stage, ...]
     response: FrequencyResponse | None = None
     shapes: Shapes | None = None
@@ -89,6 +90,7 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
         shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
         factor = problem.statics.factor.stats
+        analysis = problem.statics.factor.analysis
     with watch.stage("write"):
         provenance = _provenance(job, factor, watch.stages)
         write_body(job.output, bodies, recipe=_recipe(job, model), provenance=provenance, progress=progress)
@@ -97,7 +99,7 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
             draw(job.picture, bodies, shapes, response)
     return JobResult(
         job=job, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=model.size, bodies=bodies,
-        factor=factor, stages=tuple(watch.stages), response=response, shapes=shapes,
+        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response, shapes=shapes,
     )  # fmt: skip
 
 

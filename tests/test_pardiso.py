@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError
 from morembs.linalg import pardiso, pardiso_library
+from morembs.linalg.mumps import Mumps
 from morembs.linalg.pardiso import Pardiso
 from morembs.linalg.symmetric import Lower
 
@@ -97,10 +103,11 @@ def test_inertia_in_several_gaps(solver: Pardiso, gap: int) -> None:
 
 def test_zero_diagonal_needs_matching_and_keeps_the_inertia(solver: Pardiso) -> None:
     """Every displacement held by a multiplier; then a matrix of the same pattern that needs no such help."""
-    zero = sp.csr_array((np.zeros(240), (range(240), range(240))), shape=(240, 240))
     ones = sp.eye_array(120)
-    A = sp.csr_array(sp.csr_array(sp.block_array([[_chain(40), ones], [ones, None]])) + zero)
-    easy = A + sp.csr_array(sp.diags_array(np.full(240, 5.0)))
+    A = sp.csr_array(sp.block_array([[_chain(40), ones], [ones, None]]))
+    A.setdiag(A.diagonal())
+    easy = A.copy()
+    easy.setdiag(A.diagonal() + 5.0)
     b = _random(240, 3)
     with solver.analyse(A) as analysis:
         for matrix, negative in ((A, 120), (easy, 0)):
@@ -178,3 +185,23 @@ def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> 
         Pardiso().factorize(_chain(5))
     monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: __file__)
     assert "cannot be used" in pardiso_library.mkl_library.__wrapped__()
+
+
+def test_mumps_loaded_later_keeps_its_own_blas(solver: Pardiso) -> None:
+    """MKL makes its symbols global; its complex functions return their values in another way than those of
+    gfortran, so a library compiled for the one must not get the other."""
+    if reason := Mumps.lacks("double", "complex-symmetric"):
+        pytest.skip(reason)
+    code = """if True:
+        import numpy as np, scipy.sparse as sp
+        from morembs.linalg.mumps import Mumps
+        from morembs.linalg.pardiso import Pardiso
+        A = sp.csr_array(sp.diags_array(np.linspace(1.0, 2.0, 90)))
+        Pardiso().factorize(A, "spd").close()
+        Mumps().factorize(A, "spd").close()
+        Mumps().factorize(A + 1j * A, "complex-symmetric").close()
+    """
+    bindings = {**os.environ, "LD_DEBUG": "bindings"}
+    run = subprocess.run([sys.executable, "-c", code], check=True, env=bindings, capture_output=True, text=True)
+    taken = [line for line in run.stderr.splitlines() if re.search(r"file \S*mumps\S* .* to \S*mkl", line)]
+    assert "mumps" in run.stderr and not taken, taken[:5]

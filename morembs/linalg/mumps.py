@@ -10,7 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -71,9 +71,16 @@ class _MumpsSolver(LinearSolver):
         if isinstance(type(self).library("float64"), str):
             return super()._inertia(A, what)
         # Backward stable by its choice of pivots, so the count holds for a matrix next to this one.
-        exact = replace(self, precision="double", low_rank=0.0, out_of_core=False, discard=True)
-        with exact.analyse(A, "symmetric", what) as analysis, analysis._factorize(A) as factor:
+        with self._counting().analyse(A, "symmetric", what) as analysis, analysis._factorize(A) as factor:
             return factor.negative_pivots()
+
+    def _inertia_forecast(self, A: Lower) -> Forecast:
+        with self._counting().analyse(A, "symmetric") as analysis:
+            return replace(analysis.forecast, kept=0)
+
+    def _counting(self) -> Self:
+        """This solver with nothing kept but the signs of the pivots."""
+        return replace(self, precision="double", low_rank=0.0, out_of_core=False, discard=True)
 
     @classmethod
     def lacks(cls, precision: str, structure: str) -> str:

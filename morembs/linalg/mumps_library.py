@@ -169,7 +169,8 @@ def system_library(dtype: str = "float64") -> Library | str:
         if not (place / f"{letter}mumps_c.h").is_file():
             continue
         try:
-            return _open(path, place, letter, low_rank=own is not None)
+            # MKL, loaded by PARDISO before, has a global BLAS: prefer the one this library was linked with.
+            return _open(path, place, letter, getattr(os, "RTLD_DEEPBIND", 0), low_rank=own is not None)
         except UnusableError as error:
             reason = str(error)
     return f"{path} cannot be used: {reason}; get both with: {SYSTEM_HINT}"

@@ -40,7 +40,8 @@ def mkl_library() -> ctypes.CDLL | str:
     if path is None:
         return f"the library MKL (mkl_rt) was not found; get it with: {HINT}"
     try:
-        # Its symbols stay private: MUMPS, loaded later, would otherwise take its BLAS from here.
+        # At its first call it loads the rest of itself with global symbols. A library that brings a BLAS of its
+        # own has to be loaded so that it prefers that one (RTLD_DEEPBIND).
         library = ctypes.CDLL(path)
         library.MKL_Set_Interface_Layer(_LP64)
         # A second runtime of OpenMP in one process has threads of its own, which wait for work on the same cores.

@@ -12,7 +12,8 @@ from morembs.linalg.amg import Amg
 from morembs.linalg.cholmod import Cholmod
 from morembs.linalg.mixed import Mixed
 from morembs.linalg.mumps import EmbeddedMumps, Mumps
-from morembs.linalg.solver import Analysis, Floats, LinearSolver
+from morembs.linalg.pardiso import Pardiso
+from morembs.linalg.solver import Analysis, Floats, Forecast, LinearSolver
 from morembs.linalg.superlu import SuperLU
 from morembs.linalg.symmetric import Lower
 from morembs.linalg.umfpack import Umfpack
@@ -20,9 +21,10 @@ from morembs.linalg.umfpack import Umfpack
 log = logging.getLogger(__name__)
 AUTO = "auto"
 SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Mumps, EmbeddedMumps, Mixed, Cholmod, Umfpack, Amg, SuperLU)
+    solver.name: solver for solver in (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
 }
 # What "auto" takes, the best first: fast in memory, then those that need less of it.
+COUNTING = ("mumps", "mumps-embedded", "superlu")
 FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
 LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg")
 
@@ -72,7 +74,8 @@ class Automatic(LinearSolver):
             except SolverError as error:
                 refused.append(error)
                 continue
-            log.info("%s", _reason(analysis, refused))
+            analysis.choice = _reason(analysis, refused)
+            log.info("%s", analysis.choice)
             return analysis
         needed = [error.needed for error in refused if isinstance(error, BudgetError)]
         if not needed:
@@ -85,11 +88,15 @@ class Automatic(LinearSolver):
         )
 
     def _inertia(self, A: Lower, what: str) -> int:
-        for name in FAST:
-            solver = SOLVERS[name]
-            if issubclass(solver, Mumps | EmbeddedMumps) and not solver.unavailable():
-                return solver(memory=self.memory, scratch=self.scratch).negative_eigenvalues(A, what)
-        return super()._inertia(A, what)
+        return self._counter().negative_eigenvalues(A, what)
+
+    def _inertia_forecast(self, A: Lower) -> Forecast:
+        return self._counter().inertia_forecast(A)
+
+    def _counter(self) -> LinearSolver:
+        """MUMPS, which counts without keeping the factor; else what is there."""
+        name = next(name for name in COUNTING if not SOLVERS[name].unavailable())
+        return SOLVERS[name](memory=self.memory, scratch=self.scratch)
 
     def _candidates(self, structure: str) -> list[LinearSolver]:
         """Configurations in the order in which they are tried."""
@@ -112,7 +119,7 @@ def _reason(analysis: Analysis, refused: list[SolverError]) -> str:
     """One line: what was chosen and why."""
     plan = analysis.forecast
     place = f"on disk ({plan.disk / 1e9:.2f} GB)" if plan.out_of_core else "in memory"
-    why = "it fits the budget" if not refused else f"as {refused[0]}"
+    why = "the fastest that runs here" if not refused else f"as {refused[0]}"
     return (
         f"{plan.backend}, {plan.precision} precision, {place}: {plan.factor_entries:.3g} factor entries, "
         f"{plan.flops:.2g} operations, {plan.memory / 1e9:.2f} GB at the peak; {why}"

@@ -192,6 +192,8 @@ class Analysis(_Resource):
         self.n, self.lower_nnz = pattern.n, pattern.nnz
         self.nnz = 2 * pattern.nnz - pattern.n
         self.structure = structure
+        # Why this solver was chosen, in one line, where there was a choice.
+        self.choice = ""
         self._pattern = pattern.pattern
         self._current: Factorization | None = None
 
@@ -278,6 +280,20 @@ class LinearSolver(ABC):
         """Number of negative eigenvalues; a backend that need not keep a factor for it may do better."""
         with self.factorize(A, "symmetric", what) as factor:
             return factor.negative_pivots()
+
+    def _inertia_forecast(self, A: Lower) -> Forecast:
+        """What ``_inertia`` will need."""
+        with self.analyse(A, "symmetric") as analysis:
+            return analysis.forecast
+
+    @final
+    def inertia_forecast(self, A: sp.sparray | Lower) -> Forecast:
+        """What ``negative_eigenvalues`` of a matrix with the pattern of ``A`` will need.
+
+        Raises:
+            SolverError: it cannot be kept within the budget.
+        """
+        return self._inertia_forecast(Lower.of(A))
 
     @final
     def with_memory(self, memory: int | None) -> Self:

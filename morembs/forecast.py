@@ -1,0 +1,125 @@
+"""What a job will need, from the symbolic analysis of its stiffness: nothing is factorised.
+
+The peak is that of the process. It is the largest of three moments: the factorisation, the Sturm count beside
+the factor, and the solves with their dense columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import scipy.sparse as sp
+
+from morembs.budget import Budget
+from morembs.errors import SolverError
+from morembs.linalg.congruence import congruence
+from morembs.linalg.solver import Forecast, LinearSolver
+from morembs.linalg.statics import room_for_factor
+from morembs.linalg.symmetric import Lower
+from morembs.linalg.threads import blas_threads, measured_speed
+
+# Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
+_ENTRY, _TRIANGLE = 12, 12
+# A Krylov space has about this many columns for each mode, beside blocks in use; measured.
+_SPACE, _BLOCKS = 3, 160
+# Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
+# on top; measured on compact and slender bodies.
+_EFFICIENCY = {"cholmod": 0.56, "mumps": 0.52, "mumps-mixed": 0.8, "mumps-embedded": 0.30, "pardiso": 0.52}
+_SLOWEST = 0.1
+_SECONDS_PER_ENTRY = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobForecast:
+    """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
+
+    ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
+    factorisation with ``threads`` threads at the speed of this machine now.
+    """
+
+    solver: str
+    choice: str
+    nodes: int
+    elements: int
+    dofs: int
+    coupled_dofs: int
+    rigid_modes: int
+    stiffness_nonzeros: int
+    mass_nonzeros: int
+    matrices_bytes: int
+    factor_entries: int
+    factor_flops: float
+    factor_bytes: int
+    scratch_bytes: int
+    columns_bytes: int
+    peak_memory_bytes: int
+    factor_seconds: float
+    threads: int
+    extent: tuple[float, float, float]
+    interface_nodes: dict[str, int]
+    warnings: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as plain values."""
+        return {**asdict(self), "warnings": list(self.warnings)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """The part of a ``JobForecast`` that comes from the matrices."""
+
+    plan: Forecast
+    choice: str
+    columns: int
+    peak: int
+    seconds: float
+
+
+def forecast_cost(
+    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int
+) -> Cost:
+    """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
+
+    Args:
+        columns: number of columns of the basis.
+        start: resident memory of the process before any model was read.
+
+    Raises:
+        SolverError: no method fits into the budget.
+    """
+    square = T.shape[0] == T.shape[1]
+    lower = Lower.of(K if square else congruence(T, K, budget))
+    n, mass = lower.n, lower.nnz // 3
+    held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
+    del K
+    triangle = _TRIANGLE * (lower.nnz + mass)
+    plan, choice, count = _plans(lower, solver, budget)
+    dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
+    before = start + held + triangle
+    peak = max(
+        before + 8 * lower.nnz + plan.memory,
+        before + 16 * lower.nnz + plan.kept + (count.memory if count else 0) + 8 * n * columns,
+        before + plan.kept + dense,
+    )
+    if budget.memory is not None:
+        # Matrices and columns rest in files when the factorisation needs their room.
+        least = start + 20 * lower.nnz + plan.memory
+        peak = max(min(peak, budget.memory), least)
+    return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan))
+
+
+def _plans(lower: Lower, solver: LinearSolver, budget: Budget) -> tuple[Forecast, str, Forecast | None]:
+    """Forecast of the factor and why this one, and of the Sturm count (None where there is none)."""
+    solver = solver.with_memory(room_for_factor(budget, lower.n))
+    with solver.analyse(lower, "spd", "the stiffness matrix") as analysis:
+        plan, choice = analysis.forecast, analysis.choice
+    try:
+        return plan, choice, solver.with_memory(None).inertia_forecast(lower)
+    except (SolverError, ValueError):
+        return plan, choice, None
+
+
+def _seconds(plan: Forecast) -> float:
+    rate = 1e9 * measured_speed().gemm_gflops * _EFFICIENCY.get(plan.backend, _SLOWEST)
+    return plan.flops / rate + _SECONDS_PER_ENTRY * plan.factor_entries / max(blas_threads(), 1)
