@@ -4,6 +4,10 @@ The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Prob
 ``reduce`` -> ``elastic_body`` -> ``write_body``. Everything inside is in SI units.
 """
 
+# First, as it quiets the idle threads of OpenBLAS before NumPy loads its copy.
+import morembs.linalg  # noqa: F401
+
+# isort: split
 from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.errors import InputError, MorembsError
 from morembs.fem import assemble

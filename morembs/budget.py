@@ -6,12 +6,15 @@ stay in the file (and in the cache of the operating system), the resident memory
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -52,6 +55,23 @@ def available_bytes() -> int | None:
         return None
 
 
+@cache
+def _malloc_trim() -> Callable[[int], int] | None:
+    """The call of the GNU C library that returns freed memory to the system; None elsewhere."""
+    try:
+        trim = ctypes.CDLL(None).malloc_trim
+    except (OSError, AttributeError, TypeError):
+        return None
+    trim.argtypes = [ctypes.c_size_t]
+    return cast(Callable[[int], int], trim)
+
+
+def _trim() -> None:
+    trim = _malloc_trim()
+    if trim is not None:
+        trim(0)
+
+
 @dataclass(eq=False)
 class Budget:
     """``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the
@@ -88,10 +108,13 @@ class Budget:
         return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
 
     def rest(self) -> None:
-        """Let go of the pages of all arrays in files."""
+        """Let go of the pages of all arrays in files, and of memory that was freed but not given back."""
+        if self.memory is None:
+            return
         for mapped in self._maps:
             if hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
+        _trim()
 
     def relax(self) -> None:
         """As ``rest``, where the budget is nearly used up: for loops over large arrays."""

@@ -118,6 +118,22 @@ def test_zero_diagonal_needs_matching_and_keeps_the_inertia(solver: Pardiso) -> 
             assert factor.negative_pivots() == negative
 
 
+def test_everything_is_freed(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+    A = sp.csr_array(sp.block_array([[_chain(40), sp.eye_array(120)], [sp.eye_array(120), None]]))
+    phases: list[int] = []
+    call = pardiso._Handle._call
+
+    def spy(handle: pardiso._Handle, phase: int, *args: object) -> int:
+        phases.append(phase)
+        return call(handle, phase, *args)
+
+    monkeypatch.setattr(pardiso._Handle, "_call", spy)
+    with solver.analyse(A) as analysis:
+        for _ in range(2):
+            assert analysis.factorize(A)._handle.matching
+    assert phases.count(11) == phases.count(-1) == 3
+
+
 def test_solutions_beside_an_eigenvalue_are_refined(solver: Pardiso) -> None:
     A, b = _brick(5), _random(375, 130)
     values = np.linalg.eigvalsh(A.toarray())
@@ -147,6 +163,7 @@ def test_budget_message_says_what_is_needed(solver: Pardiso) -> None:
     with pytest.raises(BudgetError, match=r"0\.0 MB are left .* are needed by PARDISO") as caught:
         solver.with_memory(1000).factorize(A, "spd")
     with solver.with_memory(caught.value.needed).factorize(A, "spd") as factor:
+        assert caught.value.needed < 3 * factor.stats.memory_bytes
         assert caught.value.needed >= factor.stats.memory_bytes >= 8 * factor.stats.factor_entries > 8 * A.nnz / 2
 
 

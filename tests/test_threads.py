@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import os
 import time
 
@@ -17,10 +20,13 @@ def test_limit_holds_inside_the_context_only() -> None:
     np.ones((2, 2)) @ np.ones((2, 2))
     before = blas_threads()
     assert before >= 1
-    with limit_threads(1):
-        assert blas_threads() == 1
-        with limit_threads(None):
+    with limit_threads(2):
+        assert blas_threads() == 2
+        with limit_threads(1):
             assert blas_threads() == 1
+            with limit_threads(None):
+                assert blas_threads() == 1
+        assert blas_threads() == 2
     assert blas_threads() == before
 
 
@@ -60,3 +66,19 @@ def test_best_of_several_runs_within_the_budget() -> None:
 
     assert 0.01 <= threads._best(job) < 0.04
     assert 3 < len(times) < 25
+
+
+def test_import_of_the_package_quiets_before_numpy_is_loaded() -> None:
+    """An audit hook sees the first import of NumPy, when its OpenBLAS reads the environment."""
+    code = """if True:
+        import os, sys
+        seen = []
+        def hook(event, args):
+            if event == "import" and args[0] == "numpy":
+                seen.append(os.environ.get("OPENBLAS_THREAD_TIMEOUT"))
+        sys.addaudithook(hook)
+        import morembs
+        assert seen[0] == "4", seen
+    """
+    clean = {key: value for key, value in os.environ.items() if key != "OPENBLAS_THREAD_TIMEOUT"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=clean)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -155,7 +156,8 @@ def _open(path: str, header: Path) -> Library:
     """Load a library and compare its version, and what it writes into its structure, with the header."""
     version, structures = parse_header(header.read_text(encoding="latin-1"))
     try:
-        library = ctypes.CDLL(path)
+        # Deep: another BLAS that became global, such as MKL's, must not take the place of its own.
+        library = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0))
         functions = {name: getattr(library, f"cholmod_l_{name}") for name in _FUNCTIONS}
         numbers = (ctypes.c_int * 3)()
         library.cholmod_version(numbers)

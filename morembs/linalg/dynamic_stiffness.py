@@ -44,7 +44,9 @@ class DynamicStiffness:
         for part in parts:
             stiffness = _widened(stiffness, part)
         self.lower = _kept(stiffness, budget)
-        self._added = [(_kept_array(_places(stiffness, part), budget), part.data) for part in parts]
+        self._added = [
+            (_kept_array(_places(stiffness, part), budget), _kept_array(part.data, budget)) for part in parts
+        ]
         self._analyses: dict[str, Analysis] = {}
 
     def at(self, s: complex) -> Lower:
@@ -102,8 +104,11 @@ class DynamicStiffness:
 
 
 def held(A: Lower, rows: NDArray[np.int64]) -> Lower:
-    """``A`` on the subspace where ``rows`` vanish, padded there with their largest diagonal: same pattern."""
-    data = np.array(A.data)
+    """``A`` on the subspace where ``rows`` vanish, padded there with its largest diagonal: same pattern.
+
+    Works in place: the values of ``A`` are lost.
+    """
+    data = A.data
     on = np.zeros(A.n, dtype=bool)
     on[rows] = True
     scale = float(np.abs(A.diagonal()).max())
@@ -122,7 +127,7 @@ def sprung(A: Lower, rows: NDArray[np.int64]) -> Lower:
     data = np.array(A.data)
     # The first entry of a column is its diagonal, as a stiffness has one in every row.
     first = A.indptr[rows]
-    if not np.array_equal(A.indices[first], rows):
+    if (first == A.indptr[rows + 1]).any() or not np.array_equal(A.indices[first], rows):
         raise InputError("the stiffness matrix has rows without a diagonal entry; remove these dofs")
     data[first] *= 2.0
     return replace(A, data=data)

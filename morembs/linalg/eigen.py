@@ -26,6 +26,8 @@ GAP = 1e-6
 # More modes than this of a large model are a mistake in the limit, not a reduction.
 MOST_SPARSE = 2000
 ATTEMPTS = 4
+# Widest block of the Krylov space when the factor lies on disk.
+WIDEST = 32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,11 +118,12 @@ def _sparse(
     pencil: Restricted, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str
 ) -> Modes:
     rng = np.random.default_rng(2)
-    block = int(np.clip(count // 2, 8, 16))
+    block = _block(pencil, count)
     start = pencil.flexibility(M @ rng.standard_normal((M.shape[0], block)))
     wanted = min(count + 2, M.shape[0] - pencil.count)
     capacity = min(3 * wanted + 8 * block, M.shape[0] - pencil.count)
     lanczos = BlockLanczos(pencil.flexibility, M, start, capacity=capacity, budget=pencil.statics.budget)
+    del start
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
@@ -142,6 +145,14 @@ def _sparse(
         if cut is not None
         else f"the first {wanted} {what} lie in one cluster; ask for more of them"
     )
+
+
+def _block(pencil: Restricted, count: int) -> int:
+    """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
+    if not pencil.statics.factor.stats.out_of_core:
+        return int(np.clip(count // 2, 8, 16))
+    width = pencil.statics.budget.columns(len(pencil.statics.Z), copies=8, widest=WIDEST)
+    return int(np.clip(count, 8, max(8, width)))
 
 
 def _gap_after(values: Floats, count: int) -> float | None:

@@ -31,9 +31,10 @@ class _MixedAnalysis(Analysis):
     """Analysis of the rough factor, and of the double one once it had to take its place."""
 
     def __init__(self, solver: Mixed, A: Lower, structure: str) -> None:
+        # First, as it may fail: there is nothing to release then.
+        self._rough: Analysis = solver.rough().analyse(A, structure)
         super().__init__(A, structure)
         self.solver = solver
-        self._rough: Analysis = solver.rough().analyse(A, structure)
         self._double: Analysis | None = None
 
     @property

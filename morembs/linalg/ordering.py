@@ -26,7 +26,7 @@ _OK = 1
 # Below this any order is good, and METIS is not meant for graphs of a few vertices.
 _SMALLEST = 50
 _CHUNK = 1 << 22
-_LAST: dict[int, Ints | None] = {}
+_LAST: list[tuple[int | None, Ints | None]] = [(None, None)]
 # Relative difference of two sums of keys that is round-off.
 _SAME = 1e-10
 
@@ -51,11 +51,12 @@ def _metis() -> tuple[Any, type[np.signedinteger[Any]]] | None:
 
 def metis_ordering(A: Lower) -> Ints | None:
     """As ``_metis_ordering``; the last order is kept, as solvers are compared on the same pattern."""
-    if A.pattern not in _LAST:
+    key, order = _LAST[0]
+    if key != A.pattern:
         order = _metis_ordering(A)
-        _LAST.clear()
-        _LAST[A.pattern] = order
-    return _LAST[A.pattern]
+        # One assignment: another thread sees the old pair or the new one.
+        _LAST[0] = A.pattern, order
+    return order
 
 
 def _metis_ordering(A: Lower) -> Ints | None:

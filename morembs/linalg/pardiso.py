@@ -100,7 +100,8 @@ class _Handle:
             return ctypes.byref(self._integer(value))
 
         def address(array: Values | None) -> ctypes.c_void_p:
-            return ctypes.c_void_p(None if array is None else array.ctypes.data)
+            # Not array.ctypes.data: that imports a module, which fails when the interpreter is ending.
+            return ctypes.c_void_p(None if array is None else array.__array_interface__["data"][0])
 
         code = self._integer(0)
         self._function(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import os
 import time
 from dataclasses import dataclass, field
 from functools import cache
@@ -52,7 +53,8 @@ def umfpack_library() -> ctypes.CDLL | str:
     if path is None:
         return f"no UMFPACK library (libumfpack) was found; get it with: {HINT}"
     try:
-        library = ctypes.CDLL(path)
+        # Deep: another BLAS that became global, such as MKL's, must not take the place of its own.
+        library = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0))
         control = np.zeros(_CONTROLS)
         library.umfpack_dl_defaults(_pointer(control))
         for kind in "dz":

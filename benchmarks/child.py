@@ -1,0 +1,272 @@
+"""What a child process does: one task of the table at the end, whose figures it prints as one line of JSON.
+
+usage: python benchmarks/child.py TASK JSON
+
+Started by measure.child. "resident_bytes" is the memory of the process before the work that is measured.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse.linalg as spla
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_info
+
+from morembs.budget import resident_bytes
+from morembs.errors import MorembsError
+from morembs.linalg.dynamic_stiffness import sprung
+from morembs.linalg.mixed import Mixed
+from morembs.linalg.mumps import Mumps
+from morembs.linalg.select import SOLVERS, select_solver
+from morembs.linalg.solver import LinearSolver
+from morembs.linalg.statics import support_dofs
+from morembs.linalg.symmetric import Lower
+from morembs.linalg.threads import blas_threads
+from morembs.model import ElementBlock, FEModel, Mesh, Nodes
+from morembs.progress import peak_memory_bytes
+
+Floats = NDArray[np.float64]
+Row = dict[str, Any]
+Spec = dict[str, Any]
+STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
+# Columns whose residuals are held at once: fewer than any solver works on.
+_RESIDUALS = 4
+
+
+def machine(spec: Spec) -> Row:
+    """Cores, threads, and versions of the libraries."""
+    from morembs.linalg.cholmod_library import cholmod_library
+    from morembs.linalg.mumps_library import embedded_library, system_library
+
+    found = {"mumps": system_library("float64"), "mumps-embedded": embedded_library("float64")}
+    found["cholmod"] = cholmod_library()
+    versions = {name: library.version for name, library in found.items() if not isinstance(library, str)}
+    packages = {name: metadata.version(name) for name in ("morembs", "numpy", "scipy", "pyamg", "scikit-fem")}
+    blas = sorted({f"{pool['internal_api']} {pool['version']}" for pool in threadpool_info()})
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "cores": cores, "blas_threads": blas_threads(), "system": platform.system(), "processor": platform.machine(),
+        "versions": {"python": platform.python_version(), **packages, **versions, "blas": blas},
+    }  # fmt: skip
+
+
+def dgemm(spec: Spec) -> Row:
+    """Speed of a large product in double precision."""
+    A = np.random.default_rng(3).standard_normal((spec["order"], spec["order"]))
+    product, seconds = np.matmul(A, A), []
+    for _ in range(3):
+        start = time.perf_counter()
+        np.matmul(A, A, out=product)
+        seconds.append(time.perf_counter() - start)
+    return {"gflops": 2e-9 * len(A) ** 3 / min(seconds), "threads": blas_threads()}
+
+
+def steel(shape: str, dofs: int) -> FEModel:
+    """Assembled model of a shape of models.py."""
+    from models import make
+
+    from morembs import assemble, isotropic
+
+    xyz, cells = make(shape, dofs)
+    block = ElementBlock(type="tet10", nodes=cells, ids=np.arange(len(cells)))
+    mesh = Mesh(nodes=Nodes(ids=np.arange(len(xyz)), xyz=xyz), blocks=(block,))
+    return assemble(mesh, [isotropic(**STEEL)])
+
+
+def matrix(spec: Spec) -> Row:
+    """Write the stiffness of a shape on springs that hold its rigid-body modes, as its lower triangle."""
+    from morembs import Problem
+
+    path = Path(spec["file"])
+    if not path.exists():
+        with Problem(steel(spec["shape"], spec["dofs"])) as problem:
+            A = sprung(problem.stiffness.lower, support_dofs(problem.rigid))
+            rigid = problem.rigid
+        norm = (Lower(A.indptr, A.indices, np.abs(A.data)) @ np.ones(A.n)).max()
+        part = path.with_suffix(".part.npz")
+        np.savez(part, indptr=A.indptr, indices=A.indices, data=A.data, rigid=rigid, norm=norm)
+        part.replace(path)
+    with np.load(path) as data:
+        return {"dofs": len(data["indptr"]) - 1, "lower_entries": len(data["indices"])}
+
+
+def load(path: str) -> tuple[Lower, Floats, float]:
+    """What ``matrix`` wrote: the triangle, the rigid-body modes (n, 6), the maximum norm of the matrix."""
+    with np.load(path) as data:
+        return Lower(data["indptr"], data["indices"], data["data"]), data["rigid"], float(data["norm"])
+
+
+def configured(spec: Spec, near: Floats) -> LinearSolver:
+    """The solver that a measurement asks for."""
+    scratch = Path(spec["folder"]) / "scratch"
+    scratch.mkdir(exist_ok=True)
+    disk = spec.get("out_of_core")
+    if spec["solver"] == Mumps.name:
+        return Mumps(out_of_core=disk, scratch=scratch)
+    if spec["solver"] == Mixed.name:
+        return Mixed(out_of_core=disk, scratch=scratch)
+    return select_solver(spec["solver"], scratch=scratch).knowing(near)
+
+
+def factor(spec: Spec) -> Row:
+    """Analyse, factorise and solve; ``columns`` lists the numbers of right-hand sides, ``cold`` whether the
+    operating system is to forget the files of the factor before each solve."""
+    if spec["solver"] in SOLVERS and (reason := SOLVERS[spec["solver"]].unavailable()):
+        return {"error": f"not installed: {reason}" if "not found" in reason else reason}
+    A, near, norm = load(spec["matrix"])
+    B = right_hand_sides(A.n, max(spec["columns"]))
+    solver = configured(spec, near)
+    resident, start = resident_bytes(), time.perf_counter()
+    with solver.analyse(A, "spd") as analysis:
+        analysed, plan = time.perf_counter(), analysis.forecast
+        made = analysis.factorize(A)
+        ready, peak = time.perf_counter(), peak_memory_bytes()
+        stats = made.stats
+        solves, X = solved(made.solve, B, spec)
+        if spec["solver"] == "auto":
+            solves["choice"] = stats.backend
+    return {
+        "dofs": A.n, "resident_bytes": resident, "analyse_seconds": analysed - start, "factor_seconds": stats.seconds,
+        "ready_seconds": ready - start, "factor_peak_bytes": peak - resident, "forecast_bytes": plan.memory,
+        "flops": None if spec["solver"] == "amg" else plan.flops, "factor_entries": stats.factor_entries,
+        "factor_bytes": stats.memory_bytes, "disk_bytes": stats.disk_bytes, "threads": stats.threads,
+        "precision": stats.precision, **solves, "backward_error": backward_error(A, norm, X, B),
+    }  # fmt: skip
+
+
+def splu(spec: Spec) -> Row:
+    """As ``factor``, by SuperLU as SciPy offers it; the order of the columns is part of the factorisation."""
+    A, _, norm = load(spec["matrix"])
+    B = right_hand_sides(A.n, max(spec["columns"]))
+    whole = A.full()
+    options = {"permc_spec": spec["order"]} if spec.get("order") else {}
+    resident, start = resident_bytes(), time.perf_counter()
+    lu = spla.splu(whole, **options)
+    seconds, peak = time.perf_counter() - start, peak_memory_bytes()
+    solves, X = solved(lu.solve, B, spec)
+    return {
+        "dofs": A.n, "resident_bytes": resident, "factor_seconds": seconds, "ready_seconds": seconds,
+        "factor_peak_bytes": peak - resident, "flops": None, "factor_entries": int(lu.nnz), "threads": 1, **solves,
+        "backward_error": backward_error(A, norm, X, B),
+    }  # fmt: skip
+
+
+def right_hand_sides(n: int, count: int) -> Floats:
+    """Loads (n, count) in Fortran order, the same in every run."""
+    return np.asfortranarray(np.random.default_rng(5).standard_normal((count, n)).T)
+
+
+def solved(solve: Callable[[Floats], Floats], B: Floats, spec: Spec) -> tuple[Row, Floats]:
+    """Seconds of the solves, and the solution of the widest, which is the last."""
+    row: Row = {}
+    for count in sorted(spec["columns"]):
+        X = None
+        if spec.get("cold"):
+            row["dropped_bytes"] = forget_files(Path(spec["folder"]) / "scratch")
+        read, start = bytes_read(), time.perf_counter()
+        X = solve(B[:, :count])
+        row[f"solve_{count}_seconds"] = time.perf_counter() - start
+        if spec.get("cold"):
+            row["read_bytes"] = bytes_read() - read
+    row["columns"], row["solve_seconds"] = count, row[f"solve_{count}_seconds"]
+    return row, X
+
+
+def forget_files(folder: Path) -> int:
+    """Have the operating system write the files below ``folder`` and forget their pages; returns their size."""
+    size = 0
+    for path in folder.rglob("*"):
+        if path.is_file():
+            handle = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+                os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+                size += os.fstat(handle).st_size
+            finally:
+                os.close(handle)
+    return size
+
+
+def bytes_read() -> int:
+    """Bytes that this process had fetched from disks so far; 0 where the system does not tell."""
+    try:
+        lines = Path("/proc/self/io").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0
+    return int(dict(line.split(": ", 1) for line in lines)["read_bytes"])
+
+
+def backward_error(A: Lower, norm: float, X: Floats, B: Floats) -> float:
+    """Largest over the columns of |B - A X| / (|A| |X| + |B|), in the maximum norm."""
+    worst = 0.0
+    for first in range(0, X.shape[1], _RESIDUALS):
+        x, b = X[:, first : first + _RESIDUALS], B[:, first : first + _RESIDUALS]
+        residual = np.abs(b - A @ np.ascontiguousarray(x)).max(axis=0)
+        worst = max(worst, float((residual / (norm * np.abs(x).max(axis=0) + np.abs(b).max(axis=0))).max()))
+    return worst
+
+
+def write_job(spec: Spec) -> Row:
+    """Write mesh and job of a shape; no modes of the full model are asked for."""
+    from models import job
+
+    path = job(spec["shape"], spec["dofs"], Path(spec["to"]), memory=spec.get("memory"), scratch=spec.get("scratch"))
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n[check]\nfull_modes = 0\n")
+    return {"job": str(path)}
+
+
+def made_factor(spec: Spec) -> Row:
+    """The factor's statistics in a body file."""
+    from morembs import read_body
+
+    origin = read_body(Path(spec["file"])).provenance
+    stats = origin["factor"]
+    return dict(stats if isinstance(stats, dict) else json.loads(stats))
+
+
+def modes(spec: Spec) -> Row:
+    """See eigen.py."""
+    from eigen import measure_modes
+
+    return measure_modes(spec, steel(spec["shape"], spec["dofs"]))
+
+
+def part(spec: Spec) -> Row:
+    """See parts.py."""
+    from parts import PARTS, prepare
+
+    one, folder = PARTS[spec["part"]], Path(spec["folder"])
+    if not spec["prepare"]:
+        return one.measure(folder, spec["quick"])
+    prepare(one, folder, spec["quick"])
+    return {}
+
+
+TASKS: dict[str, Callable[[Spec], Row]] = {
+    "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
+    "job": write_job, "made_factor": made_factor, "part": part,
+}  # fmt: skip
+
+
+def main() -> None:
+    """Do the task that the command line names."""
+    try:
+        row = TASKS[sys.argv[1]](json.loads(sys.argv[2]))
+    except (MorembsError, MemoryError) as error:
+        raise SystemExit(f"{type(error).__name__}: {error}") from error
+    print(json.dumps(row))
+
+
+if __name__ == "__main__":
+    main()

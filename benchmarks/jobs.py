@@ -1,0 +1,177 @@
+"""Cases about whole jobs, as processes of their own: large models within a budget, and forecasts against what comes.
+
+Every job is a Craig-Bampton reduction with three rigid interfaces and 30 modes, from the mesh file to the body file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from measure import Finished, Report, Rounds, Row, Settings, child, command, in_rounds, required, run, say
+
+_GIB = 1 << 30
+# Shape, dofs, budget in bytes.
+Asked = tuple[str, int, int]
+MILLION: tuple[Asked, ...] = (
+    ("cube", 1_000_000, 8 * _GIB), ("crankshaft", 1_000_000, 4 * _GIB), ("crankshaft", 1_000_000, 5 * _GIB // 2),
+    ("beam", 2_000_000, 6 * _GIB),
+)  # fmt: skip
+QUICK_MILLION: tuple[Asked, ...] = (
+    ("cube", 20_000, 400_000_000), ("crankshaft", 20_000, 300_000_000), ("beam", 20_000, 300_000_000),
+)  # fmt: skip
+SHAPES = ("cube", "crankshaft", "beam")
+SIZES, QUICK_SIZES = (60_000, 150_000, 300_000), (20_000,)
+# Budgets that are tried for one that forces the factor to disk, as parts of the peak without a budget.
+PARTS = tuple(part / 100 for part in range(90, 25, -5))
+
+
+def reduced(job: Path, settings: Settings) -> Row:
+    """Run a job: seconds, peak memory, stages, and what its body file says about the factor."""
+    ended = run(command("reduce", job, "--json"), settings)
+    if ended.code:
+        return _failed(ended, settings)
+    document = json.loads(ended.output)
+    stats = child("made_factor", settings, file=document["output"])
+    return {
+        "dofs": document["dofs"], "solver": document["solver"], "seconds": ended.seconds,
+        "process_peak_bytes": ended.peak, "stage_seconds": document["seconds"],
+        "stage_peak_bytes": document["peak_memory_bytes"], "factor": stats,
+    }  # fmt: skip
+
+
+def checked(job: Path, settings: Settings) -> Row:
+    """The forecast of a job."""
+    ended = run(command("check", job, "--json"), settings)
+    return _failed(ended, settings) if ended.code else dict(json.loads(ended.output))
+
+
+def _failed(ended: Finished, settings: Settings) -> Row:
+    return {"error": ended.last_error().replace(str(settings.folder), "FOLDER"), "seconds": ended.seconds}
+
+
+def written(shape: str, dofs: int, budget: int | None, settings: Settings) -> Path:
+    """Path of a job with a budget, in a folder of its own."""
+    to = settings.folder / f"{shape}_{dofs}_{'free' if budget is None else budget}"
+    scratch = settings.folder / "scratch"
+    scratch.mkdir(exist_ok=True)
+    memory = None if budget is None else f"{budget} B"
+    made = required("job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch))
+    return Path(made["job"])
+
+
+def million(settings: Settings) -> None:
+    """Large models in little memory."""
+    measures: dict[str, Callable[[], Row]] = {}
+    for shape, dofs, budget in QUICK_MILLION if settings.quick else MILLION:
+        size = f"{budget / _GIB:.3g} GiB" if budget >= _GIB else f"{budget / 1e6:.0f} MB"
+        measures[f"{shape} {dofs:,} in {size}"] = lambda asked=(shape, dofs, budget): _within(asked, settings)
+    rounds = in_rounds(measures, settings.repeat)
+    report = Report("million", settings)
+    report.add(rounds)
+    stages = list(dict.fromkeys(key for row in report.rows.values() for key in row if key.startswith("stage: ")))
+    report.table(
+        "million: whole jobs within a budget, seconds by stage",
+        [
+            ("dofs", "dofs", "n"), ("seconds", "all s", "s"),
+            *((stage, f"{stage.removeprefix('stage: ')} s", "s") for stage in stages),
+            ("process_peak_bytes", "peak MB", "MB"), ("budget_bytes", "budget MB", "MB"), ("share", "share", "%"),
+            ("disk_bytes", "disk MB", "MB"), ("solver", "solver", "text"), ("precision", "precision", "text"),
+        ],
+    )  # fmt: skip
+    for name, rows in rounds.items():
+        report.compare(f"{name}: peak memory over the budget", [row["share"] for row in rows if "share" in row])
+    report.write()
+
+
+def _within(asked: Asked, settings: Settings) -> Row:
+    shape, dofs, budget = asked
+    job = written(shape, dofs, budget, settings)
+    row = reduced(job, settings)
+    for path in job.parent.iterdir():
+        path.unlink()
+    if "error" in row:
+        return row
+    stages = {f"stage: {name}": seconds for name, seconds in row.pop("stage_seconds").items()}
+    factor = row["factor"]
+    return {
+        **row, **stages, "budget_bytes": budget, "share": row["process_peak_bytes"] / budget,
+        "disk_bytes": factor.get("disk_bytes"), "precision": factor.get("precision"),
+    }  # fmt: skip
+
+
+# Key of the forecast, what is measured, words.
+_PAIRS = (
+    ("factor_entries", "entries", "factor entries"), ("peak_memory_bytes", "peak", "peak memory"),
+    ("scratch_bytes", "scratch", "scratch bytes of the factor"), ("factor_seconds", "seconds", "seconds of the factor"),
+)  # fmt: skip
+
+
+def forecast(settings: Settings) -> None:
+    """Forecasts of "morembs check" against what "morembs reduce" then does, in memory and on disk."""
+    rounds: Rounds = {}
+    for shape in SHAPES:
+        for dofs in QUICK_SIZES if settings.quick else SIZES:
+            say(f"  {shape} {dofs:,} ...")
+            free = checked(written(shape, dofs, None, settings), settings)
+            rounds[f"{shape} {dofs:,} in memory"] = _repeated(shape, dofs, None, free, settings)
+            budget, plan = disk_budget(shape, dofs, free, settings)
+            rounds[f"{shape} {dofs:,} on disk"] = _repeated(shape, dofs, budget, plan, settings)
+    report = Report("forecast", settings)
+    report.add(rounds)
+    columns: list[tuple[str, str, str]] = [("budget_bytes", "budget MB", "MB")]
+    for _, key, _ in _PAIRS:
+        unit = {"entries": "G", "seconds": "s"}.get(key, "MB")
+        heading = {"entries": "1e9 entries", "seconds": "factor s"}.get(key, f"{key} MB")
+        columns += [(f"measured_{key}", heading, unit), (f"ratio_{key}", "ratio", "x")]
+    columns += [("all_seconds", "job s", "s"), ("planned", "planned", "text"), ("solver", "solver", "text")]
+    report.table("forecast: measured figures, and the ratio of the forecast to each", columns)
+    for _, key, words in _PAIRS:
+        values = [row[f"ratio_{key}"] for row in report.rows.values() if row.get(f"ratio_{key}")]
+        report.compare(f"{words}, forecast over measured", values)
+    report.write()
+
+
+def disk_budget(shape: str, dofs: int, free: Row, settings: Settings) -> tuple[int, Row]:
+    """A budget under which the factor goes to disk and what is forecast then; an error if there is none."""
+    plan: Row = {"error": free.get("error", "no budget forces the factor to disk")}
+    for part in PARTS if "error" not in free else ():
+        budget = int(part * free["peak_memory_bytes"])
+        plan = checked(written(shape, dofs, budget, settings), settings)
+        if "error" in plan:
+            return budget, {"error": f"no budget forces the factor to disk: {plan['error']}"}
+        if plan["scratch_bytes"]:
+            return budget, plan
+    return 0, plan if "error" in plan else {"error": "no budget forces the factor to disk"}
+
+
+def _repeated(shape: str, dofs: int, budget: int | None, plan: Row, settings: Settings) -> list[Row]:
+    """The job against its forecast, as often as wanted."""
+    if "error" in plan:
+        return [plan]
+    rows = []
+    for _ in range(settings.repeat):
+        row = reduced(written(shape, dofs, budget, settings), settings)
+        rows.append(row if "error" in row else _against(plan, row, budget))
+    return rows
+
+
+def _against(plan: Row, row: Row, budget: int | None) -> Row:
+    factor = row["factor"]
+    measured: dict[str, Any] = {
+        "entries": factor.get("factor_entries"), "peak": row["process_peak_bytes"],
+        "scratch": factor.get("disk_bytes"), "seconds": factor.get("seconds"),
+    }  # fmt: skip
+    found: Row = {
+        "dofs": row["dofs"], "budget_bytes": budget, "planned": plan["solver"], "solver": row["solver"],
+        "all_seconds": row["seconds"], "threads": factor.get("threads"),
+    }  # fmt: skip
+    for name, key, _ in _PAIRS:
+        found[f"forecast_{key}"], found[f"measured_{key}"] = plan[name], measured[key]
+        found[f"ratio_{key}"] = plan[name] / measured[key] if measured[key] else None
+    return found
+
+
+CASES: dict[str, Callable[[Settings], None]] = {"million": million, "forecast": forecast}

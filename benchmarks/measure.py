@@ -1,0 +1,228 @@
+"""Starts children, measures them, and prints and writes what they found.
+
+Every measurement is a fresh process whose peak memory the operating system counts. The process that starts them
+stays small (nothing here imports NumPy), because a child begins with the peak of its parent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+Row = dict[str, Any]
+Rounds = dict[str, list[Row]]
+# Libraries with threads of their own.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_DIGITS = 5
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the command line asks for; ``folder`` holds meshes, matrices, jobs and scratch files, and ``results``
+    the figures as JSON (None: they are only printed). ``threads`` None: as many as the libraries take."""
+
+    folder: Path
+    results: Path | None
+    quick: bool = False
+    repeat: int = 3
+    threads: int | None = None
+
+    def environment(self) -> dict[str, str]:
+        """Environment of the children."""
+        limits = {} if self.threads is None else dict.fromkeys(_THREADS, str(self.threads))
+        return {**os.environ, **limits}
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A process that has ended: exit code, output, seconds, and the peak of its resident memory in bytes."""
+
+    code: int
+    output: str
+    errors: str
+    seconds: float
+    peak: int
+
+    def last_error(self) -> str:
+        """The last line on standard error, which says what went wrong."""
+        lines = self.errors.strip().splitlines()
+        return lines[-1].removeprefix("error: ") if lines else f"ended with {self.code}"
+
+
+def run(arguments: Sequence[str], settings: Settings) -> Finished:
+    """Run a process to its end. Its peak memory is the larger one of it and of what it starts itself."""
+    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
+        start = time.perf_counter()
+        process = subprocess.Popen(arguments, stdout=output, stderr=errors, env=settings.environment())
+        try:
+            _, status, usage = os.wait4(process.pid, 0)
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        seconds = time.perf_counter() - start
+        process.returncode = code = os.waitstatus_to_exitcode(status)
+        texts = []
+        for file in (output, errors):
+            file.seek(0)
+            texts.append(file.read().decode("utf-8", "replace"))
+    unit = 1 if sys.platform == "darwin" else 1024
+    return Finished(code, texts[0], texts[1], seconds, usage.ru_maxrss * unit)
+
+
+def child(task: str, settings: Settings, **wanted: object) -> Row:
+    """What a task of child.py found, with ``process_peak_bytes``; {"error": ...} where it failed."""
+    text = json.dumps({"folder": str(settings.folder), **wanted})
+    ended = run([sys.executable, str(HERE / "child.py"), task, text], settings)
+    if ended.code == 0:
+        return {**json.loads(ended.output.strip().splitlines()[-1]), "process_peak_bytes": ended.peak}
+    return {"error": ended.last_error().replace(str(settings.folder), "FOLDER")}
+
+
+def required(task: str, settings: Settings, **wanted: object) -> Row:
+    """As ``child``, for what nothing else can be measured without."""
+    found = child(task, settings, **wanted)
+    if "error" in found:
+        raise SystemExit(f"{task} failed: {found['error']}")
+    return found
+
+
+def in_rounds(measures: Mapping[str, Callable[[], Row]], repeat: int) -> Rounds:
+    """Each measurement in turn, ``repeat`` times, so that a drift of the machine's speed hits all alike.
+
+    One that fails is not tried again.
+    """
+    rounds: Rounds = {name: [] for name in measures}
+    for _ in range(repeat):
+        for name, measure in measures.items():
+            if not rounds[name] or "error" not in rounds[name][-1]:
+                say(f"  {name} ...")
+                rounds[name].append(measure())
+    return rounds
+
+
+def say(text: str) -> None:
+    """News, apart from the tables."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def median(rows: Sequence[Row]) -> Row:
+    """Medians of the numbers of ``rows``; texts are those of the last row."""
+    last = rows[-1]
+    if "error" in last:
+        return dict(last)
+    return {key: _median([row.get(key) for row in rows]) if _number(value) else value for key, value in last.items()}
+
+
+def _median(values: Sequence[Any]) -> float | None:
+    numbers = [value for value in values if _number(value)]
+    return statistics.median(numbers) if numbers else None
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def ratios(rounds: Rounds, one: tuple[str, str], other: tuple[str, str]) -> list[float]:
+    """``one`` over ``other`` (name of a row and key in it), round by round; empty where either is missing."""
+    pairs = zip(rounds.get(one[0], []), rounds.get(other[0], []), strict=False)
+    values = [(a.get(one[1]), b.get(other[1])) for a, b in pairs]
+    return [a / b for a, b in values if a is not None and b]
+
+
+@dataclass
+class Report:
+    """Tables and ratios of one case, printed as they come and written at the end."""
+
+    case: str
+    settings: Settings
+    rows: dict[str, Row] = field(default_factory=dict)
+    comparisons: dict[str, list[float]] = field(default_factory=dict)
+    machine: Row = field(default_factory=dict)
+
+    def add(self, rounds: Rounds) -> None:
+        """Keep the medians of ``rounds``, and where there are several rounds the values of each."""
+        for name, rows in rounds.items():
+            self.rows[name] = {**median(rows), "rounds": rows} if len(rows) > 1 else median(rows)
+
+    def table(self, title: str, columns: Sequence[tuple[str, str, str]]) -> None:
+        """Print the rows; columns are (key, heading, unit of ``shown``)."""
+        print(f"\n{title}")
+        lines = [["", *(heading for _, heading, _ in columns)]]
+        notes: dict[int, str] = {}
+        for name, row in self.rows.items():
+            if "error" in row:
+                notes[len(lines)] = str(row["error"])
+            lines.append([name, *(shown(row.get(key), unit) for key, _, unit in columns if "error" not in row)])
+        widths = [max(len(line[i]) for line in lines if i < len(line)) for i in range(len(lines[0]))]
+        for number, line in enumerate(lines):
+            cells = [cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=False)]
+            print("  ".join([line[0].ljust(widths[0]), *cells, *([notes[number]] if number in notes else [])]).rstrip())
+
+    def compare(self, words: str, values: Sequence[float]) -> None:
+        """Print a ratio: its median, and its values round by round."""
+        if not values:
+            print(f"{words}: not measured")
+            return
+        self.comparisons[words] = list(values)
+        each = f" ({', '.join(f'{value:.3g}' for value in values)})" if len(values) > 1 else ""
+        print(f"{words}: {statistics.median(values):.3g}{each}")
+
+    def write(self) -> None:
+        """Write the figures where results are kept."""
+        if self.settings.results is None:
+            return
+        self.settings.results.mkdir(parents=True, exist_ok=True)
+        compared = {words: {"median": statistics.median(v), "rounds": v} for words, v in self.comparisons.items()}
+        document = {
+            "case": self.case, "quick": self.settings.quick, "repeat": self.settings.repeat,
+            "machine": self.machine or required("machine", self.settings), "rows": self.rows, "ratios": compared,
+        }  # fmt: skip
+        document["machine"].pop("process_peak_bytes", None)
+        path = self.settings.results / f"{self.case}.json"
+        path.write_text(json.dumps(_rounded(document), indent=1) + "\n", encoding="utf-8")
+        say(f"written: {os.path.relpath(path)}")
+
+
+def shown(value: Any, unit: str) -> str:
+    """A figure in a table. Units: s, MB, G (10^9), % (of one), x (a ratio), e (an error), n (a count), text."""
+    if value is None:
+        return "-"
+    if unit == "text":
+        return str(value)
+    if unit == "MB":
+        return f"{value / 1e6:,.0f}"
+    if unit == "G":
+        return f"{value / 1e9:.3g}"
+    if unit == "n":
+        return f"{value:,.0f}"
+    if unit == "%":
+        return f"{100 * value:.0f} %"
+    if unit == "e":
+        return f"{value:.1e}"
+    return f"{value:.2f}" if unit in ("s", "x") else f"{value:.4g}"
+
+
+def _rounded(value: Any) -> Any:
+    """Figures with as many digits as are worth keeping."""
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+def command(*arguments: str | Path) -> list[str]:
+    """The command line of morembs with the Python that runs this."""
+    return [sys.executable, "-m", "morembs.cli", *map(str, arguments)]

@@ -1,0 +1,179 @@
+"""Single parts of a job, each measured alone: assembly, coupling, modes, and the demo as a whole.
+
+Libraries are imported in the functions, because the process that starts the children has to stay small.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from measure import ROOT, Report, Row, Settings, child, command, in_rounds, ratios, required, run
+
+ROD = ROOT / "pipelines" / "connecting_rod"
+_STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
+_COLUMNS = (
+    ("seconds", "seconds", "s"), ("process_peak_bytes", "peak MB", "MB"), ("dofs", "dofs", "n"),
+    ("bytes_of_K_and_M", "K and M MB", "MB"), ("peak_rise_bytes", "rise MB", "MB"), ("last_hz", "last Hz", "f"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Part:
+    """``work`` takes the mesh, where there is one: a box of elements of ``kind``, ``cells`` or ``quick`` along
+    its edges."""
+
+    work: Callable[..., Row]
+    kind: str = ""
+    cells: tuple[int, int, int] = (0, 0, 0)
+    quick: tuple[int, int, int] = (0, 0, 0)
+
+    def measure(self, folder: Path, quick: bool) -> Row:
+        """What the work takes; called in a child."""
+        return self.work(load_box(self.file(folder, quick), self.kind)) if self.kind else self.work()
+
+    def file(self, folder: Path, quick: bool) -> Path:
+        """Where the mesh is kept."""
+        return folder / f"{self.kind}_{'x'.join(map(str, self.quick if quick else self.cells))}.npz"
+
+
+def prepare(part: Part, folder: Path, quick: bool) -> None:
+    """Write the structured mesh of ``part`` as arrays, apart from what is measured; called in a child."""
+    import numpy as np
+
+    path = part.file(folder, quick)
+    if part.kind and not path.exists():
+        sys.path.insert(0, str(ROOT / "tests"))
+        from meshes import box
+
+        n = part.quick if quick else part.cells
+        mesh = box(part.kind, n, (1.0, 1.0, n[2] / n[0]))
+        np.savez(path, xyz=mesh.nodes.xyz, nodes=mesh.blocks[0].nodes)
+
+
+def load_box(path: Path, kind: str) -> Any:
+    """Mesh that ``prepare`` wrote."""
+    import numpy as np
+
+    from morembs.model import ElementBlock, Mesh, Nodes
+
+    with np.load(path) as data:
+        block = ElementBlock(type=kind, nodes=data["nodes"], ids=np.arange(len(data["nodes"])))
+        return Mesh(nodes=Nodes(ids=np.arange(len(data["xyz"])), xyz=data["xyz"]), blocks=(block,))
+
+
+def assemble_million(mesh: Any) -> Row:
+    """K and M of a cube of second-order tetrahedra, 0.99 million dofs."""
+    from morembs import assemble, isotropic
+
+    start = time.perf_counter()
+    model = assemble(mesh, [isotropic(**_STEEL)])
+    seconds = time.perf_counter() - start
+    matrices = sum(a.nbytes for A in (model.K, model.M) for a in (A.data, A.indices, A.indptr))
+    return {"seconds": seconds, "dofs": model.size, "bytes_of_K_and_M": matrices}
+
+
+def average_interface(mesh: Any) -> Row:
+    """One average interface with 50,000 nodes on a plate of hex8; seconds and memory of the coupling alone."""
+    import numpy as np
+
+    from morembs import assemble, isotropic, make_interface
+    from morembs.interface import couple
+    from morembs.progress import peak_memory_bytes
+
+    model = assemble(mesh, [isotropic(**_STEEL)])
+    top = np.flatnonzero(model.nodes.xyz[:, 2] > model.nodes.xyz[:, 2].mean())
+    before, start = peak_memory_bytes(), time.perf_counter()
+    couple(model, [make_interface(model, name="top", nodes=top, coupling="average")])
+    seconds = time.perf_counter() - start
+    return {"seconds": seconds, "nodes": len(top), "peak_rise_bytes": peak_memory_bytes() - before}
+
+
+def rod() -> Any:
+    """Connecting rod of the demo with rigid bores, 71 thousand dofs."""
+    from morembs import Problem, assemble, isotropic, make_interface, parse_units, read_mesh
+
+    mesh = read_mesh(ROD.with_suffix(".msh"), parse_units("mm-t-s"))
+    model = assemble(mesh, [isotropic(**_STEEL)])
+    ends = [make_interface(model, name=n, nodes=mesh.nodes.sets[n], coupling="rigid") for n in ("BIGEND", "SMALLEND")]
+    return Problem(model, ends)
+
+
+def cube(mesh: Any) -> Any:
+    """Free cube of second-order tetrahedra: a compact body with a heavy factor."""
+    from morembs import Problem, assemble, isotropic
+
+    return Problem(assemble(mesh, [isotropic(**_STEEL)]))
+
+
+def modes_ours(problem: Any) -> Row:
+    """50 free-free modes by block Lanczos, counted by a second factorisation."""
+    import numpy as np
+
+    with problem:
+        problem.elastic.flexibility(np.zeros((problem.K.shape[0], 1)))
+        start = time.perf_counter()
+        modes = problem.elastic_modes(count=50)
+        return {"seconds": time.perf_counter() - start, "last_hz": float(modes.frequencies_hz[-1])}
+
+
+def modes_arpack(problem: Any) -> Row:
+    """The same modes by ARPACK through the same factorisation, without a count."""
+    import numpy as np
+    import scipy.sparse.linalg as spl
+
+    with problem:
+        elastic, M = problem.elastic, problem.M
+        elastic.flexibility(np.zeros((M.shape[0], 1)))
+        start = time.perf_counter()
+        operator = spl.LinearOperator(M.shape, matvec=lambda f: elastic.flexibility(f.reshape(-1, 1))[:, 0])
+        v0 = elastic.flexibility(M @ np.random.default_rng(0).standard_normal((M.shape[0], 1)))[:, 0]
+        values = spl.eigsh(problem.K, 50, M, sigma=0.0, OPinv=operator, v0=v0, tol=1e-9, return_eigenvectors=True)[0]
+        return {"seconds": time.perf_counter() - start, "last_hz": float(np.sqrt(values.max()) / (2 * np.pi))}
+
+
+_CUBE: dict[str, Any] = {"kind": "tet10", "cells": (16, 16, 16), "quick": (6, 6, 6)}
+# "demo" is the whole main job through the command line.
+PARTS: dict[str, Part] = {
+    "assemble_million": Part(assemble_million, "tet10", (34, 34, 34), (8, 8, 8)),
+    "average_interface": Part(average_interface, "hex8", (224, 224, 1), (40, 40, 1)),
+    "rod_modes_ours": Part(lambda: modes_ours(rod())),
+    "rod_modes_arpack": Part(lambda: modes_arpack(rod())),
+    "cube_modes_ours": Part(lambda mesh: modes_ours(cube(mesh)), **_CUBE),
+    "cube_modes_arpack": Part(lambda mesh: modes_arpack(cube(mesh)), **_CUBE),
+}
+DEMO = "demo"
+NAMES = (*PARTS, DEMO)
+# These take the mesh of the demo, which Gmsh makes: their size is fixed.
+NOT_QUICK = ("rod_modes_ours", "rod_modes_arpack", DEMO)
+
+
+def measured(names: list[str], settings: Settings) -> None:
+    """Measure some of ``NAMES``, print them, and compare with ARPACK where both are there."""
+    if set(names) & set(NOT_QUICK) and run([sys.executable, str(ROD.with_suffix(".py"))], settings).code:
+        raise SystemExit(f"{ROD.with_suffix('.py')} failed: it needs Gmsh (pip install 'morembs[mesh]')")
+    for name in names:
+        if name != DEMO:
+            required("part", settings, part=name, quick=settings.quick, prepare=True)
+    rounds = in_rounds({name: lambda name=name: _one(name, settings) for name in names}, settings.repeat)
+    report = Report("parts", settings)
+    report.add(rounds)
+    report.table("parts of a job", _COLUMNS)
+    for body in ("rod", "cube"):
+        pair = [(f"{body}_modes_{who}", "seconds") for who in ("arpack", "ours")]
+        if {name for name, _ in pair} <= set(names):
+            report.compare(f"{body}: ARPACK over ours, seconds", ratios(rounds, *pair))
+    report.write()
+
+
+def _one(name: str, settings: Settings) -> Row:
+    if name != DEMO:
+        return child("part", settings, part=name, quick=settings.quick, prepare=False)
+    ended = run(command("reduce", ROD.with_suffix(".toml"), "--json"), settings)
+    if ended.code:
+        return {"error": ended.last_error()}
+    return {"seconds": ended.seconds, "process_peak_bytes": ended.peak}

@@ -1,0 +1,212 @@
+"""Cases about solvers: the same matrix through several of them, in memory and on disk; and the modes of a body.
+
+The matrices are the stiffness of a cube of ten-node tetrahedra on springs that hold its rigid-body modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from measure import Report, Rounds, Row, Settings, child, in_rounds, ratios, required
+
+Spec = dict[str, Any]
+DEFAULT = "default"
+# Order of the dense product that the speed of factorisations is compared with.
+ORDER, QUICK_ORDER = 4096, 1024
+_FACTOR = (
+    ("analyse_seconds", "analyse s", "s"), ("factor_seconds", "factor s", "s"), ("ready_seconds", "all s", "s"),
+    ("solve_seconds", "solve s", "s"), ("columns", "columns", "n"), ("gflops", "GF/s", "f"),
+    ("dgemm_gflops", "DGEMM", "f"), ("share_of_dgemm", "share", "%"), ("factor_peak_bytes", "factor MB", "MB"),
+    ("peak_rise_bytes", "peak MB", "MB"), ("factor_entries", "1e9 entries", "G"), ("disk_bytes", "disk MB", "MB"),
+    ("backward_error", "error", "e"), ("choice", "chosen", "text"),
+)  # fmt: skip
+_NOTE = (
+    "all: analysis, factorisation and the check of the factor; factor MB: highest memory until then, peak MB: highest "
+    "memory of the process, both less what was resident before"
+)
+
+
+def speed(settings: Settings) -> float:
+    """DGEMM of NumPy now, in 10^9 operations per second."""
+    order = QUICK_ORDER if settings.quick else ORDER
+    return float(required("dgemm", settings, order=order)["gflops"])
+
+
+class Beside:
+    """Measurements between two of the speed of DGEMM each, so that the share is that of the same minutes."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._before = speed(settings)
+
+    def __call__(self, task: str, spec: Spec) -> Row:
+        row = child(task, self.settings, **spec)
+        before, self._before = self._before, speed(self.settings)
+        if "error" in row:
+            return row
+        row["dgemm_gflops"] = 0.5 * (before + self._before)
+        if row.get("flops"):
+            row["gflops"] = 1e-9 * row["flops"] / row["factor_seconds"]
+            row["share_of_dgemm"] = row["gflops"] / row["dgemm_gflops"]
+        row["peak_rise_bytes"] = row["process_peak_bytes"] - row["resident_bytes"]
+        return row
+
+
+def compared(specs: Mapping[str, Spec], dofs: int, settings: Settings) -> Rounds:
+    """Each of ``specs`` (name -> task and options of child.py) on the cube, round by round."""
+    file = str(settings.folder / f"cube_{dofs}.npz")
+    required("matrix", settings, shape="cube", dofs=dofs, file=file)
+    beside = Beside(settings)
+
+    def measurement(spec: Spec) -> Callable[[], Row]:
+        options = {key: value for key, value in spec.items() if key != "task"}
+        return lambda: beside(spec.get("task", "factor"), {"matrix": file, **options})
+
+    return in_rounds({name: measurement(spec) for name, spec in specs.items()}, settings.repeat)
+
+
+def total(rounds: Rounds, count: int) -> None:
+    """Add the seconds from the matrix to the solution of ``count`` right-hand sides, where they were solved."""
+    for row in (row for rows in rounds.values() for row in rows):
+        if (seconds := row.get(f"solve_{count}_seconds")) is not None:
+            row[f"total_{count}_seconds"] = row["ready_seconds"] + seconds
+
+
+def small(settings: Settings) -> None:
+    """SciPy's SuperLU, as one would call it, against the default of this package."""
+    dofs = 6_000 if settings.quick else 26_000
+    orders = {"splu COLAMD": None, "splu MMD_AT_PLUS_A": "MMD_AT_PLUS_A"}
+    scipys: dict[str, Spec] = {name: {"task": "splu", "order": order} for name, order in orders.items()}
+    specs = {DEFAULT: {"solver": "auto"}, **scipys}
+    rounds = compared({name: {**spec, "columns": [100]} for name, spec in specs.items()}, dofs, settings)
+    total(rounds, 100)
+    report = Report("small", settings)
+    report.add(rounds)
+    report.table(f"small: cube of about {dofs:,} dofs, 100 right-hand sides\n{_NOTE}", _FACTOR)
+    keys = {
+        "ready_seconds": "seconds until the factor is ready", "factor_peak_bytes": "memory of the factorisation",
+        "factor_entries": "factor entries", "total_100_seconds": "seconds with 100 right-hand sides",
+    }  # fmt: skip
+    for name in scipys:
+        for key, words in keys.items():
+            report.compare(f"{name} over default, {words}", ratios(rounds, (name, key), (DEFAULT, key)))
+    report.write()
+
+
+def medium(settings: Settings) -> None:
+    """All solvers but SuperLU on one matrix: how near the default comes to the fastest."""
+    dofs = 6_000 if settings.quick else 104_000
+    names = ("mumps", "cholmod", "pardiso", "umfpack", "amg", "mumps-embedded")
+    specs = {DEFAULT: {"solver": "auto"}, **{name: {"solver": name} for name in names}}
+    rounds = compared({name: {**spec, "columns": [100]} for name, spec in specs.items()}, dofs, settings)
+    total(rounds, 100)
+    report = Report("medium", settings)
+    report.add(rounds)
+    report.table(f"medium: cube of about {dofs:,} dofs, 100 right-hand sides\n{_NOTE}", _FACTOR)
+    # Multigrid has no factor: its work is in the solves.
+    direct = [name for name in names if name != "amg"]
+    for key, words, others in (
+        ("factor_seconds", "numerical factorisation", direct), ("ready_seconds", "until the factor is ready", direct),
+        ("total_100_seconds", "with 100 right-hand sides", names),
+    ):  # fmt: skip
+        known = {name: report.rows[name][key] for name in others if report.rows[name].get(key)}
+        if known:
+            best = min(known, key=lambda name: known[name])
+            report.compare(
+                f"default over the fastest ({best}), seconds {words}", ratios(rounds, (DEFAULT, key), (best, key))
+            )
+    report.write()
+
+
+def large(settings: Settings) -> None:
+    """A factor in memory, on disk, and in single precision."""
+    dofs = 15_000 if settings.quick else 305_000
+    specs: dict[str, Spec] = {
+        "cholmod": {"solver": "cholmod", "columns": [30, 100]},
+        "mumps": {"solver": "mumps", "columns": [30, 100], "out_of_core": False},
+        "mumps on disk": {"solver": "mumps", "columns": [100], "out_of_core": True, "cold": True},
+        "mumps-mixed": {"solver": "mumps-mixed", "columns": [30], "out_of_core": False},
+    }
+    rounds = compared(specs, dofs, settings)
+    total(rounds, 30)
+    for row in (row for row in rounds["mumps on disk"] if row.get("disk_bytes")):
+        row["read_share"] = row["read_bytes"] / row["disk_bytes"]
+    report = Report("large", settings)
+    report.add(rounds)
+    columns = (*_FACTOR[:-1], ("read_bytes", "read MB", "MB"), ("total_30_seconds", "all + 30 s", "s"))
+    report.table(
+        f"large: cube of about {dofs:,} dofs; before the solve on disk the system forgets the files\n{_NOTE}", columns
+    )
+    disk, mixed, core = "mumps on disk", "mumps-mixed", "mumps"
+    for name, key, words in (
+        (disk, "factor_seconds", "seconds of the factorisation"),
+        (disk, "factor_peak_bytes", "memory of the factorisation"),
+        (disk, "peak_rise_bytes", "peak memory with the solve"),
+        (disk, "solve_100_seconds", "seconds for 100 right-hand sides, cold"),
+        (mixed, "factor_seconds", "seconds of the factorisation"),
+        (mixed, "factor_bytes", "bytes of the factor"),
+        (mixed, "factor_peak_bytes", "memory of the factorisation"),
+        (mixed, "total_30_seconds", "seconds with 30 right-hand sides"),
+        ("cholmod", "factor_seconds", "seconds of the factorisation"),
+        ("cholmod", "factor_peak_bytes", "memory of the factorisation"),
+    ):
+        report.compare(f"{name} over mumps in memory, {words}", ratios(rounds, (name, key), (core, key)))
+    report.compare(
+        "bytes read by the cold solve over the factor on disk",
+        ratios(rounds, (disk, "read_bytes"), (disk, "disk_bytes")),
+    )
+    report.write()
+
+
+_MODES = (
+    ("ready_seconds", "factor s", "s"), ("lanczos_seconds", "Lanczos s", "s"), ("count_seconds", "count s", "s"),
+    ("all_seconds", "all s", "s"), ("solve_seconds", "solves s", "s"), ("solve_columns", "columns", "n"),
+    ("last_hz", "last Hz", "f"), ("residual", "residual", "e"), ("modes_peak_bytes", "peak MB", "MB"),
+    ("dgemm_gflops", "DGEMM", "f"), ("solver", "solver", "text"),
+)  # fmt: skip
+
+
+def modes(settings: Settings) -> None:
+    """50 lowest modes of the free cube with the Sturm count, against ARPACK with the same factor and no count."""
+    dofs = 6_000 if settings.quick else 104_000
+    beside, ours, theirs = Beside(settings), "block Lanczos with count", "ARPACK without count"
+    spec = {"shape": "cube", "dofs": dofs, "count": 50}
+    rounds = in_rounds({ours: lambda: beside("modes", spec)}, settings.repeat)
+    # ARPACK used the factor of the same process.
+    same = [_of_arpack(row) for row in rounds[ours]]
+    rounds = {
+        ours: [{k: v for k, v in row.items() if not k.startswith("arpack")} for row in rounds[ours]],
+        theirs: same,
+    }
+    report = Report("modes", settings)
+    report.add(rounds)
+    report.table(
+        f"modes: 50 modes of the free cube of about {dofs:,} dofs\n"
+        "Lanczos: all between factor and count, its solves included; ARPACK: modes of the cube on springs",
+        _MODES,
+    )
+    for key, words in (("ready_seconds", "analysis and factorisation"), ("factor_seconds", "numerical factorisation")):
+        report.compare(f"whole eigen-solution over its {words}", ratios(rounds, (ours, "all_seconds"), (ours, key)))
+    report.compare(
+        "ARPACK over ours, both with the factorisation", ratios(rounds, (theirs, "all_seconds"), (ours, "all_seconds"))
+    )
+    report.compare(
+        "ARPACK over ours, modes alone (Lanczos without count)",
+        ratios(rounds, (theirs, "lanczos_seconds"), (ours, "lanczos_seconds")),
+    )
+    report.write()
+
+
+def _of_arpack(row: Row) -> Row:
+    if "error" in row:
+        return row
+    own = {key.removeprefix("arpack_"): value for key, value in row.items() if key.startswith("arpack_")}
+    seconds = own.pop("seconds")
+    return {
+        **own, "dofs": row["dofs"], "solver": row["solver"], "ready_seconds": row["ready_seconds"],
+        "lanczos_seconds": seconds, "all_seconds": row["ready_seconds"] + seconds,
+    }  # fmt: skip
+
+
+CASES: dict[str, Callable[[Settings], None]] = {"small": small, "medium": medium, "large": large, "modes": modes}

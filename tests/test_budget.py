@@ -1,0 +1,264 @@
+"""The memory a process may use, the files for what does not fit, and the algorithms that work in pieces for it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from matrices import brick, mass, random
+
+from morembs import budget as budgets
+from morembs import scratch as scratches
+from morembs.budget import Budget
+from morembs.errors import InputError, OutputError
+from morembs.linalg import congruence as congruences
+from morembs.linalg import orthogonal
+from morembs.linalg.congruence import congruence, max_norm
+from morembs.linalg.lanczos import BlockLanczos
+from morembs.scratch import ScratchFolder, free_bytes
+
+MB = 1 << 20
+
+
+@pytest.fixture
+def filed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Budget:
+    """A budget that puts every array into a file."""
+    monkeypatch.setattr(budgets, "_SMALL", 1)
+    monkeypatch.setattr(budgets, "_IN_MEMORY", 0.0)
+    return Budget(1, tmp_path)
+
+
+def test_small_arrays_and_those_without_a_limit_stay_in_memory(tmp_path: Path) -> None:
+    for budget, size in ((Budget(None, tmp_path), 3 * MB), (Budget(100 * MB, tmp_path), MB)):
+        A = budget.empty((size, 1), order="F")
+        assert A.shape == (size, 1) and not A.any() and not list(tmp_path.iterdir())
+    # Less than a fiftieth of a large budget is no reason to use the disk.
+    assert Budget(4 << 30, tmp_path).empty(8 * MB).nbytes == 64 * MB and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_large_arrays_live_in_a_file_without_a_name(tmp_path: Path, order: str) -> None:
+    with Budget(100 * MB, tmp_path) as budget:
+        A = budget.empty((2 * MB, 3), np.complex64, order)
+        assert A.dtype == np.complex64 and A.flags["F_CONTIGUOUS" if order == "F" else "C_CONTIGUOUS"]
+        A[:] = values = random(2 * MB, 3)
+        (folder,) = tmp_path.iterdir()
+        # The space is taken now, and nothing but the mark of the owner is left if the process is killed.
+        assert [path.name for path in folder.iterdir()] == ["owner.lock"]
+        budget.rest()
+        np.testing.assert_array_equal(A, values.astype(np.complex64))
+        assert budget.empty(3).base is None
+    assert not list(tmp_path.iterdir())
+    np.testing.assert_array_equal(A[-1], values[-1].astype(np.complex64))
+    assert budget.empty(MB * 16).shape == (16 * MB,) and len(list(tmp_path.iterdir())) == 1
+    budget.close()
+
+
+REST = """
+import sys
+from pathlib import Path
+import numpy as np
+from morembs.budget import Budget, resident_bytes
+budget = Budget(int(sys.argv[2]), Path(sys.argv[1]))
+A = budget.empty(10_000_000)
+empty = resident_bytes()
+A[:] = np.arange(1e7)
+full = resident_bytes()
+budget.relax()
+relaxed = resident_bytes()
+budget.rest()
+print(empty, full, relaxed, resident_bytes(), int(A.sum() == 49999995000000.0), budget.left() + resident_bytes())
+"""
+
+
+@pytest.mark.parametrize(("memory", "tight"), [(150 * MB, True), (3000 * MB, False)])
+def test_rest_gives_memory_back_and_keeps_the_values(tmp_path: Path, memory: int, tight: bool) -> None:
+    """In a process of its own, whose resident memory nothing else changes."""
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("the resident memory is read from /proc")
+    code = f"import morembs.budget as b; b._IN_MEMORY = 0.0\n{REST}"
+    done = subprocess.run([sys.executable, "-c", code, tmp_path, str(memory)], capture_output=True, text=True,
+                          check=True)  # fmt: skip
+    empty, full, relaxed, rested, same, total = map(int, done.stdout.split())
+    assert full - empty > 75e6 and rested - empty < 5e6 and same and abs(total - memory) < MB
+    # In loops the pages go only when the budget is nearly used up.
+    assert (relaxed - empty < 5e6) == tight
+    assert not list(tmp_path.iterdir())
+
+
+def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Budget().columns(10**9) == 256
+    monkeypatch.setattr(budgets, "resident_bytes", lambda: 400 * MB)
+    for memory in (1, 100, 500, 700, 1100, 5000, 10**6):
+        budget = Budget(memory * MB)
+        assert budget.left() == (memory - 400) * MB
+        for n, copies in ((10**5, 4), (10**6, 1)):
+            columns = budget.columns(n, copies)
+            assert columns in (4, 8, 16, 32, 64, 128, 256)
+            share = 0.25 * (memory - 400) * MB
+            assert columns == 4 or 8 * n * copies * columns <= share
+            assert columns == 256 or 16 * n * copies * columns > share
+
+
+def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with Budget(100 * MB, tmp_path) as budget:
+        with pytest.raises(OutputError, match=r"scratch folder .* has no room for 0\.03 GB more \(No space left"):
+            budget.empty(4 * MB)
+        # Small arrays need no disk.
+        assert budget.empty(10).shape == (10,)
+    assert not list(tmp_path.iterdir())
+
+
+SCRATCH = """
+import sys
+from pathlib import Path
+from morembs.scratch import ScratchFolder
+folder = ScratchFolder(Path(sys.argv[1]))
+(folder.path / "factor").write_bytes(b"x" * 1000)
+print(folder.path, flush=True)
+sys.stdin.readline()
+"""
+
+
+def _owner(parent: Path) -> tuple[subprocess.Popen[str], Path]:
+    process = subprocess.Popen([sys.executable, "-c", SCRATCH, parent], stdin=subprocess.PIPE,
+                               stdout=subprocess.PIPE, text=True)  # fmt: skip
+    return process, Path(process.stdout.readline().strip())
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    process, path = _owner(tmp_path)
+    with process:
+        # While it lives, nobody touches its folder.
+        own = ScratchFolder(tmp_path)
+        assert (path / "factor").stat().st_size == 1000 and own.path.is_dir()
+        process.send_signal(signal.SIGKILL)
+    assert (path / "factor").exists()
+    second = ScratchFolder(tmp_path)
+    assert not path.exists() and own.path.is_dir() and second.path.is_dir()
+    own.close()
+    own.close()
+    second.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_scratch_folder_goes_with_the_process_or_with_its_owner(tmp_path: Path) -> None:
+    process, path = _owner(tmp_path / "new" / "folder")
+    with process:
+        assert path.parent == (tmp_path / "new" / "folder").resolve() and path.stat().st_mode & 0o777 == 0o700
+    assert process.returncode == 0 and not path.exists()
+    ScratchFolder(tmp_path / "new" / "folder")
+    assert not list((tmp_path / "new" / "folder").iterdir())
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    """A name is no proof: only the mark of an owner that is gone is, or an old folder without anything in it."""
+    for name in ("morembs-results", "morembs-young", "morembs-old", "other"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "morembs-results" / "body.h5").write_text("")
+    (tmp_path / "morembs-link").symlink_to(tmp_path / "other")
+    (tmp_path / "morembs-file").write_text("")
+    for name in ("morembs-results", "morembs-old"):
+        os.utime(tmp_path / name, (time.time() - 3600,) * 2)
+    scratches.remove_abandoned(tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["morembs-file", "morembs-link", "morembs-results", "morembs-young", "other"]
+
+
+def test_parent_that_cannot_be_used_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        ScratchFolder(tmp_path / "file" / "below")
+
+    def refused(**options: object) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(scratches.tempfile, "mkdtemp", refused)
+    with pytest.raises(InputError, match=r"cannot be written.*Permission denied"):
+        ScratchFolder(tmp_path)
+    assert free_bytes(tmp_path / "not" / "yet") == free_bytes(tmp_path) > 0
+
+
+@pytest.mark.parametrize("entries", [50, 1 << 22])
+@pytest.mark.parametrize("in_files", [False, True])
+def test_congruence_is_that_of_scipy(
+    filed: Budget, monkeypatch: pytest.MonkeyPatch, entries: int, in_files: bool
+) -> None:
+    """Most rows are kept, some follow six others (a rigid interface), some follow many, some vanish."""
+    monkeypatch.setattr(congruences, "_ENTRIES", entries)
+    rng = np.random.default_rng(6)
+    A = sp.csr_array(brick(4))
+    for slaves, masters in ((0, 0), (12, 6), (90, 6), (150, 20)):
+        slave = np.zeros(192, dtype=bool)
+        slave[rng.permutation(192)[:slaves]] = True
+        kept = int((~slave).sum())
+        T = np.zeros((192, kept + masters + 1))
+        T[~slave, rng.permutation(kept)] = 1.0
+        T[slave, kept : kept + masters] = rng.standard_normal((slaves, masters))
+        T[np.flatnonzero(slave)[:2]] = 0.0
+        T = sp.csr_array(T)
+        found = congruence(T, A, filed if in_files else Budget())
+        assert found.has_canonical_format and found.shape == (T.shape[1],) * 2
+        expected = (T.T @ A @ T).toarray()
+        np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+        assert not found[[T.shape[1] - 1]].nnz
+        rows = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
+        assert (np.diff(rows * found.shape[0] + found.indices) > 0).all()
+    assert bool(filed._maps) == in_files
+    assert max_norm(A) == pytest.approx(abs(A).sum(axis=1).max(), rel=1e-14)
+    filed.close()
+
+
+@pytest.mark.parametrize("piece", [3, 1000])
+def test_products_of_tall_blocks_are_those_of_numpy(filed: Budget, monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
+    monkeypatch.setattr(orthogonal, "_COLUMNS", piece)
+    monkeypatch.setattr(orthogonal, "_ROWS", piece)
+    V = filed.empty((50, 8), order="F")
+    V[:] = values = random(50, 8)
+    W, C, Y = random(50, 4, seed=5), random(8, 4), random(8, 3, seed=6)
+    np.testing.assert_allclose(orthogonal.dot(V, W, filed), values.T @ W, atol=1e-13)
+    rest = W.copy()
+    orthogonal.subtract(V, C, rest, filed)
+    np.testing.assert_allclose(rest, W - values @ C, atol=1e-13)
+    out = np.full((50, 3), np.nan)
+    assert orthogonal.combine(V, Y, out, filed) is out
+    np.testing.assert_allclose(out, values @ Y, atol=1e-13)
+    orthogonal.combine(V, Y, V[:, :3], filed)
+    np.testing.assert_allclose(V, np.hstack([values @ Y, values[:, 3:]]), atol=1e-13)
+    assert orthogonal.dot(V[:, :0], W).shape == (0, 4)
+    filed.close()
+
+
+def test_a_larger_krylov_space_keeps_the_relation(filed: Budget) -> None:
+    """Op V = V T + W E' before and after, with W in the columns of the last block."""
+    K, M = brick(3).toarray(), mass(brick(3))
+    lanczos = BlockLanczos(lambda F: np.linalg.solve(K, F), M, random(81, 4), capacity=12, budget=filed)
+
+    def off() -> float:
+        V, T = lanczos.V[:, : lanczos.size], lanczos.T[: lanczos.size, : lanczos.size]
+        rest = np.linalg.solve(K, M @ V) - V @ T
+        rest[:, lanczos.last] -= lanczos.rest_vectors
+        return float(np.abs(rest).max() + np.abs(V.T @ (M @ V) - np.eye(lanczos.size)).max())
+
+    for size in (4, 8, 12):
+        lanczos.expand()
+        assert lanczos.size == size and off() < 1e-12
+    assert lanczos.full()
+    lanczos.enlarge(24)
+    assert not lanczos.full() and lanczos.V.shape == (81, 24) and off() < 1e-12
+    for _ in range(3):
+        lanczos.expand()
+        assert off() < 1e-12
+    assert lanczos.size == 24
+    filed.close()
