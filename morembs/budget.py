@@ -107,6 +107,14 @@ class Budget:
             return np.zeros(shape, dtype=kind, order="F" if order == "F" else "C")
         return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
 
+    def store(self, array: Values) -> Values:
+        """``array``, or a copy of it in a scratch file where the budget wants that."""
+        if self.memory is None:
+            return array
+        copy = self.empty(array.shape, array.dtype, "F" if array.flags.f_contiguous else "C")
+        copy[...] = array
+        return copy
+
     def rest(self) -> None:
         """Let go of the pages of all arrays in files, and of memory that was freed but not given back."""
         if self.memory is None:

@@ -111,7 +111,7 @@ def forecast_cost(
 
 def _plans(lower: Lower, solver: LinearSolver, budget: Budget) -> tuple[Forecast, str, Forecast | None]:
     """Forecast of the factor and why this one, and of the Sturm count (None where there is none)."""
-    solver = solver.with_memory(room_for_factor(budget, lower.n))
+    solver = solver.with_memory(room_for_factor(budget))
     with solver.analyse(lower, "spd", "the stiffness matrix") as analysis:
         plan, choice = analysis.forecast, analysis.choice
     try:

@@ -88,7 +88,9 @@ class Problem:
         self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
         self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
         self.B = self.coupling.B
+        self.budget.rest()
         self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
+        self.budget.rest()
         self._refuse_unconnected()
         self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
         self._elastic: Modes | None = None

@@ -99,7 +99,8 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
             draw(job.picture, bodies, shapes, response)
     return JobResult(
         job=job, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=model.size, bodies=bodies,
-        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response, shapes=shapes,
+        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response,
+        shapes=shapes,
     )  # fmt: skip
 
 

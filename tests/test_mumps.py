@@ -162,25 +162,29 @@ def test_inertia_keeps_no_factor(kind: Kind, monkeypatch: pytest.MonkeyPatch) ->
         analysis._factorize(Lower.of(A)).solve(np.ones(375))
 
 
-def test_budget_decides_where_the_factor_lies(kind: Kind, tmp_path: Path) -> None:
+_LATE = pytest.mark.xfail(strict=True, reason="room for pivots is given up only after the disk was ruled out")
+
+
+@pytest.mark.parametrize("structure", ["spd", pytest.param("symmetric", marks=_LATE)])
+def test_budget_decides_where_the_factor_lies(kind: Kind, tmp_path: Path, structure: str) -> None:
     B = random(3000, 3)
-    with kind().analyse(FULL, "spd") as analysis:
+    with kind().analyse(FULL, structure) as analysis:
         in_core = analysis.forecast.memory
         assert not analysis.forecast.out_of_core and analysis.forecast.kept >= 8 * analysis.forecast.factor_entries
-    with kind(memory=in_core, scratch=tmp_path).factorize(FULL, "spd") as factor:
+    with kind(memory=in_core, scratch=tmp_path).factorize(FULL, structure) as factor:
         assert not factor.stats.out_of_core and not list(tmp_path.iterdir())
     with pytest.raises(BudgetError, match="needed even with the factors on disk") as caught:
-        kind(memory=1000, scratch=tmp_path / "new").factorize(FULL, "spd")
+        kind(memory=1000, scratch=tmp_path / "new").factorize(FULL, structure)
     on_disk = caught.value.needed
     assert on_disk < 0.7 * in_core and not (tmp_path / "new").exists()
     for budget in (on_disk, in_core - 1):
-        with kind(memory=budget, scratch=tmp_path / "new").factorize(FULL, "spd") as factor:
+        with kind(memory=budget, scratch=tmp_path / "new").factorize(FULL, structure) as factor:
             assert factor.stats.out_of_core and factor.stats.memory_bytes == 0
             assert _bytes_in(tmp_path / "new") >= 0.9 * factor.stats.disk_bytes > 1e6
             assert backward_error(brick(10), factor.solve(B), B) < 1e-13
         assert not list((tmp_path / "new").iterdir())
     with pytest.raises(BudgetError):
-        kind(memory=on_disk, out_of_core=False).factorize(FULL, "spd")
+        kind(memory=on_disk, out_of_core=False).factorize(FULL, structure)
 
 
 def test_a_second_factor_takes_the_place_of_the_first_on_disk(kind: Kind, tmp_path: Path) -> None:

@@ -58,7 +58,9 @@ def test_product_is_that_of_the_whole_matrix(dense: np.ndarray) -> None:
 
 def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:
     A = sp.csr_array((np.array([1.0, 2.0, 4.0, 4.0]), np.array([0, 0, 1, 1]), np.array([0, 2, 4])), shape=(2, 2))
-    np.testing.assert_array_equal(Lower.of(A).full().toarray(), [[3.0, 0.0], [0.0, 8.0]])
+    lower = Lower.of(A)
+    np.testing.assert_array_equal(lower.data, [3.0, 8.0])
+    np.testing.assert_array_equal(lower.full().toarray(), [[3.0, 0.0], [0.0, 8.0]])
     assert A.nnz == 4
 
 
@@ -97,9 +99,14 @@ def test_pattern_tells_matrices_apart_by_where_they_have_entries() -> None:
     stored_zero.data[stored_zero.data < 0] = 0.0
     assert A.pattern == Lower.of(-2.5 * brick(3)).pattern == Lower.of(stored_zero).pattern
     stored_zero.eliminate_zeros()
-    # The same entries at other places, and the same number of them.
-    moved = Lower.of(sp.csc_array(SWAP)), Lower.of(sp.csc_array(SWAP[::-1, ::-1]))
-    assert len({A.pattern, Lower.of(stored_zero).pattern, *(lower.pattern for lower in moved)}) == 4
+    # One entry beside the diagonal, in another row or in another column.
+    moved = [np.eye(3) for _ in range(3)]
+    for A_moved, (row, column) in zip(moved, ((1, 0), (2, 0), (2, 1)), strict=True):
+        A_moved[row, column] = A_moved[column, row] = 0.5
+    # The same row numbers as those of the last one, in other columns.
+    moved.append(np.array([[1.0, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 1.0]]))
+    patterns = {Lower.of(sp.csc_array(A_moved)).pattern for A_moved in moved}
+    assert len({A.pattern, Lower.of(stored_zero).pattern, *patterns}) == 6
 
 
 def _pencil(with_damping: bool) -> tuple[sp.csr_array, sp.csr_array, sp.csr_array | None]:

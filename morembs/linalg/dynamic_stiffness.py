@@ -35,18 +35,20 @@ class DynamicStiffness:
         budget: Budget = UNLIMITED,
     ) -> None:  # fmt: skip
         self.solver, self.budget = solver, budget
-        stiffness = Lower.of(K, "the stiffness matrix")
-        parts = [Lower.of(A, what) for A, what in ((M, "the mass matrix"), (D, "the damping matrix")) if A is not None]
+        stiffness = Lower.of(K, "the stiffness matrix", budget)
+        parts = [
+            Lower.of(A, what, budget)
+            for A, what in ((M, "the mass matrix"), (D, "the damping matrix"))
+            if A is not None
+        ]
         if any(part.n != stiffness.n for part in parts):
             raise InputError(
                 f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
             )
         for part in parts:
-            stiffness = _widened(stiffness, part)
-        self.lower = _kept(stiffness, budget)
-        self._added = [
-            (_kept_array(_places(stiffness, part), budget), _kept_array(part.data, budget)) for part in parts
-        ]
+            stiffness = _widened(stiffness, part, budget)
+        self.lower = stiffness
+        self._added = [(_places(stiffness, part, budget), part.data) for part in parts]
         self._analyses: dict[str, Analysis] = {}
 
     def at(self, s: complex) -> Lower:
@@ -133,9 +135,9 @@ def sprung(A: Lower, rows: NDArray[np.int64]) -> Lower:
     return replace(A, data=data)
 
 
-def _widened(A: Lower, other: Lower) -> Lower:
+def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
     """``A`` with explicit zeros where only ``other`` has entries."""
-    if (_places(A, other) >= 0).all():
+    if (_places(A, other, budget) >= 0).all():
         return A
     shape = (A.n, A.n)
     one, two = (sp.csc_array((np.ones(B.nnz, dtype=np.int8), B.indices, B.indptr), shape=shape) for B in (A, other))
@@ -146,9 +148,9 @@ def _widened(A: Lower, other: Lower) -> Lower:
     return wide
 
 
-def _places(A: Lower, other: Lower) -> Ints:
+def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Ints:
     """Where (nnz of other,) each entry of ``other`` lies in ``A``; -1 where it does not."""
-    place = np.empty(other.nnz, dtype=A.indptr.dtype)
+    place = budget.empty(other.nnz, A.indptr.dtype)
     rows = max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
     for first in range(0, A.n, rows):
         last = min(first + rows, A.n)
@@ -159,6 +161,7 @@ def _places(A: Lower, other: Lower) -> Ints:
         found[missing] = 0
         missing |= keys[0][found] != keys[1] if len(keys[0]) else True
         place[begin:end] = np.where(missing, -1, found + A.indptr[first])
+        budget.relax()
     return place
 
 
@@ -166,16 +169,3 @@ def _keys(A: Lower, first: int, last: int) -> NDArray[np.int64]:
     """One ascending number for each entry of the columns ``first`` to ``last``."""
     column = np.repeat(np.arange(last - first, dtype=np.int64), np.diff(A.indptr[first : last + 1]))
     return np.asarray(column * A.n + A.indices[A.indptr[first] : A.indptr[last]], dtype=np.int64)
-
-
-def _kept(A: Lower, budget: Budget) -> Lower:
-    return Lower(*(_kept_array(array, budget) for array in (A.indptr, A.indices, A.data)))
-
-
-def _kept_array(array: Values, budget: Budget) -> Values:
-    """``array`` where the budget wants it."""
-    if budget.memory is None:
-        return array
-    copy = budget.empty(array.shape, array.dtype)
-    copy[:] = array
-    return copy

@@ -132,6 +132,7 @@ def _sparse(
             wanted = min(wanted + block, M.shape[0] - pencil.count)
             continue
         found = int((values < cut).sum())
+        lanczos.store()
         true = count if below is not None else pencil.count_below(cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
         if found == true:

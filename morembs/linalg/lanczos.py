@@ -98,6 +98,10 @@ class BlockLanczos:
         self.T[range(keep), range(keep)] = theta[:keep]
         self.size = keep
 
+    def store(self) -> None:
+        """Put the blocks in use where the budget wants them, before something else needs the memory."""
+        self.pending, self.rest_vectors = self.budget.store(self.pending), self.budget.store(self.rest_vectors)
+
     def enlarge(self, capacity: int) -> None:
         """Make room for ``capacity`` columns."""
         V, T = self.budget.empty((len(self.V), capacity), order="F"), np.zeros((capacity, capacity))

@@ -30,7 +30,8 @@ log = logging.getLogger(__name__)
 Values = NDArray[Any]
 PRECISIONS = ("double", "single")
 _MEGABYTE = 1_000_000
-_RELAXATION = 20
+# Room for pivots that are put off, in per cent; a positive definite matrix puts none off.
+_RELAXATION, _RELAXATION_SPD = 20, 5
 _ATTEMPTS = 4
 # Workspace or buffers found too small in the numerical phase: more of them cures it.
 _TOO_SMALL = {-8, -9, -14, -15, -17, -18, -20}
@@ -97,7 +98,7 @@ class _MumpsSolver(LinearSolver):
                 f"low_rank = {self.low_rank} was given, but this build of MUMPS crashes at random in low-rank mode; "
                 "build one with METIS (make mumps)"
             )
-        return _MumpsAnalysis(self, library, A, structure)
+        return MumpsAnalysis(self, library, A, structure)
 
     def schur_complement(self, A: sp.sparray | Lower, rows: NDArray[np.int64]) -> Values:
         """S (k, k) = A_bb - A_bi A_ii^-1 A_ib of ``rows`` (k,) of a symmetric ``A`` (n, n).
@@ -114,7 +115,7 @@ class _MumpsSolver(LinearSolver):
         library = type(self).library(_dtype("double", structure))
         if isinstance(library, str):
             raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        with _MumpsAnalysis(self, library, lower, structure, schur=rows) as analysis:
+        with MumpsAnalysis(self, library, lower, structure, schur=rows) as analysis:
             return analysis.schur_of(lower)
 
 
@@ -124,7 +125,7 @@ def _dtype(precision: str, structure: str) -> str:
     return "float32" if precision == "single" else "float64"
 
 
-class _MumpsAnalysis(Analysis):
+class MumpsAnalysis(Analysis):
     """An instance of MUMPS after JOB = 1."""
 
     def __init__(
@@ -137,14 +138,15 @@ class _MumpsAnalysis(Analysis):
         self.instance = Instance(library, structure, _dtype(solver.precision, structure))
         try:
             self._set_up(A, schur)
-            self._forecast = self._within_budget(A)
+            self._forecast = self._within_budget()
         except BaseException:
             self.close()
             raise
 
     def _set_up(self, A: Lower, schur: NDArray[np.int64] | None) -> None:
         instance, solver = self.instance, self.solver
-        instance.control(14, _RELAXATION)
+        self.relaxation = _RELAXATION_SPD if self.structure == "spd" else _RELAXATION
+        instance.control(14, self.relaxation)
         # Neither of these may depend on the values: one analysis serves many shifts.
         instance.control(6, 0)
         instance.control(12, 1)
@@ -175,23 +177,29 @@ class _MumpsAnalysis(Analysis):
         if solver.out_of_core:
             self._use_disk()
 
-    def _within_budget(self, A: Lower) -> Forecast:
+    def _within_budget(self) -> Forecast:
         """Analyse, on disk where the budget asks for it."""
         self._analyse()
         budget = self.solver.memory
-        wanted = self._demand(A, 16 if self._folder is None else 26)
+        wanted = self._demand(16 if self._folder is None else 26)
         if budget is None or wanted.memory <= budget:
             return self._have_room(wanted)
-        if self._folder is None and self.solver.out_of_core is None and self._demand(A, 26).memory <= budget:
+        if self._folder is None and self.solver.out_of_core is None and self._demand(26).memory <= budget:
             self._use_disk()
             self._analyse()
-            wanted = self._demand(A, 26)
+            wanted = self._demand(26)
+        if wanted.memory > budget and self.relaxation > _RELAXATION_SPD:
+            # Tight: less room to begin with, more if it turns out to be needed.
+            self.relaxation = _RELAXATION_SPD
+            self.instance.control(14, self.relaxation)
+            self._analyse()
+            wanted = self._demand(16 if self._folder is None else 26)
         if wanted.memory > budget:
-            on_disk = self._demand(A, 26)
+            on_disk = self._demand(26)
             raise BudgetError(
                 f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
                 f"{on_disk.memory / _MEGABYTE:.0f} MB are needed even with the factors on disk "
-                f"({self._demand(A, 16).memory / _MEGABYTE:.0f} MB without); give more memory or take a coarser mesh",
+                f"({self._demand(16).memory / _MEGABYTE:.0f} MB without); give more memory or take a coarser mesh",
                 needed=on_disk.memory,
             )
         return self._have_room(wanted)
@@ -200,7 +208,7 @@ class _MumpsAnalysis(Analysis):
         if self.instance.run(ANALYSE, self.solver.progress, "ordering") < 0:
             raise self.instance.error("analysis")
 
-    def _demand(self, A: Lower, number: int) -> Forecast:
+    def _demand(self, number: int) -> Forecast:
         """Forecast in core (INFOG(16)) or out of core (INFOG(26))."""
         instance = self.instance
         entries = instance.count(3)
@@ -239,6 +247,11 @@ class _MumpsAnalysis(Analysis):
     def forecast(self) -> Forecast:
         return self._forecast
 
+    @property
+    def on_disk(self) -> Forecast:
+        """The forecast with the factor on disk."""
+        return self._demand(26)
+
     def _factorize(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         self._eliminate(A)
@@ -258,7 +271,7 @@ class _MumpsAnalysis(Analysis):
         instance = self.instance
         instance.set_pattern(A)
         instance.set_values(A)
-        relaxation = _RELAXATION
+        relaxation = self.relaxation
         for attempt in range(_ATTEMPTS):
             news = f"factorising ({self._forecast.flops:.2g} operations)"
             code = instance.run(FACTORIZE, self.solver.progress, news)
@@ -266,7 +279,7 @@ class _MumpsAnalysis(Analysis):
                 break
             if code not in _TOO_SMALL or attempt == _ATTEMPTS - 1:
                 raise instance.error("factorisation")
-            relaxation *= 2
+            relaxation = max(2 * relaxation, _RELAXATION)
             log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self.backend, code, relaxation)
             instance.control(14, relaxation)
         instance.drop_matrix()
@@ -291,7 +304,7 @@ class _MumpsAnalysis(Analysis):
 class _MumpsFactor(Factorization):
     """The factor that an analysis holds."""
 
-    def __init__(self, analysis: _MumpsAnalysis, stats: FactorStats) -> None:
+    def __init__(self, analysis: MumpsAnalysis, stats: FactorStats) -> None:
         super().__init__(analysis.n, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
         self._instance = analysis.instance
         self._stats = stats

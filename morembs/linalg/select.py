@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from morembs.errors import BudgetError, InputError, SolverError, nearest
 from morembs.linalg.amg import Amg
 from morembs.linalg.cholmod import Cholmod
 from morembs.linalg.mixed import Mixed
-from morembs.linalg.mumps import EmbeddedMumps, Mumps
+from morembs.linalg.mumps import EmbeddedMumps, Mumps, MumpsAnalysis
 from morembs.linalg.pardiso import Pardiso
 from morembs.linalg.solver import Analysis, Floats, Forecast, LinearSolver
 from morembs.linalg.superlu import SuperLU
@@ -23,10 +24,13 @@ AUTO = "auto"
 SOLVERS: dict[str, type[LinearSolver]] = {
     solver.name: solver for solver in (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
 }
-# What "auto" takes, the best first: fast in memory, then those that need less of it.
-COUNTING = ("mumps", "mumps-embedded", "superlu")
+# What "auto" takes, the best first: with room in memory, with less of it; where MUMPS comes from; who counts.
 FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
-LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg")
+LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg", "superlu")
+DIRECT = ("mumps", "mumps-embedded")
+COUNTING = (*DIRECT, "superlu")
+# Columns of length n that exist beside a factor in memory while it solves.
+COLUMNS = 48
 
 
 def available_solvers() -> dict[str, str]:
@@ -57,7 +61,11 @@ def select_solver(name: str = AUTO, *, memory: int | None = None, scratch: Path 
 
 @dataclass(frozen=True, kw_only=True)
 class Automatic(LinearSolver):
-    """The fastest solver that runs here and keeps the budget."""
+    """The fastest solver that runs here and keeps the budget.
+
+    With a budget, the analysis of MUMPS tells first where the factor has room: in memory, with a Sturm count
+    and blocks of columns beside it; on disk; on disk in single precision; nowhere, which leaves multigrid.
+    """
 
     name: ClassVar[str] = AUTO
     near_nullspace: Floats | None = field(default=None, compare=False, repr=False)
@@ -68,22 +76,22 @@ class Automatic(LinearSolver):
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
         refused: list[SolverError] = []
-        for candidate in self._candidates(structure):
+        for candidate in self._candidates(A, structure):
             try:
                 analysis = candidate.analyse(A, structure)
             except SolverError as error:
                 refused.append(error)
                 continue
-            analysis.choice = _reason(analysis, refused)
+            analysis.choice = _reason(analysis, refused, self.memory)
             log.info("%s", analysis.choice)
             return analysis
         needed = [error.needed for error in refused if isinstance(error, BudgetError)]
-        if not needed:
+        if not needed or self.memory is None:
             raise refused[-1]
         raise BudgetError(
-            f"{(self.memory or 0) / 1e6:.1f} MB are left of the memory budget for a factorisation of {A.n} rows; the "
-            f"leanest method needs {min(needed) / 1e6:.0f} MB: raise the budget by "
-            f"{(min(needed) - (self.memory or 0)) / 1e6:.0f} MB, or take a coarser mesh",
+            f"{self.memory / 1e6:.1f} MB are left of the memory budget for a factorisation of {A.n} rows; the leanest "
+            f"method needs {min(needed) / 1e6:.0f} MB: raise the budget by {(min(needed) - self.memory) / 1e6:.0f} MB "
+            "or more, or take a coarser mesh",
             needed=min(needed),
         )
 
@@ -95,17 +103,34 @@ class Automatic(LinearSolver):
 
     def _counter(self) -> LinearSolver:
         """MUMPS, which counts without keeping the factor; else what is there."""
-        name = next(name for name in COUNTING if not SOLVERS[name].unavailable())
-        return SOLVERS[name](memory=self.memory, scratch=self.scratch)
+        return self._made(next(name for name in COUNTING if not SOLVERS[name].unavailable()))
 
-    def _candidates(self, structure: str) -> list[LinearSolver]:
+    def _made(self, name: str) -> LinearSolver:
+        return SOLVERS[name](memory=self.memory, scratch=self.scratch).knowing(self.near_nullspace)
+
+    def _candidates(self, A: Lower, structure: str) -> Iterator[LinearSolver]:
         """Configurations in the order in which they are tried."""
-        found: list[LinearSolver] = []
-        for name in dict.fromkeys((*FAST, *LEAN) if self.memory is not None else FAST):
-            solver = SOLVERS[name]
-            if structure in solver.structures and not _lacks(solver, structure):
-                found.append(solver(memory=self.memory, scratch=self.scratch).knowing(self.near_nullspace))
-        return found
+        able = {
+            name for name, solver in SOLVERS.items() if structure in solver.structures and not _lacks(solver, structure)
+        }
+        direct = next((name for name in DIRECT if name in able), None)
+        if self.memory is None or direct is None or self._has_room(A, structure, direct):
+            yield from (self._made(name) for name in FAST if name in able)
+        if self.memory is not None:
+            for name in LEAN:
+                if name == direct:
+                    disk: dict[str, Any] = {"out_of_core": True}
+                    yield replace(self._made(name), **disk)
+                elif name in able and name not in DIRECT:
+                    yield self._made(name)
+
+    def _has_room(self, A: Lower, structure: str, direct: str) -> bool:
+        """Whether the factor and what comes beside it fit into memory."""
+        with self._made(direct).with_memory(None).analyse(A, structure) as analysis:
+            if not isinstance(analysis, MumpsAnalysis) or self.memory is None:
+                return True
+            in_core, beside = analysis.forecast, analysis.on_disk.memory + COLUMNS * 8 * A.n
+            return max(in_core.memory, in_core.kept + beside) <= self.memory
 
 
 def _lacks(solver: type[LinearSolver], structure: str) -> str:
@@ -115,11 +140,18 @@ def _lacks(solver: type[LinearSolver], structure: str) -> str:
     return solver.unavailable()
 
 
-def _reason(analysis: Analysis, refused: list[SolverError]) -> str:
+def _reason(analysis: Analysis, refused: list[SolverError], memory: int | None) -> str:
     """One line: what was chosen and why."""
     plan = analysis.forecast
     place = f"on disk ({plan.disk / 1e9:.2f} GB)" if plan.out_of_core else "in memory"
-    why = "the fastest that runs here" if not refused else f"as {refused[0]}"
+    if refused:
+        why = f"as {refused[-1]}"
+    elif memory is None:
+        why = "the fastest that runs here"
+    elif plan.out_of_core:
+        why = f"as {memory / 1e9:.2f} GB left of the budget have no room for it"
+    else:
+        why = f"as it fits into the {memory / 1e9:.2f} GB left of the budget"
     return (
         f"{plan.backend}, {plan.precision} precision, {place}: {plan.factor_entries:.3g} factor entries, "
         f"{plan.flops:.2g} operations, {plan.memory / 1e9:.2f} GB at the peak; {why}"

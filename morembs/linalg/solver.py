@@ -378,7 +378,7 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
     if not (size > 0).all():
         raise SingularMatrixError(f"{what} has {int((size == 0).sum())} rows that are zero; remove these dofs")
     d = (1.0 / size)[:, None]
-    norm = _scaled_norm(A, d)
+    norm = A.scaled_norm(d[:, 0])
     on_disk = factor.stats.out_of_core
     x = np.random.default_rng(7).standard_normal((A.n, _ON_DISK if on_disk else 1))
     x = (x / np.linalg.norm(x, axis=0)).astype(factor.dtype)
@@ -401,9 +401,3 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
                 f"(needed {BACKWARD_ERROR:.0e}); take another solver, or move the shift"
             )
         x /= growth
-
-
-def _scaled_norm(A: Lower, d: Floats) -> float:
-    """Norm of D |A| D in the maximum norm."""
-    positive = Lower(A.indptr, A.indices, np.abs(A.data))
-    return float((d[:, 0] * (positive @ d[:, 0])).max())

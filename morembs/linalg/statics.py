@@ -29,8 +29,6 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 IMPOSED = 1e-6
-# Columns of length n that exist beside a factor while it solves.
-RESERVED_COLUMNS = 48
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -53,7 +51,7 @@ class Statics:
     def __init__(self, pencil: DynamicStiffness, Z: Floats) -> None:
         self.pencil, self.Z = pencil, Z
         supported = sprung(pencil.lower, support_dofs(Z)) if Z.shape[1] else pencil.lower
-        solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget, len(Z)))
+        solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
     @property
@@ -169,7 +167,7 @@ class Restricted:
         pencil = self.statics.pencil
         A = pencil.shifted(sigma)
         rows = None if self.mean_axes else unit_rows(self.C)
-        solver = pencil.solver.with_memory(room_for_factor(pencil.budget, A.n))
+        solver = pencil.solver.with_memory(room_for_factor(pencil.budget))
         what = "K - sigma M"
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)
@@ -182,11 +180,11 @@ class Restricted:
         return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
 
 
-def room_for_factor(budget: Budget, n: int) -> int | None:
-    """Bytes that a factorisation of ``n`` rows may take, blocks of columns for its solves left aside."""
+def room_for_factor(budget: Budget) -> int | None:
+    """Bytes that a factorisation may take once everything that can rest does."""
     budget.rest()
     left = budget.left()
-    return None if left is None else max(0, left - RESERVED_COLUMNS * 8 * n)
+    return None if left is None else max(0, left)
 
 
 def unit_rows(C: Floats | sp.csc_array) -> Ints | None:

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 
-from morembs.errors import SingularMatrixError, SolverError
+from morembs.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.linalg.ordering import metis_ordering
 from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
 from morembs.linalg.symmetric import Lower
@@ -110,7 +110,7 @@ class _SuperLUAnalysis(Analysis):
 
 @dataclass(frozen=True, kw_only=True)
 class SuperLU(LinearSolver):
-    """SuperLU in the order of METIS; ``memory`` and ``scratch`` have no effect."""
+    """SuperLU in the order of METIS, in memory only."""
 
     name: ClassVar[str] = "superlu"
 
@@ -119,4 +119,13 @@ class SuperLU(LinearSolver):
         return ""
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        return _SuperLUAnalysis(A, structure)
+        """Raises BudgetError."""
+        analysis = _SuperLUAnalysis(A, structure)
+        needed = analysis.forecast.memory
+        if self.memory is not None and needed > self.memory:
+            raise BudgetError(
+                f"{self.memory / 1e6:.1f} MB are left of the memory budget for the factorisation; SuperLU needs about "
+                f"{needed / 1e6:.0f} MB; give more memory or take a MUMPS solver, which can keep its factor on disk",
+                needed=needed,
+            )
+        return analysis

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,12 +12,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SingularMatrixError
 
 Values = NDArray[Any]
 Ints = NDArray[Any]
 # Rows handled at once: the temporaries of a piece stay small beside the matrix.
-_ROWS = 1 << 17
+_ROWS = 1 << 15
 # Relative difference between the two triangles that is still round-off of an assembly.
 SYMMETRIC = 1e-9
 
@@ -49,10 +51,10 @@ class Lower:
         return zlib.crc32(buffers[1], zlib.crc32(buffers[0]))
 
     @classmethod
-    def of(cls, A: sp.sparray | Lower, what: str = "the matrix") -> Lower:
+    def of(cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED) -> Lower:
         """Lower triangle of ``A``, which is checked.
 
-        Peak memory: the triangle itself and a piece of it.
+        Peak memory: the triangle itself, where ``budget`` wants it, and a piece of it.
 
         Raises:
             InputError: not square, empty, not symmetric, or values that are not finite.
@@ -68,17 +70,24 @@ class Lower:
             A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
             A.sum_duplicates()
         _check_values(A, what)
-        counts, pieces = [], []
-        for first in range(0, A.shape[0], _ROWS):
-            last = min(first + _ROWS, A.shape[0])
-            begin, end = A.indptr[first], A.indptr[last]
-            row = np.repeat(np.arange(first, last, dtype=A.indices.dtype), np.diff(A.indptr[first : last + 1]))
-            keep = A.indices[begin:end] >= row
-            counts.append(np.bincount(row[keep] - first, minlength=last - first))
-            pieces.append((A.indices[begin:end][keep], A.data[begin:end][keep]))
-        indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(A.indptr.dtype)
-        indices = np.concatenate([piece[0] for piece in pieces])
-        return cls(indptr, indices, np.concatenate([piece[1] for piece in pieces]))
+        counts = np.zeros(A.shape[0] + 1, dtype=A.indptr.dtype)
+        for first, row, keep in _upper(A):
+            local = np.bincount(row[keep] - first)
+            counts[first + 1 : first + 1 + len(local)] = local
+            budget.relax()
+        indptr = np.cumsum(counts, dtype=A.indptr.dtype)
+        indices, data = budget.empty(int(indptr[-1]), A.indices.dtype), budget.empty(int(indptr[-1]), A.dtype)
+        used = 0
+        for first, row, keep in _upper(A):
+            begin = int(A.indptr[first])
+            end, count = begin + len(row), int(keep.sum())
+            indices[used : used + count], data[used : used + count] = (
+                A.indices[begin:end][keep],
+                A.data[begin:end][keep],
+            )
+            used += count
+            budget.relax()
+        return cls(indptr, indices, data)
 
     def columns(self) -> Ints:
         """Column number (nnz,) of each entry."""
@@ -123,6 +132,28 @@ class Lower:
             np.maximum.at(size, column, values)
             np.maximum.at(size, self.indices[begin:end], values)
         return size
+
+    def scaled_norm(self, d: NDArray[np.float64]) -> float:
+        """Largest row sum of the magnitudes of D A D, with ``d`` (n,) the diagonal of D."""
+        total = np.zeros(self.n)
+        for first in range(0, self.n, _ROWS):
+            last = min(first + _ROWS, self.n)
+            begin, end = self.indptr[first], self.indptr[last]
+            column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
+            row = self.indices[begin:end]
+            values = np.abs(self.data[begin:end]) * d[row] * d[column]
+            total[first:last] += np.bincount(column - first, values, last - first)
+            off = row != column
+            total += np.bincount(row[off], values[off], self.n)
+        return float(total.max(initial=0.0))
+
+
+def _upper(A: sp.csr_array) -> Iterator[tuple[int, Ints, NDArray[np.bool_]]]:
+    """Pieces of ``A``: their first row, the row of each entry, and whether it lies on or right of the diagonal."""
+    for first in range(0, A.shape[0], _ROWS):
+        last = min(first + _ROWS, A.shape[0])
+        row = np.repeat(np.arange(first, last, dtype=A.indices.dtype), np.diff(A.indptr[first : last + 1]))
+        yield first, row, A.indices[A.indptr[first] : A.indptr[last]] >= row
 
 
 def _check_values(A: sp.csr_array, what: str) -> None:
