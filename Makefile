@@ -22,8 +22,9 @@ lint: setup
 	@$(RUN)/lint-imports
 	@$(RUN)/mypy
 
+# For example: make benchmark CASES="small modes --quick"
 benchmark: setup
-	@$(RUN)/python benchmarks/run.py
+	@$(RUN)/python benchmarks/run.py $(CASES)
 
 clean:
 	rm -rf $(VENV)

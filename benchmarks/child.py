@@ -7,6 +7,10 @@ Started by measure.child. "resident_bytes" is the memory of the process before t
 
 from __future__ import annotations
 
+# First, as in any program that uses it: it quiets the idle threads of OpenBLAS before NumPy loads its copy.
+import morembs  # noqa: F401
+
+# isort: split
 import json
 import os
 import platform

@@ -55,8 +55,8 @@ def _failed(ended: Finished, settings: Settings) -> Row:
 
 
 def written(shape: str, dofs: int, budget: int | None, settings: Settings) -> Path:
-    """Path of a job with a budget, in a folder of its own."""
-    to = settings.folder / f"{shape}_{dofs}_{'free' if budget is None else budget}"
+    """Path of a job with a budget, in the folder of its model: one job of a model is there at a time."""
+    to = settings.folder / f"{shape}_{dofs}"
     scratch = settings.folder / "scratch"
     scratch.mkdir(exist_ok=True)
     memory = None if budget is None else f"{budget} B"

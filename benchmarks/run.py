@@ -10,8 +10,11 @@ compare within one run.
 from __future__ import annotations
 
 import argparse
+import signal
+import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jobs
@@ -22,6 +25,7 @@ from measure import HERE, Settings, required
 CASES = {**solvers.CASES, **jobs.CASES}
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
+ROUNDS = 3
 
 
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -33,7 +37,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help=f"{', '.join(known)}; without any: all but {' and '.join(LONG)}, which take long",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="small sizes, once: a test of the benchmarks themselves")
-    parser.add_argument("--repeat", "--runs", type=int, help="rounds (3; 1 with --quick)")
+    parser.add_argument("--repeat", "--runs", type=int, help="rounds (3; 1 with --quick and for the long ones)")
     parser.add_argument("--threads", type=int, help="threads of the BLAS libraries; without it what they take")
     parser.add_argument("--folder", type=Path, help="keeps meshes and matrices; without it a temporary one")
     parser.add_argument("--results", type=Path, help="folder for JSON (benchmarks/results; none with --quick)")
@@ -57,18 +61,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases that the command line names."""
     given = options(arguments)
     cases = chosen(given)
+    # Leave through every "with" and "except", so that the child ends and the files go.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="benchmarks-") as temporary:
         folder = (given.folder or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         settings = Settings(
             folder=folder, results=given.results or (None if given.quick else HERE / "results"), quick=given.quick,
-            repeat=given.repeat or (1 if given.quick else 3), threads=given.threads,
+            repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads,
         )  # fmt: skip
         found = required("machine", settings)
         print(f"{found['cores']} cores, {found['blas_threads']} threads of the BLAS")
         for case in cases:
             if case in CASES:
-                CASES[case](settings)
+                once = case in LONG and given.repeat is None
+                CASES[case](replace(settings, repeat=1) if once else settings)
         if single := [case for case in cases if case in parts.NAMES]:
             parts.measured(single, settings)
 

@@ -100,7 +100,8 @@ def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
         )
     if cost.plan.disk > (free := free_bytes(scratch)):
         found.append(
-            f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give another folder"
+            f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give "
+            "another folder"
         )
     return tuple(found)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ def result_json(result: JobResult) -> dict[str, Any]:
         "output": str(result.job.output),
         "picture": None if result.job.picture is None else str(result.job.picture),
         "solver": result.solver,
+        "choice": result.choice,
+        "factor": asdict(result.factor),
         "nodes": result.nodes,
         "elements": result.elements,
         "dofs": result.dofs,
@@ -62,6 +65,7 @@ def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
         "format_version": stored.format_version,
         "source": stored.recipe.get("source"),
         "solver": origin.get("solver"),
+        "factor": origin.get("factor"),
         "dofs": stored.recipe.get("dofs"),
         "stored_nodes": len(stored.node_ids),
         "mass": stored.mass,

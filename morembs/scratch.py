@@ -80,7 +80,7 @@ def free_bytes(parent: Path | None) -> int:
 def _abandoned(folder: Path) -> bool:
     mark = folder / _OWNER
     if not mark.exists():
-        empty = not any(folder.iterdir())
+        empty = all(path.suffix == ".new" for path in folder.iterdir())
         return empty and time.time() - folder.stat().st_mtime > _YOUNG
     handle = os.open(mark, os.O_RDWR)
     try:
@@ -94,9 +94,12 @@ def _abandoned(folder: Path) -> bool:
 
 def _lock(path: Path) -> Any:
     """Open handle of ``path``, locked until it is closed or the process ends."""
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    # It gets its name when it is locked, so that nobody ever sees it free.
+    new = path.with_suffix(".new")
+    handle = os.open(new, os.O_RDWR | os.O_CREAT, 0o600)
     if fcntl is not None:
         fcntl.flock(handle, fcntl.LOCK_EX)
+    new.rename(path)
     return handle
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +85,7 @@ def test_header_of_another_version_is_refused(name: str, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("file", ["mumps_int_def.h", "mumps_c_types.h"])
 def test_64_bit_integers_are_refused(tmp_path: Path, file: str) -> None:
     (tmp_path / "dmumps_c.h").write_text(HEADER)
-    (tmp_path / file).write_text("/* #define MUMPS_INTSIZE64 */\n#define MUMPS_INTSIZE32\n")
+    (tmp_path / file).write_text("/*\n#define MUMPS_INTSIZE64\n*/\n#define MUMPS_INTSIZE32\n")
     version, structure = mumps_library._structure(tmp_path / "dmumps_c.h", "d")
     assert version == "5.9.9" and structure.ooc_tmpdir.size == 256
     (tmp_path / file).write_text("  # define MUMPS_INTSIZE64\n")
@@ -125,6 +127,28 @@ def test_arithmetic_that_a_library_lacks_is_refused(monkeypatch: pytest.MonkeyPa
     with pytest.raises(InputError, match="cannot run here"):
         monkeypatch.setattr(Mumps, "library", staticmethod(lambda dtype: "gone"))
         Mumps().factorize(brick(2))
+
+
+def test_one_call_runs_at_a_time() -> None:
+    """MUMPS keeps state in global variables; a call made inside another one, by the garbage collector, goes on."""
+    running: list[int] = []
+    most: list[int] = []
+
+    class Data(ctypes.Structure):
+        _fields_ = (("job", ctypes.c_int32),)
+
+    def work(reference: object) -> None:
+        running.append(1)
+        most.append(len(running))
+        time.sleep(0.002)
+        running.pop()
+        if len(most) == 3:
+            library.call(Data(), 1)
+
+    library = mumps_library.Library("", "", Data, work)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda job: library.call(Data(), job), range(20)))
+    assert len(most) == 21 and max(most) == 1
 
 
 @pytest.mark.parametrize("dtype", list(mumps_library.ARITHMETIC))

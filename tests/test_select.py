@@ -117,6 +117,16 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     assert not list(tmp_path.iterdir())
 
 
+def test_a_factor_stays_in_memory_only_where_it_leaves_room_for_a_count(tmp_path: Path) -> None:
+    if reason := Mumps.unavailable():
+        pytest.skip(reason)
+    with Mumps().analyse(brick(10)) as analysis:
+        alone = analysis.forecast.memory
+    for memory, on_disk in ((alone, True), (4 * alone, False)):
+        with Automatic(memory=memory, scratch=tmp_path).analyse(brick(10)) as analysis:
+            assert analysis.forecast.out_of_core == on_disk
+
+
 @pytest.mark.parametrize("structure", ["spd", "symmetric"])
 def test_no_solver_is_taken_that_needs_more_than_the_budget(structure: str, tmp_path: Path) -> None:
     for memory in (1_000_000, 5_000_000):
@@ -136,9 +146,13 @@ def test_inertia_is_counted_by_what_is_there(monkeypatch: pytest.MonkeyPatch) ->
         assert Automatic().inertia_forecast(Lower.of(A)).size == 192
 
 
-def test_motions_of_low_energy_reach_the_solver_that_uses_them() -> None:
+def test_motions_of_low_energy_reach_the_solver_that_uses_them(monkeypatch: pytest.MonkeyPatch) -> None:
     Z = random(192, 6)
     known = Automatic().knowing(Z)
     assert known.near_nullspace is Z and Automatic().knowing(None).near_nullspace is None
     assert Mumps(memory=3).knowing(Z) == Mumps(memory=3)
     assert Automatic() == known
+    if not SOLVERS["amg"].unavailable():
+        monkeypatch.setattr(selection, "FAST", ("amg",))
+        (candidate,) = known._candidates(Lower.of(MATRICES["spd"]), "spd")
+        assert candidate.near_nullspace is Z

@@ -321,6 +321,7 @@ class Amg(LinearSolver):
 
     name: ClassVar[str] = "amg"
     structures: ClassVar[tuple[str, ...]] = ("spd",)
+    counts: ClassVar[bool] = False
 
     @classmethod
     def unavailable(cls) -> str:

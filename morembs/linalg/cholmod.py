@@ -110,6 +110,7 @@ class Cholmod(LinearSolver):
 
     name: ClassVar[str] = "cholmod"
     structures: ClassVar[tuple[str, ...]] = ("spd",)
+    counts: ClassVar[bool] = False
 
     @classmethod
     def unavailable(cls) -> str:

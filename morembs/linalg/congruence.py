@@ -2,71 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
+from morembs.errors import InputError
 
+Ints = NDArray[np.int64]
 _ENTRIES = 1 << 22
 
 
 def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array:
-    """T' A T (m, m) of a symmetric ``A`` (n, n), where most rows of ``T`` (n, m) are rows of the identity.
+    """T' A T (m, m) of a symmetric ``A`` (n, n), where T = [I 0; 0 R] but for the order of its rows.
 
+    Rows of A that T keeps are copied, with the zeros they store: the unknowns of a node keep equal patterns.
     Peak memory: the result, where the budget wants it, and pieces of some 50 MB.
+
+    Raises:
+        InputError: ``T`` has another form.
     """
-    Tt = sp.csr_array(T.T)
-    pieces = _row_pieces(Tt, A)
-    # A first pass over the patterns would cost as much as the product: this many entries are enough.
-    most = A.nnz + _added_at_most(T, A)
-    index = np.int32 if most < np.iinfo(np.int32).max else np.int64
-    data, indices = budget.empty(most), budget.empty(most, index)
-    indptr = np.zeros(Tt.shape[0] + 1, dtype=index)
-    used = 0
-    for first, last in pieces:
-        part = sp.csr_array(sp.csr_array(Tt[first:last] @ A) @ T)
+    kept, slaves, R = _split(T)
+    f, m = len(kept), R.shape[1]
+    # Coupling of the kept rows with the masters, and of the masters with each other.
+    coupling = [sp.csr_array(A[kept[rows]][:, slaves] @ R) for rows in _pieces(A, kept)]
+    side = sp.csr_array(sp.vstack(coupling)) if coupling else sp.csr_array((0, m))
+    middle = sp.csr_array(R.T @ A[slaves][:, slaves] @ R)
+    below = sp.csr_array(sp.hstack([side.T, 0.5 * (middle + middle.T)]))
+    upper = _kept_entries(A, kept, slaves)
+    nnz = upper + side.nnz + below.nnz
+    index = np.int32 if max(nnz, f + m) < np.iinfo(np.int32).max else np.int64
+    data, indices = budget.empty(nnz, A.dtype), budget.empty(nnz, index)
+    indptr, used, row = np.zeros(f + m + 1, dtype=index), 0, 0
+    parts = (sp.csr_array(sp.hstack([A[kept[rows]][:, kept], side[rows]])) for rows in _pieces(A, kept))
+    for part in chain(parts, [below]):
         part.sort_indices()
         end = used + part.nnz
         data[used:end], indices[used:end] = part.data, part.indices
-        indptr[first + 1 : last + 1] = used + part.indptr[1:]
-        used = end
+        indptr[row + 1 : row + 1 + part.shape[0]] = used + part.indptr[1:]
+        used, row = end, row + part.shape[0]
         budget.relax()
-    result = sp.csr_array((data[:used], indices[:used], indptr), shape=(T.shape[1],) * 2)
+    result = sp.csr_array((data, indices, indptr), shape=(f + m, f + m))
     result.has_canonical_format = True
     return result
 
 
 def max_norm(A: sp.csr_array) -> float:
     """Largest sum of magnitudes in a row of ``A``."""
-    best = 0.0
-    for first, last in _row_pieces(sp.csr_array(sp.eye_array(A.shape[0], format="csr")), A):
-        best = max(best, float(abs(A[first:last]).sum(axis=1).max(initial=0.0)))
-    return best
+    rows = np.arange(A.shape[0])
+    return max((float(abs(A[rows[part]]).sum(axis=1).max(initial=0.0)) for part in _pieces(A, rows)), default=0.0)
 
 
-def _row_pieces(Tt: sp.csr_array, A: sp.csr_array) -> list[tuple[int, int]]:
-    """Ranges of rows of ``Tt`` (m, n) whose products with ``A`` take about ``_ENTRIES`` multiplications."""
-    length = np.diff(A.indptr).astype(np.int64)
-    total = np.concatenate([[0], np.cumsum(length[Tt.indices])])
-    work = total[Tt.indptr[1:]]
-    count = int(work[-1] // _ENTRIES) + 1 if len(work) else 1
-    cuts = np.searchsorted(work, np.linspace(0, total[-1], count + 1)[1:-1]) + 1
-    edges = np.unique(np.concatenate([[0], cuts, [Tt.shape[0]]]).astype(int))
-    edges = edges[edges <= Tt.shape[0]]
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+def _split(T: sp.csr_array) -> tuple[Ints, Ints, sp.csr_array]:
+    """Rows of ``T`` that are the identity on its first columns, in the order of these; the others; and R."""
+    single = np.flatnonzero(np.diff(T.indptr) == 1)
+    column = T.indices[T.indptr[single]]
+    unit = T.data[T.indptr[single]] == 1.0
+    count = np.bincount(column[unit], minlength=T.shape[1])
+    slaves_of = np.bincount(T.indices, minlength=T.shape[1])
+    # Columns that one row alone reaches, and reaches with one: the first ones of them are kept.
+    own = (count == 1) & (slaves_of == 1)
+    f = int(np.argmin(own)) if not own.all() else T.shape[1]
+    chosen = unit & (column < f)
+    kept = np.empty(f, dtype=np.int64)
+    kept[column[chosen]] = single[chosen]
+    others = np.ones(T.shape[0], dtype=bool)
+    others[kept] = False
+    slaves = np.flatnonzero(others)
+    rest = sp.csr_array(T[slaves])
+    if rest.nnz and rest.indices.min() < f:
+        raise InputError("a transformation must either keep an unknown or express it by others, not both")
+    return kept, slaves, sp.csr_array(rest[:, f:])
 
 
-def _added_at_most(T: sp.csr_array, A: sp.csr_array) -> int:
-    """Bound of the entries that rows of ``T`` with several entries add to those of ``A``."""
-    several = np.flatnonzero(np.diff(T.indptr) > 1)
-    masters = np.unique(T.indices[_entries_of(T, several)]) if len(several) else several
-    reached = int(np.diff(A.indptr)[several].sum())
-    # Every row that a slave touches may couple with every master, on both sides of the diagonal.
-    return int(2 * len(masters) * (min(reached, A.shape[0]) + len(masters)))
+def _kept_entries(A: sp.csr_array, kept: Ints, slaves: Ints) -> int:
+    """Number of stored entries of ``A`` in rows and columns ``kept``."""
+    total = int(np.diff(A.indptr).astype(np.int64)[kept].sum())
+    return total - int(sp.csr_array(A[slaves])[:, kept].nnz) if len(slaves) else total
 
 
-def _entries_of(T: sp.csr_array, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    mask = np.zeros(T.shape[0], dtype=bool)
-    mask[rows] = True
-    return np.flatnonzero(np.repeat(mask, np.diff(T.indptr)))
+def _pieces(A: sp.csr_array, rows: Ints) -> Iterator[slice]:
+    """Ranges of ``rows`` that hold about ``_ENTRIES`` entries of ``A``."""
+    ends = np.cumsum(np.diff(A.indptr).astype(np.int64)[rows])
+    first = 0
+    while first < len(rows):
+        before = ends[first - 1] if first else 0
+        last = max(int(np.searchsorted(ends, before + _ENTRIES, side="right")), first + 1)
+        yield slice(first, last)
+        first = last

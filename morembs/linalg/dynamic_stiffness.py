@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -124,9 +125,10 @@ def held(A: Lower, rows: NDArray[np.int64]) -> Lower:
     return replace(A, data=data)
 
 
-def sprung(A: Lower, rows: NDArray[np.int64]) -> Lower:
+def sprung(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
     """``A`` with a spring to the ground at ``rows``, each as stiff as its diagonal."""
-    data = np.array(A.data)
+    data = budget.empty(A.nnz, A.data.dtype)
+    data[:] = A.data
     # The first entry of a column is its diagonal, as a stiffness has one in every row.
     first = A.indptr[rows]
     if (first == A.indptr[rows + 1]).any() or not np.array_equal(A.indices[first], rows):
@@ -139,19 +141,45 @@ def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
     """``A`` with explicit zeros where only ``other`` has entries."""
     if (_places(A, other, budget) >= 0).all():
         return A
-    shape = (A.n, A.n)
-    one, two = (sp.csc_array((np.ones(B.nnz, dtype=np.int8), B.indices, B.indptr), shape=shape) for B in (A, other))
-    union = sp.csc_array(one + two)
-    union.sort_indices()
-    wide = Lower(union.indptr, union.indices, np.zeros(union.nnz, dtype=A.data.dtype))
-    wide.data[_places(wide, A)] = A.data
+    indptr = np.zeros(A.n + 1, dtype=A.indptr.dtype)
+    pieces = []
+    for first, last, keys in _united(A, other):
+        column, row = np.divmod(keys, A.n)
+        indptr[first + 1 : last + 1] = np.bincount(column, minlength=last - first)
+        pieces.append(budget.store(row.astype(A.indices.dtype)))
+        budget.relax()
+    np.cumsum(indptr, out=indptr)
+    indices = budget.empty(int(indptr[-1]), A.indices.dtype)
+    used = 0
+    for piece in pieces:
+        indices[used : used + len(piece)] = piece
+        used += len(piece)
+    wide = Lower(indptr, indices, budget.empty(used, A.data.dtype))
+    wide.data[:] = 0.0
+    place = _places(wide, A, budget)
+    for first in range(0, A.nnz, _CHUNK):
+        part = slice(first, first + _CHUNK)
+        wide.data[place[part]] = A.data[part]
+        budget.relax()
     return wide
+
+
+def _united(A: Lower, other: Lower) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """Ranges of columns and the keys of the entries that ``A`` or ``other`` has there."""
+    rows = _rows_at_once(A)
+    for first in range(0, A.n, rows):
+        last = min(first + rows, A.n)
+        yield first, last, np.union1d(_keys(A, first, last), _keys(other, first, last))
+
+
+def _rows_at_once(A: Lower) -> int:
+    return max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
 
 
 def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Ints:
     """Where (nnz of other,) each entry of ``other`` lies in ``A``; -1 where it does not."""
     place = budget.empty(other.nnz, A.indptr.dtype)
-    rows = max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
+    rows = _rows_at_once(A)
     for first in range(0, A.n, rows):
         last = min(first + rows, A.n)
         keys = [_keys(B, first, last) for B in (A, other)]

@@ -102,6 +102,10 @@ class _MixedFactor(Factorization):
         return B
 
     def _iterate(self, B: Values) -> Values | None:
+        # Columns of unit size: single precision has no room for tiny or huge ones.
+        size = np.abs(B).max(axis=0, initial=0.0)
+        size[size == 0.0] = 1.0
+        B = B / size
         found = conjugate_gradients(
             lambda X: np.asfortranarray(self._A @ X),
             lambda R: self._rough._solve(R.copy(order="F")),
@@ -110,7 +114,7 @@ class _MixedFactor(Factorization):
             max_steps=MOST_STEPS,
         )
         log.debug("%d steps to a backward error of %.1e", found.steps, found.residual.max(initial=0.0))
-        return None if found.stagnated else found.X
+        return None if found.stagnated else found.X * size
 
     def _negative_pivots(self) -> int | None:
         """A rough factor may take the sign of an eigenvalue near zero for the other one: no count."""
@@ -131,6 +135,7 @@ class Mixed(LinearSolver):
     """
 
     name: ClassVar[str] = "mumps-mixed"
+    counts: ClassVar[bool] = False
     precision: str = "single"
     low_rank: float = 0.0
     out_of_core: bool | None = None

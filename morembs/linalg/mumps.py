@@ -115,7 +115,10 @@ class _MumpsSolver(LinearSolver):
         library = type(self).library(_dtype("double", structure))
         if isinstance(library, str):
             raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        with MumpsAnalysis(self, library, lower, structure, schur=rows) as analysis:
+        if len(rows) == lower.n:
+            return np.asarray(lower.full().toarray()[np.ix_(rows, rows)])
+        exact = replace(self, precision="double", low_rank=0.0, null_pivots=0.0)
+        with MumpsAnalysis(exact, library, lower, structure, schur=rows) as analysis:
             return analysis.schur_of(lower)
 
 
@@ -184,16 +187,18 @@ class MumpsAnalysis(Analysis):
         wanted = self._demand(16 if self._folder is None else 26)
         if budget is None or wanted.memory <= budget:
             return self._have_room(wanted)
-        if self._folder is None and self.solver.out_of_core is None and self._demand(26).memory <= budget:
-            self._use_disk()
-            self._analyse()
-            wanted = self._demand(26)
-        if wanted.memory > budget and self.relaxation > _RELAXATION_SPD:
+        if self.relaxation > _RELAXATION_SPD:
             # Tight: less room to begin with, more if it turns out to be needed.
             self.relaxation = _RELAXATION_SPD
             self.instance.control(14, self.relaxation)
             self._analyse()
             wanted = self._demand(16 if self._folder is None else 26)
+            if wanted.memory <= budget:
+                return self._have_room(wanted)
+        if self._folder is None and self.solver.out_of_core is None and self._demand(26).memory <= budget:
+            self._use_disk()
+            self._analyse()
+            wanted = self._demand(26)
         if wanted.memory > budget:
             on_disk = self._demand(26)
             raise BudgetError(
@@ -308,7 +313,7 @@ class _MumpsFactor(Factorization):
         super().__init__(analysis.n, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
         self._instance = analysis.instance
         self._stats = stats
-        self._negative = self._instance.info(12)
+        self._negative = None if self.dtype.kind == "c" else self._instance.info(12)
 
     @property
     def stats(self) -> FactorStats:

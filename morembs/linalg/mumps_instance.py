@@ -133,7 +133,13 @@ class Instance:
         return address.astype(np.int64) - 1
 
     def run(self, job: int, progress: Progress = SILENT, news: str = "") -> int:
-        """Run a job; returns INFOG(1), which is negative when it failed."""
+        """Run a job; returns INFOG(1), which is negative when it failed.
+
+        Raises:
+            SolverError: an earlier job was interrupted.
+        """
+        if self._calls.abandoned:
+            raise SolverError("this analysis was interrupted in the middle of a job; analyse the matrix again")
         self._calls.call(self.library.call, self._data, job, free=self._end, progress=progress, news=news)
         return self.info(1)
 

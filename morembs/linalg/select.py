@@ -110,18 +110,19 @@ class Automatic(LinearSolver):
 
     def _candidates(self, A: Lower, structure: str) -> Iterator[LinearSolver]:
         """Configurations in the order in which they are tried."""
-        able = {
-            name for name, solver in SOLVERS.items() if structure in solver.structures and not _lacks(solver, structure)
-        }
-        direct = next((name for name in DIRECT if name in able), None)
-        if self.memory is None or direct is None or self._has_room(A, structure, direct):
-            yield from (self._made(name) for name in FAST if name in able)
+
+        def able(name: str) -> bool:
+            return structure in SOLVERS[name].structures and not _lacks(SOLVERS[name], structure)
+
+        direct = None if self.memory is None else next(filter(able, DIRECT), None)
+        if direct is None or self._has_room(A, structure, direct):
+            yield from (self._made(name) for name in filter(able, FAST))
         if self.memory is not None:
-            for name in LEAN:
+            for name in filter(able, LEAN):
                 if name == direct:
                     disk: dict[str, Any] = {"out_of_core": True}
                     yield replace(self._made(name), **disk)
-                elif name in able and name not in DIRECT:
+                elif name not in DIRECT:
                     yield self._made(name)
 
     def _has_room(self, A: Lower, structure: str, direct: str) -> bool:

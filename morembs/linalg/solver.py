@@ -232,6 +232,8 @@ class Analysis(_Resource):
             raise InputError(
                 f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing"
             )
+        if (lower.data.dtype.kind == "c") != (self.structure == "complex-symmetric"):
+            raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")
         if not np.isfinite(lower.data).all():
             raise InputError(f"{what} has values that are not finite; check the input matrices")
         if self._current is not None:
@@ -266,6 +268,8 @@ class LinearSolver(ABC):
 
     name: ClassVar[str]
     structures: ClassVar[tuple[str, ...]] = STRUCTURES
+    # Whether it counts negative eigenvalues.
+    counts: ClassVar[bool] = True
 
     @classmethod
     @abstractmethod

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
+from morembs.linalg.select import select_solver
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,7 +51,7 @@ class Statics:
 
     def __init__(self, pencil: DynamicStiffness, Z: Floats) -> None:
         self.pencil, self.Z = pencil, Z
-        supported = sprung(pencil.lower, support_dofs(Z)) if Z.shape[1] else pencil.lower
+        supported = sprung(pencil.lower, support_dofs(Z), pencil.budget) if Z.shape[1] else pencil.lower
         solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
@@ -167,7 +168,8 @@ class Restricted:
         pencil = self.statics.pencil
         A = pencil.shifted(sigma)
         rows = None if self.mean_axes else unit_rows(self.C)
-        solver = pencil.solver.with_memory(room_for_factor(pencil.budget))
+        solver = pencil.solver if pencil.solver.counts else select_solver(scratch=pencil.solver.scratch)
+        solver = solver.with_memory(room_for_factor(pencil.budget))
         what = "K - sigma M"
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)

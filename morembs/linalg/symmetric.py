@@ -70,13 +70,17 @@ class Lower:
             A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
             A.sum_duplicates()
         _check_values(A, what)
-        counts = np.zeros(A.shape[0] + 1, dtype=A.indptr.dtype)
+        counts = np.zeros(A.shape[0] + 1, dtype=np.int64)
         for first, row, keep in _upper(A):
             local = np.bincount(row[keep] - first)
             counts[first + 1 : first + 1 + len(local)] = local
             budget.relax()
-        indptr = np.cumsum(counts, dtype=A.indptr.dtype)
-        indices, data = budget.empty(int(indptr[-1]), A.indices.dtype), budget.empty(int(indptr[-1]), A.dtype)
+        # The same types for the same pattern, whatever SciPy chose for the whole matrix.
+        small = np.iinfo(np.int32).max
+        indptr = np.cumsum(counts)
+        indptr = indptr.astype(np.int32 if indptr[-1] <= small else np.int64)
+        indices = budget.empty(int(indptr[-1]), np.int32 if A.shape[0] <= small else np.int64)
+        data = budget.empty(int(indptr[-1]), A.dtype)
         used = 0
         for first, row, keep in _upper(A):
             begin = int(A.indptr[first])
