@@ -18,11 +18,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import jobs
+import killed
 import parts
 import solvers
 from measure import HERE, Settings, required
 
-CASES = {**solvers.CASES, **jobs.CASES}
+CASES = {**solvers.CASES, **jobs.CASES, "killed": killed.killed}
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
 ROUNDS = 3
