@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.slicing import SLICE, sliced_modes
 from morembs.linalg.statics import Restricted, dense
 from morembs.progress import SILENT, Progress
 
@@ -26,6 +27,8 @@ GAP = 1e-6
 # More modes than this of a large model are a mistake in the limit, not a reduction.
 MOST_SPARSE = 2000
 ATTEMPTS = 4
+# More modes than this up to a limit are found slice by slice.
+SLICED = 400
 # Widest block of the Krylov space when the factor lies on disk.
 WIDEST = 32
 
@@ -84,6 +87,12 @@ def lowest_modes(
         return _dense(pencil, M, count, below)
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
+    if below is not None and count > SLICED:
+        first = _sparse(pencil, M, SLICE, None, progress, what)
+        values, vectors = sliced_modes(
+            pencil, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress
+        )
+        return Modes(eigenvalues=values, vectors=signed(vectors, pencil.statics.budget), verified_below=below)
     return _sparse(pencil, M, count, below, progress, what)
 
 

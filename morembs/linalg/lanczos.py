@@ -83,9 +83,10 @@ class BlockLanczos:
         return Q
 
     def ritz(self) -> tuple[Floats, Floats, Floats]:
-        """Eigenvalues theta descending (k,), coordinates (k, k), residual norms in M (k,)."""
+        """Eigenvalues theta (k,), largest magnitude first, coordinates (k, k), residual norms in M (k,)."""
         theta, Y = sl.eigh(self.T[: self.size, : self.size])
-        theta, Y = theta[::-1], Y[:, ::-1]
+        order = np.argsort(-np.abs(theta), kind="stable")
+        theta, Y = theta[order], Y[:, order]
         y = Y[self.last]
         residual = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", y, self.rest, y), 0.0))
         return theta, Y, residual

@@ -26,6 +26,7 @@ from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 from morembs.linalg.select import select_solver
+from morembs.linalg.solver import LinearSolver
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -90,7 +91,7 @@ class Restricted:
     def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
         self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = _in_blocks(statics.apply, C, statics.budget)
+        self.X = solved(statics.apply, C, statics.budget)
         E = C.T @ self.X
         H = C.T @ Z
         c, r = H.shape
@@ -164,12 +165,16 @@ class Restricted:
             "move the limit by a percent"
         )
 
+    def counter(self) -> LinearSolver:
+        """The solver for indefinite matrices, which counts negative eigenvalues."""
+        solver = self.statics.pencil.solver
+        return solver if solver.counts else select_solver(scratch=solver.scratch)
+
     def _count_below(self, sigma: float) -> int:
         pencil = self.statics.pencil
         A = pencil.shifted(sigma)
         rows = None if self.mean_axes else unit_rows(self.C)
-        solver = pencil.solver if pencil.solver.counts else select_solver(scratch=pencil.solver.scratch)
-        solver = solver.with_memory(room_for_factor(pencil.budget))
+        solver = self.counter().with_memory(room_for_factor(pencil.budget))
         what = "K - sigma M"
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)
@@ -177,7 +182,7 @@ class Restricted:
             return solver.negative_eigenvalues(held(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:
             negative = factor.negative_pivots()
-            S = self.C.T @ _in_blocks(factor.solve, self.C, pencil.budget)
+            S = self.C.T @ solved(factor.solve, self.C, pencil.budget)
         scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
         return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
 
@@ -217,7 +222,7 @@ def dense(C: Floats | sp.csc_array) -> Floats:
     return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
 
 
-def _in_blocks(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array, budget: Budget) -> Floats:
+def solved(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array, budget: Budget) -> Floats:
     """solve(C) as a dense (N, c) array, the columns made dense a block at a time."""
     X = budget.empty((C.shape[0], C.shape[1]), order="F")
     width = budget.columns(C.shape[0])

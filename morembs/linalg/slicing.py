@@ -1,0 +1,183 @@
+"""Modes of a wide band, slice by slice: shift-invert Lanczos at shifts that walk up the spectrum.
+
+One Krylov space for hundreds of modes spends its time in orthogonalisation. Here every slice has a shift sigma of
+its own (Grimes, Lewis and Simon 1994): the factor of K - sigma M finds the modes on both sides of sigma and its
+inertia counts those below, so that the modes between two shifts are proven complete when the next one is done.
+Modes that are known are locked out of the next space.
+"""
+
+from __future__ import annotations
+
+import logging
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import SingularMatrixError, SolverError
+from morembs.linalg.dynamic_stiffness import held
+from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
+from morembs.linalg.orthogonal import remove
+from morembs.linalg.statics import NUDGES, Restricted, dense, room_for_factor, solved, unit_rows
+from morembs.progress import SILENT, Progress
+
+log = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+# Modes per slice, and columns of a Krylov block.
+SLICE, BLOCK = 120, 12
+# Part of the modes of a slice that lie below its shift.
+_LEFT = 0.55
+
+
+class Shifted:
+    """(K - sigma M)^-1 on the subspace of ``pencil``, and the number of its modes ``below`` sigma."""
+
+    def __init__(self, pencil: Restricted, M: sp.csr_array, sigma: float) -> None:
+        self.pencil, self.M = pencil, M
+        self.sigma, A = sigma, pencil.statics.pencil.shifted(sigma)
+        self.rows = None if pencil.mean_axes else unit_rows(pencil.C)
+        if self.rows is not None:
+            A = held(A, self.rows)
+        solver = pencil.counter().with_memory(room_for_factor(pencil.statics.budget))
+        self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz")
+        self.below = self.factor.negative_pivots()
+        if pencil.mean_axes:
+            self.below -= pencil.count
+        elif self.rows is None:
+            self.X = solved(self.factor.solve, pencil.C, pencil.statics.budget)
+            S = dense(pencil.C.T @ self.X)
+            # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
+            self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
+            S = self.scale[:, None] * (0.5 * (S + S.T)) * self.scale
+            self.schur = sl.lu_factor(S)
+            self.below -= int(np.count_nonzero(sl.eigvalsh(S) < 0))
+
+    def apply(self, F: Floats) -> Floats:
+        """u (N, k) with (K - sigma M) u = f - C lam and C'u = 0."""
+        if self.rows is not None:
+            F = F.copy()
+            F[self.rows] = 0.0
+        U = np.asarray(self.factor.solve(F))
+        if self.pencil.mean_axes:
+            Z = self.pencil.statics.Z
+            U -= Z @ (Z.T @ (self.M @ U))
+        elif self.rows is None:
+            # Twice: round-off of the first time would leave the subspace.
+            for _ in range(2):
+                off = self.scale[:, None] * (self.pencil.C.T @ U)
+                U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, off))
+        return U
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.factor.close()
+
+
+def sliced_modes(
+    pencil: Restricted, M: sp.csr_array, values: Floats, vectors: Floats, *, count: int, below: float,
+    progress: Progress = SILENT, per_slice: int = SLICE,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """All ``count`` modes with eigenvalues up to ``below`` (rad/s)2: values ascending (count,), vectors (N, count).
+
+    ``values`` (m,), ``vectors`` (N, m) are the lowest modes, known and proven complete, to begin with; ``count`` has
+    been counted. Peak memory: the vectors, where the budget wants them, and the Krylov space of a slice.
+
+    Raises:
+        SolverError: a slice does not converge, or a mode is missing.
+    """
+    budget = pencil.statics.budget
+    found = budget.empty((M.shape[0], count), order="F")
+    size = min(len(values), count)
+    found[:, :size], lam = vectors[:, :size], np.array(values[:size])
+    while size < count:
+        recent = np.sort(lam)[-per_slice:]
+        gap = (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
+        sigma = min(recent[-1] + _LEFT * per_slice * gap, below)
+        with _shifted(pencil, M, sigma) as shifted:
+            missing = shifted.below - int((lam < shifted.sigma).sum())
+            near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
+            limit = min(below, 2 * shifted.sigma - recent[-1])
+            new, V = _slice(shifted, found[:, near], missing, limit, 2 * per_slice, progress)
+        if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
+            raise SolverError(
+                f"{missing} more modes lie below {_hz(shifted.sigma)}, the eigensolver found "
+                f"{int((new < shifted.sigma).sum())}; move the limit by a percent"
+            )
+        if not len(new) and sigma >= below:
+            raise SolverError(f"{count} modes lie below {_hz(below)}, {size} were found; move the limit by a percent")
+        found[:, size : size + len(new)] = V
+        lam, size = np.append(lam, new), size + len(new)
+        log.info("slice at %s: %d of %d modes", _hz(shifted.sigma), size, count)
+        progress.update(f"{size} of {count} modes in slices")
+    order = np.argsort(lam, kind="stable")
+    result = budget.empty(found.shape, order="F")
+    for column, source in enumerate(order):
+        result[:, column] = found[:, source]
+    return lam[order], result
+
+
+def _slice(
+    shifted: Shifted, locked: Floats, missing: int, limit: float, capacity: int, progress: Progress
+) -> tuple[Floats, Floats]:
+    """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``locked`` ones."""
+    M, budget = shifted.M, shifted.pencil.statics.budget
+
+    def flexibility(F: Floats) -> Floats:
+        U = shifted.apply(F)
+        remove(locked, U, M, budget=budget)
+        return U
+
+    if not missing and limit <= shifted.sigma:
+        return np.zeros(0), np.zeros((M.shape[0], 0))
+    start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], BLOCK)))
+    room = M.shape[0] - shifted.pencil.count - locked.shape[1]
+    lanczos = BlockLanczos(flexibility, M, start, capacity=min(capacity + 4 * BLOCK, room), budget=budget, seed=8)
+    for _ in range(MAX_STEPS):
+        if lanczos.full():
+            _make_room(lanczos, missing, room)
+        lanczos.expand()
+        theta, Y, residual = lanczos.ritz()
+        good = residual <= TOLERANCE * np.abs(theta)
+        values = shifted.sigma + 1.0 / theta
+        left = int((good & (theta < 0)).sum())
+        progress.update(f"slice at {_hz(shifted.sigma)}: {left} of {missing} modes below it converged")
+        if left >= missing or not lanczos.pending.shape[1]:
+            # A mode counts only with all that lie nearer to the shift: gaps there would be misses.
+            right = good & (theta > 0) & (values <= limit)
+            right &= np.abs(theta) > np.abs(theta[~good]).max(initial=0.0)
+            chosen = (good & (theta < 0)) | right
+            return values[chosen], lanczos.vectors(Y[:, chosen])
+    raise SolverError(f"the slice at {_hz(shifted.sigma)} did not converge in {MAX_STEPS} steps")
+
+
+def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
+    """Restart with all that is needed below the shift, however many lie nearer above it; enlarge if that is most."""
+    theta, _, _ = lanczos.ritz()
+    below = np.flatnonzero(theta < 0)
+    needed = int(below[missing - 1]) + 1 if 0 < missing <= len(below) else lanczos.size // 2
+    keep = needed + lanczos.block
+    if keep > 0.7 * lanczos.capacity and lanczos.capacity < room:
+        lanczos.enlarge(min(2 * lanczos.capacity, room))
+    else:
+        lanczos.restart(min(keep, lanczos.size - lanczos.block))
+
+
+def _shifted(pencil: Restricted, M: sp.csr_array, sigma: float) -> Shifted:
+    """Factor at ``sigma``, which moves a little down where it hits an eigenvalue."""
+    for nudge in NUDGES:
+        try:
+            return Shifted(pencil, M, sigma * (1 - nudge))
+        except SingularMatrixError:
+            continue
+    raise SolverError(f"many eigenfrequencies crowd about {_hz(sigma)}; move the limit by a percent")
+
+
+def _hz(value: float) -> str:
+    return f"{np.sqrt(max(value, 0.0)) / (2 * np.pi):.6g} Hz"
