@@ -29,6 +29,7 @@ from morembs.run import (
     refuse_reductions_that_do_not_fit,
     solver_of,
     units_of,
+    wants_modes,
 )
 from morembs.scratch import free_bytes
 
@@ -74,7 +75,9 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
     columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
-        cost = forecast_cost(stiffness_pattern(graph, budget), coupling.T, columns, solver, budget, start)
+        cost = forecast_cost(
+            stiffness_pattern(graph, budget), coupling.T, columns, solver, budget, start, wants_modes(job)
+        )
         threads = blas_threads()
     plan = cost.plan
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()

@@ -1,7 +1,7 @@
 """What a job will need, from the symbolic analysis of its stiffness: nothing is factorised.
 
-The peak is that of the process. It is the largest of three moments: the factorisation, the Sturm count beside
-the factor, and the solves with their dense columns.
+The peak is that of the process: the larger one of two moments, the factorisation, and the Sturm count beside the
+factor and the dense columns of the modes.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from typing import Any
 import scipy.sparse as sp
 
 from morembs.budget import Budget
-from morembs.errors import SolverError
 from morembs.linalg.congruence import congruence
 from morembs.linalg.solver import Forecast, LinearSolver
-from morembs.linalg.statics import room_for_factor
+from morembs.linalg.statics import require_room_to_count
 from morembs.linalg.symmetric import Lower
 from morembs.linalg.threads import blas_threads, measured_speed
 
@@ -23,6 +22,8 @@ from morembs.linalg.threads import blas_threads, measured_speed
 _ENTRY, _TRIANGLE = 12, 12
 # A Krylov space has about this many columns for each mode, beside blocks in use; measured.
 _SPACE, _BLOCKS = 3, 160
+# What stays resident of a job when all that can rest does: bytes, and columns of length n; measured.
+_RESTING, _COLUMNS = 70_000_000, 12
 # Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
 # on top; measured on compact and slender bodies.
 _EFFICIENCY = {"cholmod": 0.56, "mumps": 0.52, "mumps-mixed": 0.8, "mumps-embedded": 0.30, "pardiso": 0.52}
@@ -77,47 +78,39 @@ class Cost:
 
 
 def forecast_cost(
-    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int
+    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int, modes: bool
 ) -> Cost:
     """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
 
     Args:
         columns: number of columns of the basis.
         start: resident memory of the process before any model was read.
+        modes: whether modes are computed, and so counted.
 
     Raises:
         SolverError: no method fits into the budget.
     """
     square = T.shape[0] == T.shape[1]
-    lower = Lower.of(K if square else congruence(T, K, budget))
+    lower = Lower.of(K if square else congruence(T, K, budget), budget=budget)
     n, mass = lower.n, lower.nnz // 3
     held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
     del K
     triangle = _TRIANGLE * (lower.nnz + mass)
-    plan, choice, count = _plans(lower, solver, budget)
+    room = None if budget.memory is None else max(0, budget.memory - start - _RESTING - _COLUMNS * 8 * n)
+    count = require_room_to_count(solver, lower, room) if modes else None
+    with solver.with_memory(room).analyse(lower, "spd", "the stiffness matrix") as analysis:
+        plan, choice = analysis.forecast, analysis.choice
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
     before = start + held + triangle
     peak = max(
         before + 8 * lower.nnz + plan.memory,
-        before + 16 * lower.nnz + plan.kept + (count.memory if count else 0) + 8 * n * columns,
-        before + plan.kept + dense,
+        before + 16 * lower.nnz + plan.kept + (count.memory if count else 0) + dense,
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.
         least = start + 20 * lower.nnz + plan.memory
         peak = max(min(peak, budget.memory), least)
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan))
-
-
-def _plans(lower: Lower, solver: LinearSolver, budget: Budget) -> tuple[Forecast, str, Forecast | None]:
-    """Forecast of the factor and why this one, and of the Sturm count (None where there is none)."""
-    solver = solver.with_memory(room_for_factor(budget))
-    with solver.analyse(lower, "spd", "the stiffness matrix") as analysis:
-        plan, choice = analysis.forecast, analysis.choice
-    try:
-        return plan, choice, solver.with_memory(None).inertia_forecast(lower)
-    except (SolverError, ValueError):
-        return plan, choice, None
 
 
 def _seconds(plan: Forecast) -> float:

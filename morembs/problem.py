@@ -23,7 +23,7 @@ from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.ordering import node_graph
 from morembs.linalg.select import select_solver
 from morembs.linalg.solver import LinearSolver
-from morembs.linalg.statics import Restricted, Statics
+from morembs.linalg.statics import Restricted, Statics, require_room_to_count, room_for_factor
 from morembs.model import FEModel
 from morembs.progress import SILENT, Progress
 
@@ -118,6 +118,15 @@ class Problem:
     def internal(self) -> Restricted:
         """The body held at all interface motions: C = B."""
         return Restricted(self.statics, self.B, "the interfaces")
+
+    def require_room_for_modes(self) -> None:
+        """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
+
+        Raises:
+            BudgetError: as said.
+        """
+        if self.budget.memory is not None:
+            require_room_to_count(self.solver, self.stiffness.lower, room_for_factor(self.budget))
 
     def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
         """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""

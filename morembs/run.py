@@ -108,9 +108,11 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
     refuse_reductions_that_do_not_fit(job, size, problem.B.shape[1])
-    with watch.stage("factorise"):
-        _ = problem.statics
     count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
+    with watch.stage("factorise"):
+        if wants_modes(job):
+            problem.require_room_for_modes()
+        _ = problem.statics
     if count:
         with watch.stage("solve modes"):
             problem.elastic_modes(count=count)
@@ -123,6 +125,11 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
                 raise InputError(f"[[reduce]] {name!r}: {error}") from error
     part = make_part(problem, job.tables.output.nodes)
     return tuple(elastic_body(problem, one, part) for one in reduced)
+
+
+def wants_modes(job: Job) -> bool:
+    """Whether any modes are computed, and so counted."""
+    return bool(job.tables.check.full_modes) or any(reducer.method != "guyan" for reducer in job.reducers.values())
 
 
 def units_of(job: Job) -> Units:

@@ -13,7 +13,7 @@ from morembs.budget import Budget
 from morembs.errors import InputError
 
 Ints = NDArray[np.int64]
-_ENTRIES = 1 << 22
+_ENTRIES = 1 << 20
 
 
 def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array:

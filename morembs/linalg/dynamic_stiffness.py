@@ -18,7 +18,7 @@ from morembs.linalg.symmetric import Lower
 
 Values = NDArray[Any]
 Ints = NDArray[Any]
-_CHUNK = 1 << 22
+_CHUNK = 1 << 20
 
 
 class DynamicStiffness:

@@ -25,7 +25,7 @@ _OPTIONS = 40
 _OK = 1
 # Below this any order is good, and METIS is not meant for graphs of a few vertices.
 _SMALLEST = 50
-_CHUNK = 1 << 22
+_CHUNK = 1 << 20
 _LAST: list[tuple[int | None, Ints | None]] = [(None, None)]
 # Relative difference of two sums of keys that is round-off.
 _SAME = 1e-10

@@ -23,14 +23,17 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
-from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 from morembs.linalg.select import select_solver
-from morembs.linalg.solver import LinearSolver
+from morembs.linalg.solver import Forecast, LinearSolver
+from morembs.linalg.symmetric import Lower
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 IMPOSED = 1e-6
+# Beside a Sturm count: columns of length n, and bytes for buffers of the libraries.
+COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -192,6 +195,32 @@ def room_for_factor(budget: Budget) -> int | None:
     budget.rest()
     left = budget.left()
     return None if left is None else max(0, left)
+
+
+def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) -> Forecast:
+    """What a Sturm count will need, refused now where it would be refused after hours of work.
+
+    Args:
+        room: bytes that may be allocated once everything that can rest does; None for no limit.
+
+    Raises:
+        BudgetError: the count has no room within the budget; the message says how much more it takes.
+    """
+    solver = solver if solver.counts else select_solver(scratch=solver.scratch)
+    if room is None:
+        return solver.with_memory(None).inertia_forecast(lower)
+    # The values of K - sigma M, and the blocks of the eigensolver that wait.
+    beside = 8 * lower.nnz + COUNT_COLUMNS * 8 * lower.n + COUNT_BYTES
+    try:
+        return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
+    except BudgetError as error:
+        more = error.needed + beside - room
+        raise BudgetError(
+            f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
+            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {more / 1e6:.0f} MB or more, or take a "
+            "coarser mesh",
+            needed=error.needed + beside,
+        ) from None
 
 
 def unit_rows(C: Floats | sp.csc_array) -> Ints | None:
