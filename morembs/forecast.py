@@ -108,8 +108,7 @@ def forecast_cost(
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.
-        least = start + 20 * lower.nnz + plan.memory
-        peak = max(min(peak, budget.memory), least)
+        peak = min(peak, budget.memory)
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan))
 
 

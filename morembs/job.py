@@ -93,6 +93,8 @@ def parse_memory(text: str) -> int:
     """
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
     size = float(found[1]) * BYTES[found[2]] if found and found[2] in BYTES else 0.0
+    if found and not found[2]:
+        raise InputError(f'[solver]: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
     if not 1 <= size < MOST_BYTES:
         raise InputError(f'[solver]: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
     return int(size)

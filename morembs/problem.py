@@ -193,6 +193,8 @@ class Problem:
                 "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
                 "far from its interface points that double precision does not resolve it; check the mesh and the units"
             )
+        if found <= self.rigid.shape[1]:
+            return "the stiffness matrix is singular to working precision; check the units and the material"
         return (
             f"the model has a mechanism: {found} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
             "look for parts that touch in a node or an edge only, or nodes that should be merged"

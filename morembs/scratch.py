@@ -50,7 +50,10 @@ class ScratchFolder:
         try:
             self.path = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)).resolve()
         except OSError as error:
-            raise InputError(f"the scratch folder {parent} cannot be written: {error}") from error
+            place = parent or tempfile.gettempdir()
+            raise InputError(
+                f"the scratch folder {place} cannot be written ({error.strerror}); give another one"
+            ) from error
         self._finalize = weakref.finalize(self, _remove, self.path, _lock(self.path / _OWNER))
 
     def close(self) -> None:

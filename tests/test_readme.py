@@ -22,6 +22,17 @@ def test_python_example(tmp_path):
     assert body.frequencies_hz[6] > 1000
 
 
+def test_solver_example():
+    """The example of docs/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
+    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "solvers.md").read_text(), re.DOTALL).group(1)
+    code = code.replace("solver.negative_eigenvalues", "print(solver.negative_eigenvalues", 1).replace(
+        "eye_array(1000))    #", "eye_array(1000)))  #"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    exact = 2 - 2 * np.cos(np.arange(1, 1001) * np.pi / 1001)
+    assert int(done.stdout.split()[-1]) == int((exact < 0.5).sum())
+
+
 def test_documents_that_are_named_exist():
     for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):

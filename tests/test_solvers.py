@@ -17,7 +17,7 @@ from matrices import backward_error, badly_scaled, brick, chain, damped, mass, r
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg import mumps_library
 from morembs.linalg.mumps import Mumps
-from morembs.linalg.select import SOLVERS
+from morembs.linalg.select import SOLVERS, select_solver
 from morembs.linalg.solver import STRUCTURES, LinearSolver
 from morembs.linalg.superlu import SuperLU
 from morembs.linalg.symmetric import Lower
@@ -326,3 +326,26 @@ def test_superlu_works_without_an_order(monkeypatch: pytest.MonkeyPatch) -> None
     with SuperLU().factorize(A) as factor:
         assert backward_error(A, factor.solve(b), b) < 1e-14
         assert factor.negative_pivots() == np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
+
+
+def test_an_easy_indefinite_matrix_that_needs_pivots() -> None:
+    """Without a choice of pivots SuperLU loses all digits here: it must see that and choose them."""
+    row = sp.diags_array([-np.ones(11), 2 * np.ones(12), -np.ones(11)], offsets=[-1, 0, 1])
+    eye = sp.eye_array(12)
+    A = sp.csr_array(
+        sp.kron(sp.kron(row, eye), eye) + sp.kron(sp.kron(eye, row), eye) + sp.kron(sp.kron(eye, eye), row)
+        - 3.0 * sp.eye_array(12**3)
+    )  # fmt: skip
+    b = np.random.default_rng(0).standard_normal(12**3)
+    for name in ("superlu", "mumps", "umfpack"):
+        if not SOLVERS[name].unavailable():
+            with SOLVERS[name]().factorize(A) as factor:
+                assert np.linalg.norm(A @ factor.solve(b) - b) < 1e-9 * np.linalg.norm(b)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64, np.longdouble])
+def test_other_kinds_of_numbers_become_double(kind: type) -> None:
+    A = sp.csr_array(sp.diags_array([-np.ones(29), 3 * np.ones(30), -np.ones(29)], offsets=[-1, 0, 1]).astype(kind))
+    with select_solver().factorize(A, "spd") as factor:
+        x = factor.solve(sp.csc_matrix(np.eye(30)[:, :2]))
+    np.testing.assert_allclose(x, np.linalg.inv(A.toarray().astype(float))[:, :2], atol=1e-13)

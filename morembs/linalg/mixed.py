@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.conjugate_gradient import conjugate_gradients
 from morembs.linalg.mumps import Mumps
 from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
@@ -44,7 +44,12 @@ class _MixedAnalysis(Analysis):
 
     def _factorize(self, A: Lower) -> Factorization:
         if self._double is None:
-            factor = _MixedFactor(self, self._rough._factorize(A), A)
+            try:
+                rough = self._rough._factorize(A)
+            except SingularMatrixError:
+                # Perhaps in single precision only: the double factor knows.
+                return self.in_double(A)
+            factor = _MixedFactor(self, rough, A)
             try:
                 if factor.converges():
                     return factor

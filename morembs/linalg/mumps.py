@@ -218,8 +218,8 @@ class MumpsAnalysis(Analysis):
         instance = self.instance
         entries = instance.count(3)
         size = instance.dtype.itemsize
-        # Coordinates and values of the triangle are ours, the rest is what MUMPS will allocate.
-        matrix = (8 + size) * self.lower_nnz
+        # Coordinates of the triangle, and its values where they change type; the rest is what MUMPS will allocate.
+        matrix = (8 + (0 if instance.dtype == np.float64 else size)) * self.lower_nnz
         disk = size * entries if number == 26 else 0
         return Forecast(
             backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),

@@ -29,7 +29,7 @@ _WORDS = {
     -11: "workspace too small for the solution", -14: "integer workspace too small for the solution",
     -19: "the memory budget is too small", -20: "buffer too small",
     -51: "the graph is too large for 32-bit integers", -52: "the graph is too large for 32-bit integers",
-    -90: "the scratch folder cannot be written or is full",
+    -90: "the scratch folder cannot be written or is full; make room there, or give another one",
 }  # fmt: skip
 
 

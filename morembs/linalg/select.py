@@ -29,8 +29,9 @@ FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
 LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg", "superlu")
 DIRECT = ("mumps", "mumps-embedded")
 COUNTING = (*DIRECT, "superlu")
-# Columns of length n that exist beside a factor in memory while it solves.
-COLUMNS = 48
+# Beside a factor in memory while it solves: columns of length n, and bytes for buffers of the libraries; and what
+# is kept against the forecast of MUMPS.
+COLUMNS, BYTES, KEPT = 60, 60_000_000, 1.25
 
 
 def available_solvers() -> dict[str, str]:
@@ -130,8 +131,11 @@ class Automatic(LinearSolver):
         with self._made(direct).with_memory(None).analyse(A, structure) as analysis:
             if not isinstance(analysis, MumpsAnalysis) or self.memory is None:
                 return True
-            in_core, beside = analysis.forecast, analysis.on_disk.memory + COLUMNS * 8 * A.n
-            return max(in_core.memory, in_core.kept + beside) <= self.memory
+            # Whoever makes the factor keeps up to a fifth more than MUMPS; a Sturm count needs about what a factor
+            # on disk does, and the values of K - sigma M.
+            in_core, beside = analysis.forecast, 1.1 * analysis.on_disk.memory + 8 * A.nnz
+            beside += COLUMNS * 8 * A.n + BYTES
+            return max(in_core.memory, KEPT * in_core.kept + beside) <= self.memory
 
 
 def _lacks(solver: type[LinearSolver], structure: str) -> str:

@@ -162,11 +162,12 @@ class Factorization(_Resource):
             raise InputError(f"a right-hand side of shape {B.shape} was given; expected ({self.n}, k)")
         if B.dtype.kind == "c" and self.dtype.kind != "c":
             raise InputError("a complex right-hand side was given for a real matrix; solve for both parts")
-        if isinstance(B, sp.sparray):
+        if sp.issparse(B):
             X = self._solve_sparse(sp.csc_array(B).astype(self.dtype))
             if X is not None:
                 return X
-            B = B.toarray()
+            whole: Any = B
+            B = whole.toarray()
         block = np.array(B.reshape(self.n, -1), dtype=self.dtype, order="F", copy=True)
         X = self._solve(block) if block.shape[1] else block
         return X.reshape(B.shape) if B.ndim == 1 else X

@@ -22,6 +22,15 @@ _BYTES = 12
 
 # Entries of L and U in a compact body of n unknowns: ENTRIES n^(4/3), as measured with METIS.
 _ENTRIES = 48.0
+# Relative residual beyond which a factor without pivoting is not good enough to be refined.
+_UNSTABLE = 1e-10
+
+
+def _error(lu: Any, A: sp.csc_array) -> float:
+    """Relative residual of a trial solution."""
+    b = np.random.default_rng(3).standard_normal(A.shape[0]).astype(A.dtype)
+    x = lu.solve(b)
+    return float(np.linalg.norm(A @ x - b) / (np.linalg.norm(abs(A) @ abs(x)) + np.linalg.norm(b)))
 
 
 class _SuperLUFactor(Factorization):
@@ -83,13 +92,21 @@ class _SuperLUAnalysis(Analysis):
         """Raises SingularMatrixError or SolverError (out of memory)."""
         start = time.perf_counter()
         whole = A.full()
+        definite = self.structure == "spd"
         if self._order is not None:
             whole = sp.csc_array(whole[self._order][:, self._order])
+        lu = self._decomposed(whole, pivots=False)
+        if not definite and _error(lu, whole) > _UNSTABLE:
+            # Pivots off the diagonal cost fill and the inertia, but save the solution.
+            lu = self._decomposed(whole, pivots=True)
+        return _SuperLUFactor(lu, whole, self._order, not definite, time.perf_counter() - start)
+
+    def _decomposed(self, whole: sp.csc_array, *, pivots: bool) -> Any:
+        order = "MMD_AT_PLUS_A" if self._order is None else "NATURAL"
         try:
-            lu = spla.splu(
-                whole, permc_spec="MMD_AT_PLUS_A" if self._order is None else "NATURAL", diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )  # fmt: skip
+            if pivots:
+                return spla.splu(whole, permc_spec="COLAMD" if self._order is None else order)
+            return spla.splu(whole, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError as error:
             if "singular" in str(error):
                 raise SingularMatrixError(
@@ -101,8 +118,6 @@ class _SuperLUAnalysis(Analysis):
             raise SolverError(
                 f"SuperLU ran out of memory with {self.n} rows; a MUMPS solver needs a sixth of it"
             ) from error
-        refine = self.structure != "spd"
-        return _SuperLUFactor(lu, whole, self._order, refine, time.perf_counter() - start)
 
     def _release(self) -> None:
         self._order = None

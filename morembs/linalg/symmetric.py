@@ -66,6 +66,9 @@ class Lower:
             raise InputError(f"{what} has the shape {A.shape}; a square one is needed")
         if A.shape[0] == 0:
             raise InputError(f"{what} has no rows; nothing can be solved with it")
+        kind = np.complex128 if np.iscomplexobj(A.data) else np.float64
+        if A.dtype != kind:
+            A = A.astype(kind)
         if not isinstance(A, sp.csr_array) or not A.has_canonical_format:
             A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
             A.sum_duplicates()

@@ -292,6 +292,8 @@ class Umfpack(LinearSolver):
     progress: Progress = field(default=SILENT, compare=False, repr=False)
 
     name: ClassVar[str] = "umfpack"
+    # It counts only where all its pivots lie on the diagonal.
+    counts: ClassVar[bool] = False
 
     @classmethod
     def unavailable(cls) -> str:
