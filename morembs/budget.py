@@ -32,8 +32,6 @@ _BLOCK_SHARE = 0.25
 _WIDEST = 256
 # Less than this part of the budget left is tight.
 _TIGHT = 0.3
-# Where no budget is given, this part of the memory that the machine has free.
-_OF_MACHINE = 0.9
 
 
 def resident_bytes() -> int:
@@ -46,7 +44,7 @@ def resident_bytes() -> int:
 
 
 def available_bytes() -> int | None:
-    """Memory that this machine (or the control group of this process) has free, None where it does not tell."""
+    """Memory that this machine has free, None where it does not tell."""
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             fields = dict(line.split(":", 1) for line in file)

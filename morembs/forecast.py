@@ -25,8 +25,8 @@ _SPACE, _BLOCKS = 3, 160
 # What stays resident of a job when all that can rest does: bytes, and columns of length n; measured.
 _RESTING, _COLUMNS = 70_000_000, 12
 # Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
-# on top; measured on compact and slender bodies.
-_EFFICIENCY = {"cholmod": 0.56, "mumps": 0.52, "mumps-mixed": 0.8, "mumps-embedded": 0.30, "pardiso": 0.52}
+# on top; of compact bodies of 100 to 300 thousand dofs, PARDISO's taken to be that of MUMPS.
+_EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
 _SLOWEST = 0.1
 _SECONDS_PER_ENTRY = 1e-8
 

@@ -10,16 +10,22 @@ import time
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from morembs.errors import BudgetError, InputError
+from morembs.errors import InputError
 from morembs.linalg.cholmod_library import Library, cholmod_library
 from morembs.linalg.cholmod_session import Session, sparse
 from morembs.linalg.ordering import metis_ordering
-from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
+from morembs.linalg.solver import (
+    Analysis,
+    Factorization,
+    FactorStats,
+    Forecast,
+    LinearSolver,
+    Values,
+    refuse_beyond_memory,
+)
 from morembs.linalg.symmetric import Lower
 from morembs.linalg.threads import blas_threads
 from morembs.progress import SILENT, Progress
-
-_MEGABYTE = 1_000_000
 
 
 class _CholmodAnalysis(Analysis):
@@ -32,7 +38,7 @@ class _CholmodAnalysis(Analysis):
         try:
             self.session.analyse(sparse(library, A, values=False), metis_ordering(A), solver.progress)
             self._forecast = self._demand()
-            self._within_budget()
+            refuse_beyond_memory(solver, self._forecast, "CHOLMOD", "can keep it on disk")
         except BaseException:
             self.close()
             raise
@@ -48,16 +54,6 @@ class _CholmodAnalysis(Analysis):
             backend=self.solver.name, size=self.n, factor_entries=entries, flops=float(common.fl),
             memory=held + matrix + 8 * int(factor.maxcsize), kept=held,
         )  # fmt: skip
-
-    def _within_budget(self) -> None:
-        budget, wanted = self.solver.memory, self._forecast.memory
-        if budget is not None and wanted > budget:
-            raise BudgetError(
-                f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
-                f"{wanted / _MEGABYTE:.1f} MB are needed by CHOLMOD, which keeps the factor in memory; "
-                'give more memory or take solver = "mumps", which can keep it on disk',
-                needed=wanted,
-            )
 
     @property
     def forecast(self) -> Forecast:

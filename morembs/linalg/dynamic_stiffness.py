@@ -58,19 +58,14 @@ class DynamicStiffness:
         real = all(complex(scale).imag == 0.0 for scale in scales)
         data: Values = np.array(self.lower.data, dtype=np.float64 if real else np.complex128)
         for scale, (place, values) in zip(scales, self._added, strict=True):
-            factor = complex(scale).real if real else scale
-            for first in range(0, len(place), _CHUNK):
-                part = slice(first, first + _CHUNK)
-                data[place[part]] += factor * values[part]
+            _add(data, place, complex(scale).real if real else scale, values)
         return replace(self.lower, data=data)
 
     def shifted(self, sigma: float) -> Lower:
         """Lower triangle of K - sigma M."""
         place, values = self._added[0]
         data = np.array(self.lower.data)
-        for first in range(0, len(place), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            data[place[part]] -= sigma * values[part]
+        _add(data, place, -sigma, values)
         return replace(self.lower, data=data)
 
     def factorize(self, s: complex, structure: str | None = None) -> Factorization:
@@ -104,6 +99,13 @@ class DynamicStiffness:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:
+    """data[place] += factor * values, in pieces."""
+    for first in range(0, len(place), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        data[place[part]] += factor * values[part]
 
 
 def held(A: Lower, rows: NDArray[np.int64]) -> Lower:

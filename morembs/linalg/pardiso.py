@@ -14,17 +14,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.interruptible import LongCalls
 from morembs.linalg.ordering import metis_ordering
 from morembs.linalg.pardiso_library import mkl_library
-from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver, refuse_beyond_memory
 from morembs.linalg.symmetric import Lower
 from morembs.linalg.threads import blas_threads
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
-_MEGABYTE = 1_000_000
 _MTYPE = {"spd": 2, "symmetric": -2, "complex-symmetric": 6}
 _ANALYSE, _FACTORIZE, _SOLVE, _FREE_FACTOR, _FREE = 11, 22, 33, 0, -1
 _ZERO_PIVOT = -4
@@ -195,7 +194,7 @@ class _PardisoAnalysis(Analysis):
         self._handle = self._analysed(A, wide=A.nnz > _MOST_ENTRIES)
         try:
             self._forecast = self._demand()
-            self._within_budget()
+            refuse_beyond_memory(solver, self._forecast, "PARDISO", "can keep it on disk")
         except BaseException:
             self.close()
             raise
@@ -227,16 +226,6 @@ class _PardisoAnalysis(Analysis):
             backend=self.solver.name, size=self.n, factor_entries=int(iparm[17]), flops=1e6 * float(iparm[18]),
             memory=max(peak + integers, kept), kept=kept,
         )  # fmt: skip
-
-    def _within_budget(self) -> None:
-        budget, wanted = self.solver.memory, self._forecast.memory
-        if budget is not None and wanted > budget:
-            raise BudgetError(
-                f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
-                f"{wanted / _MEGABYTE:.1f} MB are needed by PARDISO, which keeps the factor in memory; "
-                'give more memory or take solver = "mumps", which can keep it on disk',
-                needed=wanted,
-            )
 
     @property
     def forecast(self) -> Forecast:

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.symmetric import Lower
 
 log = logging.getLogger(__name__)
@@ -370,6 +370,17 @@ class LinearSolver(ABC):
             raise
         factor.analysis = analysis
         return factor
+
+
+def refuse_beyond_memory(solver: LinearSolver, wanted: Forecast, who: str, advice: str) -> None:
+    """Raise BudgetError where a factor that has to stay in memory exceeds the budget of ``solver``."""
+    if solver.memory is not None and wanted.memory > solver.memory:
+        raise BudgetError(
+            f"{solver.memory / 1e6:.1f} MB are left of the memory budget for the factorisation; "
+            f"{wanted.memory / 1e6:.1f} MB are needed by {who}, which keeps the factor in memory; "
+            f'give more memory or take solver = "mumps", which {advice}',
+            needed=wanted.memory,
+        )
 
 
 def check_factor(factor: Factorization, A: Lower, what: str) -> None:

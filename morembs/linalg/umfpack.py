@@ -18,17 +18,24 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.cholmod_session import Fill, fill_of
 from morembs.linalg.interruptible import LongCalls
 from morembs.linalg.ordering import metis_ordering
-from morembs.linalg.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
+from morembs.linalg.solver import (
+    Analysis,
+    Factorization,
+    FactorStats,
+    Forecast,
+    LinearSolver,
+    Values,
+    refuse_beyond_memory,
+)
 from morembs.linalg.symmetric import Lower
 from morembs.linalg.threads import blas_threads
 from morembs.progress import SILENT, Progress
 
 HINT = "sudo apt-get install libsuitesparse-dev"
-_MEGABYTE = 1_000_000
 # Places in the array of controls and their values, the same since version 4.
 _STRATEGY, _STEPS, _SYMMETRIC_TOLERANCE, _PIVOT_TOLERANCE = 5, 7, 15, 3
 _SYMMETRIC = 3
@@ -191,7 +198,7 @@ class _UmfpackAnalysis(Analysis):
             # A postorder keeps fewer fronts alive at the same time.
             self.session.analyse(order if fill is None else fill.order, solver.progress)
             self._forecast = self._demand(fill)
-            self._within_budget()
+            refuse_beyond_memory(solver, self._forecast, "UMFPACK", "needs half and can keep it on disk")
         except BaseException:
             self.close()
             raise
@@ -213,16 +220,6 @@ class _UmfpackAnalysis(Analysis):
             backend=self.solver.name, size=self.n, factor_entries=entries, flops=flops,
             memory=max(peak + matrix + values, kept), kept=kept,
         )  # fmt: skip
-
-    def _within_budget(self) -> None:
-        budget, wanted = self.solver.memory, self._forecast.memory
-        if budget is not None and wanted > budget:
-            raise BudgetError(
-                f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
-                f"{wanted / _MEGABYTE:.1f} MB are needed by UMFPACK, which keeps the factor in memory; "
-                'give more memory or take solver = "mumps", which needs half and can keep it on disk',
-                needed=wanted,
-            )
 
     @property
     def forecast(self) -> Forecast:
