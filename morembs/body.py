@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
@@ -78,20 +77,6 @@ class ElasticBody:
         return np.asarray(self.part.transformation @ self.reduced.V[:, columns])
 
 
-def mass_properties(M: sp.csr_array, R: Floats, pole: Floats) -> tuple[float, Floats, Floats]:
-    """Mass, centre of mass (3,) and inertia (3, 3) about it.
-
-    From the consistent mass ``M`` (N, N) and rigid-body modes ``R`` (N, 6) with rotations about ``pole`` (3,).
-    """
-    G = R.T @ (M @ R)
-    mass = float(np.trace(G[:3, :3]) / 3)
-    coupling = G[:3, 3:]  # -m c~
-    arm = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / mass
-    shift = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    inertia = G[3:, 3:] - shift
-    return mass, pole + arm, 0.5 * (inertia + inertia.T)
-
-
 def make_part(problem: Problem, nodes: str = "all") -> Part:
     """What all bodies of ``problem`` share, displacements kept at ``nodes``: all, skin or interfaces.
 
@@ -106,7 +91,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     if (dofs < 0).any():
         # A node without some displacement (a matrix model) stays still along it.
         picked = sp.csr_array(sp.diags_array((dofs >= 0).astype(float)) @ picked)
-    mass, center, inertia = mass_properties(problem.M, problem.coupling.R, problem.coupling.pole)
+    mass, center, inertia = problem.mass_properties
     chosen = Nodes(ids=model.nodes.ids[rows], xyz=model.nodes.xyz[rows])
     return Part(
         mass=mass, center_of_mass=center, inertia=inertia, nodes=chosen, cells=cells, transformation=picked,
@@ -140,7 +125,7 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
 
 def elastic_body(problem: Problem, reduced: ReducedModel, part: Part) -> ElasticBody:
     """Body of a reduced model: its frequencies and what it shares with others of the same part."""
-    eigenvalues = sl.eigh(reduced.K, reduced.M, eigvals_only=True)
+    eigenvalues, _ = reduced.modes()
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))
     omega[: reduced.rigid_count] = 0.0
     full = problem.known_frequencies_hz()

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
@@ -57,10 +56,7 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Full against reduced response at ``frequencies_hz`` (nf,)."""
     omega = 2 * np.pi * frequencies_hz
-    part = bodies[0].part
-    length = float(np.sqrt(np.trace(part.inertia) / (2 * part.mass)))
-    scale = _motion_scale(problem, length)
-    size = np.outer(scale, scale)
+    size = np.outer(problem.motion_scale, problem.motion_scale)
     full = full_response(problem, omega, progress=progress) * size
     norm = np.linalg.norm(full, axis=(1, 2))
     reduced, error = {}, {}
@@ -68,23 +64,15 @@ def frequency_response(
         H = reduced_response(body.reduced, omega) * size
         reduced[body.name] = np.linalg.norm(H, axis=(1, 2))
         error[body.name] = np.linalg.norm(H - full, axis=(1, 2)) / norm
-    return FrequencyResponse(frequencies_hz=frequencies_hz, full=norm, reduced=reduced, error=error, length=length)
-
-
-def _motion_scale(problem: Problem, length: float) -> Floats:
-    """One for displacements and ``length`` for rotations, for each column of B."""
-    scale = np.ones(problem.B.shape[1])
-    for interface in problem.interfaces:
-        if interface.coupling != "direct":
-            columns = problem.coupling.columns[interface.name]
-            scale[columns] = np.where(np.array(interface.components) > 2, length, 1.0)
-    return scale
+    return FrequencyResponse(
+        frequencies_hz=frequencies_hz, full=norm, reduced=reduced, error=error, length=problem.length
+    )
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     """The lowest elastic eigenmodes of ``reduced`` on the skin; None if it has none, or the model no elements."""
     mesh = problem.model.mesh
-    values, Y = sl.eigh(reduced.K, reduced.M)
+    values, Y = reduced.modes()
     shown = slice(reduced.rigid_count, reduced.rigid_count + SHOWN_MODES)
     if mesh is None or not len(values[shown]):
         return None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import scipy.linalg as sl
@@ -24,10 +24,12 @@ from morembs.linalg.ordering import node_graph
 from morembs.linalg.select import select_solver
 from morembs.linalg.solver import LinearSolver
 from morembs.linalg.statics import Restricted, Statics, require_room_to_count, room_for_factor
+from morembs.mass import mass_properties
 from morembs.model import FEModel
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
+Shared = TypeVar("Shared")
 # A geometric rigid motion whose stiffness force stays below this part of |K| |u| is free of strain.
 STRAIN_FREE = 1e-9
 
@@ -49,9 +51,13 @@ class Damping:
         if self.modal and (self.alpha or self.beta):
             raise InputError("damping: give either rayleigh or modal, not both")
 
-    def matrix(self, M: Floats, K: Floats, rigid: Floats) -> Floats:
+    def matrix(self, M: Floats, K: Floats, rigid: Floats, symmetric: bool = True) -> Floats:
         """D (n, n) of a reduced pencil whose M-orthonormal rigid motions are ``rigid`` (n, r)."""
         Mr = M @ rigid
+        if self.modal and not symmetric:
+            found, X = sl.eig(K, M)
+            ratio = 2 * self.modal * np.sqrt(np.maximum(found.real, 0.0))
+            return np.asarray((M @ (X * ratio) @ np.linalg.inv(X)).real)
         if self.modal:
             values, Y = sl.eigh(K, M)
             omega = np.sqrt(np.maximum(values, 0.0))
@@ -95,6 +101,35 @@ class Problem:
         self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
+        self._shared: dict[object, Any] = {}
+
+    def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
+        """What ``make`` gives, computed once: solutions that several reducers need."""
+        if key not in self._shared:
+            self._shared[key] = make()
+        found: Shared = self._shared[key]
+        return found
+
+    @cached_property
+    def mass_properties(self) -> tuple[float, Floats, Floats]:
+        """Mass in kg, centre of mass (3,) in m and inertia (3, 3) in kg m2 about it."""
+        return mass_properties(self.M, self.coupling.R, self.coupling.pole)
+
+    @cached_property
+    def length(self) -> float:
+        """Radius of gyration in m: it turns rotations and moments into the units of motions and forces."""
+        mass, _, inertia = self.mass_properties
+        return float(np.sqrt(np.trace(inertia) / (2 * mass)))
+
+    @cached_property
+    def motion_scale(self) -> Floats:
+        """One for displacements and ``length`` for rotations, for each column of B."""
+        scale = np.ones(self.B.shape[1])
+        for interface in self.interfaces:
+            if interface.coupling != "direct":
+                columns = self.coupling.columns[interface.name]
+                scale[columns] = np.where(np.array(interface.components) > 2, self.length, 1.0)
+        return scale
 
     @property
     def solver_name(self) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.reducers.base import ReducedModel
@@ -53,7 +52,7 @@ def shown_modes(reduced: ReducedModel) -> Floats:
 
     The sign is that of the largest coordinate, which is made positive (the first one of equals).
     """
-    _, vectors = sl.eigh(reduced.K, reduced.M)
+    _, vectors = reduced.modes()
     X: Floats = vectors[:, reduced.rigid_count : reduced.rigid_count + SHOWN_MODES]
     if not X.size:
         return X

@@ -5,11 +5,11 @@ import pytest
 import scipy.linalg as sl
 from meshes import STEEL, ball, box, steel, where
 
-from morembs.body import mass_properties
 from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.fem import assemble
 from morembs.interface import make_interface
+from morembs.mass import mass_properties
 from morembs.material import isotropic, orthotropic
 from morembs.model import ElementBlock, Mesh, Nodes, rigid_motion
 from morembs.problem import Problem

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from meshes import STEEL, steel
 
-from morembs.body import mass_properties
 from morembs.fem import assemble
 from morembs.importers import read_mesh
+from morembs.mass import mass_properties
 from morembs.material import isotropic
 from morembs.problem import Problem
 from morembs.units import parse_units

@@ -22,7 +22,7 @@ from morembs.errors import InputError, OutputError
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.progress import Stage
-from morembs.reducers import CraigBampton, Modal
+from morembs.reducers import CraigBampton, Modal, ReducedModel
 from morembs.safefile import SafeFile
 from morembs.storage import check_names, check_writable, read_body, write_body
 from morembs.vtkhdf import shown_modes
@@ -59,6 +59,13 @@ def stored(bar, tmp_path_factory):
     return write_body(tmp_path_factory.mktemp("stored") / "body.h5", bar.bodies, provenance=PROVENANCE)
 
 
+def reduced_model(M, K, rigid_count=0, **matrices):
+    """A reduced model of nothing."""
+    n = len(K)
+    parts = {"D": np.zeros((n, n)), "B": np.zeros((n, 0)), "C": np.zeros((0, n)), "V": np.zeros((0, n)), **matrices}
+    return ReducedModel(name="made", M=M, K=K, mode_kind=("elastic",) * n, rigid_count=rigid_count, **parts)
+
+
 class Made:
     """A body without a model; its basis is made on the fly. Column j, row i: sin(i + 1) + j."""
 
@@ -69,10 +76,7 @@ class Made:
             mass=1.0, center_of_mass=np.zeros(3), inertia=np.eye(3), nodes=Rows(ids=rows + 1, xyz=x),
             cells=(Cells(vtk=1, connectivity=rows[:, None]),), interfaces=(), columns={}, node_ids=rows + 1, source="",
         )  # fmt: skip
-        self.reduced = SimpleNamespace(
-            name="made", M=np.eye(order), K=np.diag(np.arange(1.0, order + 1)), D=zero, B=zero[:, :0], order=order,
-            mode_kind=("elastic",) * order, rigid_count=0,
-        )  # fmt: skip
+        self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
         self.name, self.recipe, self.full_frequencies_hz = "made", {}, None
         self.frequencies_hz = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
         self.fail_at, self.error, self.asked = fail_at, error, 0
@@ -457,7 +461,7 @@ def test_shapes_are_eigenvectors_with_a_fixed_sign():
     rng = np.random.default_rng(1)
     factors = rng.standard_normal((2, 30, 30))
     K, M = (F @ F.T + np.eye(30) for F in factors)
-    X = shown_modes(SimpleNamespace(K=K, M=M, rigid_count=4))
+    X = shown_modes(reduced_model(M, K, 4))
     values = np.sort(np.linalg.eigvals(np.linalg.solve(M, K)).real)[4:24]
     np.testing.assert_allclose(K @ X, M @ X * values, atol=1e-8 * np.abs(K).max())
     np.testing.assert_allclose(X.T @ M @ X, np.eye(20), atol=1e-10)
@@ -466,7 +470,7 @@ def test_shapes_are_eigenvectors_with_a_fixed_sign():
 
 @pytest.mark.parametrize("more", [1e-8, -1e-8])
 def test_equal_coordinates_leave_the_sign_to_the_first(more):
-    X = shown_modes(SimpleNamespace(K=np.array([[2.0, 1], [1, 2 + more]]), M=np.eye(2), rigid_count=0))
+    X = shown_modes(reduced_model(np.eye(2), np.array([[2.0, 1], [1, 2 + more]])))
     np.testing.assert_allclose(X, np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]), atol=1e-7)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
-from morembs.linalg.orthogonal import dot, m_norms, m_orthonormal, remove
+from morembs.linalg.orthogonal import combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 MOST_HZ = 1e12
 # What a reduced coordinate is; the body file stores the index in this table.
-MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment")
+MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +33,10 @@ class Basis:
 
     "constraint" columns are unit interface motions, and "fixed-interface" columns (with the attachment modes
     beside them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
+
+    Equations are tested with ``left`` (Nc, n) where that is not V; accelerations and velocities are expanded with
+    ``inertial`` (Nc, n) where that is not V. K is left' K V then. Rigid-body modes come first in all of them.
+    ``notes`` say what was chosen on the way and join the recipe of the body.
     """
 
     V: Floats
@@ -40,14 +44,19 @@ class Basis:
     K: Floats
     rigid: Floats
     holds_interfaces: bool = False
+    left: Floats | None = None
+    inertial: Floats | None = None
+    notes: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedModel:
-    """M q'' + D q' + K q = B f, outputs B' q: the Galerkin projection on ``V`` (Nc, n).
+    """M q'' + D q' + K q = B f, interface motions C q: the projection on ``V`` (Nc, n).
 
-    ``M``, ``K``, ``D`` (n, n) symmetric, ``B`` (n, m) one column per interface motion; ``mode_kind`` the
-    kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span.
+    ``M``, ``K``, ``D`` (n, n), ``B`` (n, m) one column per interface motion, ``C`` (m, n); ``mode_kind`` the
+    kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span. A Galerkin
+    projection has symmetric matrices and C = B'; in others (``left`` (Nc, n) is what the equations were tested
+    with, ``is_projection`` says whether one V expands all of M, D and K) the rigid-body modes come first.
     """
 
     name: str
@@ -59,11 +68,34 @@ class ReducedModel:
     mode_kind: tuple[str, ...]
     rigid_count: int
     recipe: Mapping[str, object] = field(default_factory=dict)
+    C: Floats
+    left: Floats | None = None
+    is_projection: bool = True
 
     @property
     def order(self) -> int:
         """Number of reduced coordinates n."""
         return len(self.K)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether this is a Galerkin projection, whose matrices are symmetric."""
+        return self.left is None
+
+    def modes(self) -> tuple[Floats, Floats]:
+        """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).
+
+        Of matrices that are not symmetric the real parts, vectors of unit modal mass.
+        """
+        if self.symmetric:
+            values, Y = sl.eigh(self.K, self.M)
+            return values, Y
+        r = self.rigid_count
+        found, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
+        order = np.argsort(found.real, kind="stable")
+        Y = np.eye(self.order)
+        Y[r:, r:] = vectors[:, order].real
+        return np.concatenate([np.zeros(r), found.real[order]]), Y
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,31 +117,75 @@ class Reducer(ABC):
             SingularMatrixError: the model has a mechanism.
         """
         basis = self._basis(problem, progress)
-        V = basis.V
-        M = projected(V, problem.M, problem.budget)
-        K = 0.5 * (basis.K + basis.K.T)
-        if basis.holds_interfaces:
-            B = np.zeros((V.shape[1], problem.B.shape[1]))
-            constraint = basis.kinds.count("constraint")
-            B[:constraint, :constraint] = np.eye(constraint)
+        V, budget = basis.V, problem.budget
+        outputs = _interface_motions(basis, problem)
+        if basis.left is None:
+            M = projected(V, problem.M, budget)
+            K = 0.5 * (basis.K + basis.K.T)
+            B = outputs.T
         else:
-            B = np.asarray((problem.B.T @ V).T)
-        D = problem.damping.matrix(M, K, basis.rigid)
+            moved = V if basis.inertial is None else basis.inertial
+            M, K = projected(moved, problem.M, budget, basis.left), basis.K
+            B = np.asarray((problem.B.T @ basis.left).T)
+        D = problem.damping.matrix(M, K, basis.rigid, basis.left is None)
         if problem.D is not None:
-            D = D + projected(V, problem.D, problem.budget)
+            D = D + projected(V if basis.inertial is None else basis.inertial, problem.D, budget, basis.left)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         return ReducedModel(
-            name=name or self.method, M=M, K=K, D=D, B=B, V=V, mode_kind=basis.kinds, rigid_count=basis.rigid.shape[1],
-            recipe={"method": self.method, **options},
+            name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
+            rigid_count=basis.rigid.shape[1], recipe={"method": self.method, **options, **basis.notes},
+            left=basis.left, is_projection=basis.inertial is None,
         )  # fmt: skip
 
 
-def projected(V: Floats, A: sp.csr_array, budget: Budget) -> Floats:
-    """V' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
+def _interface_motions(basis: Basis, problem: Problem) -> Floats:
+    """C (m, n): motions of the interfaces for each coordinate."""
+    if not basis.holds_interfaces:
+        return np.asarray(problem.B.T @ basis.V)
+    C = np.zeros((problem.B.shape[1], basis.V.shape[1]))
+    constraint = basis.kinds.count("constraint")
+    C[:constraint, :constraint] = np.eye(constraint)
+    return C
+
+
+def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, object] | None = None) -> Basis:
+    """Rigid-body modes and span(X), which becomes free of them, M-orthonormal and K-orthogonal.
+
+    ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
+    """
+    V = elastic_columns(problem, X)
+    K = projected(V, problem.K, problem.budget)
+    values, Y = sl.eigh(K)
+    combine(V, Y, V, problem.budget)
+    V = signed(V, problem.budget)
+    r, m = problem.rigid.shape[1], V.shape[1]
+    return Basis(
+        V=beside(problem.rigid, V, budget=problem.budget),
+        kinds=("rigid",) * r + (kind,) * m,
+        K=np.diag(np.concatenate([np.zeros(r), values])),
+        rigid=np.eye(r + m, r),
+        notes=notes or {},
+    )
+
+
+def elastic_columns(problem: Problem, X: Floats) -> Floats:
+    """M-orthonormal basis (Nc, k) of span(X) without rigid-body motion; ``X`` (Nc, j) is overwritten."""
+    M = problem.M
+    before = m_norms(X, M @ X)
+    remove(problem.rigid, X, M)
+    V = m_orthonormal(X, M, before)
+    # Scaling up what was small scaled up the rigid round-off in it too.
+    remove(problem.rigid, V, M)
+    return m_orthonormal(V, M)
+
+
+def projected(V: Floats, A: sp.csr_array, budget: Budget, left: Floats | None = None) -> Floats:
+    """V' A V or ``left``' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
     width = budget.columns(len(V))
-    parts = [dot(V, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
+    test = V if left is None else left
+    parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
     whole = np.hstack(parts) if parts else np.zeros((0, 0))
-    return 0.5 * (whole + whole.T)
+    return 0.5 * (whole + whole.T) if left is None else whole
 
 
 def beside(*parts: Floats, budget: Budget) -> Floats:
