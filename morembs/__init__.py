@@ -8,7 +8,9 @@ The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Prob
 import morembs.linalg  # noqa: F401
 
 # isort: split
+from morembs.band import band_frequencies
 from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.certify import Certificate, certify
 from morembs.errors import InputError, MorembsError
 from morembs.fem import assemble
 from morembs.importers import read_mesh
@@ -17,7 +19,7 @@ from morembs.linalg.select import available_solvers, select_solver
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh, Nodes
 from morembs.problem import Damping, Problem
-from morembs.reducers import REDUCERS, CraigBampton, FreeInterface, Guyan, Modal, ReducedModel
+from morembs.reducers import REDUCERS, Automatic, CraigBampton, FreeInterface, Guyan, Modal, ReducedModel
 from morembs.response import full_response, reduced_response
 from morembs.selection import select_nodes
 from morembs.storage import read_body, write_body
@@ -27,6 +29,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "REDUCERS",
+    "Automatic",
+    "Certificate",
     "CraigBampton",
     "Damping",
     "ElasticBody",
@@ -44,6 +48,8 @@ __all__ = [
     "ReducedModel",
     "assemble",
     "available_solvers",
+    "band_frequencies",
+    "certify",
     "elastic_body",
     "full_response",
     "isotropic",

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.certify import Certificate
 from morembs.elements import FACES, TYPES
 from morembs.errors import InputError
 from morembs.interface import Interface
@@ -58,13 +59,15 @@ class ElasticBody:
     """One reduced model as a body.
 
     ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
-    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero.
+    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
+    ``certificate`` says how wrong the body is, if that was asked for.
     """
 
     part: Part
     reduced: ReducedModel
     frequencies_hz: Floats
     full_frequencies_hz: Floats | None = None
+    certificate: Certificate | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -123,12 +126,14 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
     return rows, tuple(Cells(vtk=vtk, connectivity=local[c]) for vtk, c in typed)
 
 
-def elastic_body(problem: Problem, reduced: ReducedModel, part: Part) -> ElasticBody:
+def elastic_body(
+    problem: Problem, reduced: ReducedModel, part: Part, certificate: Certificate | None = None
+) -> ElasticBody:
     """Body of a reduced model: its frequencies and what it shares with others of the same part."""
     eigenvalues, _ = reduced.modes()
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))
     omega[: reduced.rigid_count] = 0.0
-    full = problem.known_frequencies_hz()
     return ElasticBody(
-        part=part, reduced=reduced, frequencies_hz=omega / (2 * np.pi), full_frequencies_hz=full, recipe=reduced.recipe
-    )
+        part=part, reduced=reduced, frequencies_hz=omega / (2 * np.pi), certificate=certificate,
+        full_frequencies_hz=problem.known_frequencies_hz(), recipe=reduced.recipe,
+    )  # fmt: skip

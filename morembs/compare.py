@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ class FrequencyResponse:
     """Size of the elastic transfer function from interface forces to interface motions.
 
     ``full`` (nf,) Frobenius norm of H in m/N at ``frequencies_hz`` (nf,); for each body ``reduced`` (nf,)
-    its own norm and ``error`` (nf,) the norm of the difference over that of the full model. Rotations and
+    its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` a bound
+    or an estimate of it where there is one. Rotations and
     moments are scaled with the radius of gyration ``length`` in m, so that all entries have one unit.
     """
 
@@ -33,6 +34,7 @@ class FrequencyResponse:
     full: Floats
     reduced: Mapping[str, Floats]
     error: Mapping[str, Floats]
+    bound: Mapping[str, Floats] = field(default_factory=dict)
     length: float
 
 
@@ -67,6 +69,20 @@ def frequency_response(
     return FrequencyResponse(
         frequencies_hz=frequencies_hz, full=norm, reduced=reduced, error=error, length=problem.length
     )
+
+
+def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> FrequencyResponse | None:
+    """The response that certificates were made with; None if no body has one."""
+    known = {body.name: body.certificate for body in bodies if body.certificate is not None}
+    if not known:
+        return None
+    first = next(iter(known.values()))
+    return FrequencyResponse(
+        frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
+        reduced={name: one.reduced for name, one in known.items()},
+        error={name: one.error for name, one in known.items()},
+        bound={name: one.bound for name, one in known.items() if one.bound_kind != "none"},
+    )  # fmt: skip
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:

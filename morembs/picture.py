@@ -140,13 +140,16 @@ def _draw_response(figure: SubFigure, response: FrequencyResponse) -> None:
         color = BODY_COLORS[number % len(BODY_COLORS)]
         upper.loglog(hz, response.reduced[name], color=color, linewidth=1.3, linestyle=(0, (5, 2)), label=name)
         lower.loglog(hz, np.maximum(response.error[name], 1e-16), color=color, linewidth=1.3, label=name)
+        if name in response.bound:
+            limit = np.maximum(response.bound[name], 1e-16)
+            lower.loglog(hz, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, bound")
     upper.set_title("Elastic frequency response between the interfaces", loc="left")
     upper.set_ylabel("‖H‖ in m/N")
-    lower.set_ylabel("relative error")
+    lower.set_ylabel("relative error" + (" (dotted: bound)" if response.bound else ""))
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")
     for panel in (upper, lower):
         panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
         panel.grid(True, which="minor", color="#eceef0", linewidth=0.4)
-        panel.set_xlim(hz[0], hz[-1])
+        panel.set_xlim(hz[hz > 0][0], hz[-1])
         panel.spines[["top", "right"]].set_visible(False)

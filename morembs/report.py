@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from morembs.body import ElasticBody
+from morembs.certify import Certificate
 from morembs.forecast import JobForecast
 from morembs.run import JobResult
 from morembs.storage import StoredBodies
@@ -48,12 +49,26 @@ def result_json(result: JobResult) -> dict[str, Any]:
                 "mode_kind": list(body.reduced.mode_kind),
                 "recipe": dict(body.recipe),
                 "largest_response_error": None if response is None else float(response.error[body.name].max()),
+                "certificate": None if body.certificate is None else _certificate_json(body.certificate),
             }
             for body in result.bodies
         },
         "seconds": {stage.name: stage.seconds for stage in result.stages},
         "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
     }
+
+
+def _certificate_json(its: Certificate) -> dict[str, Any]:
+    values = {name: value for name, value in asdict(its).items() if name != "notes"}
+    values = {name: _without_nan(value) for name, value in values.items()}
+    return {**values, "absolute_error": its.absolute_error, "notes": list(its.notes)}
+
+
+def _without_nan(value: Any) -> Any:
+    """Arrays as lists, what is not a number as None."""
+    if isinstance(value, np.ndarray):
+        return [_without_nan(inner) for inner in value.tolist()] if value.ndim < 2 else value.tolist()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
@@ -118,9 +133,10 @@ def print_result(console: Console, result: JobResult) -> None:
         table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
         _titled(console, "free-free frequencies, rigid-body modes left out", table)
     _titled(console, "mass properties", _mass(part.mass, part.center_of_mass, part.inertia))
+    _print_certificates(console, result.bodies)
     _titled(console, "cost", _cost(result))
     console.print()
-    if result.response is not None:
+    if result.response is not None and not any(body.certificate for body in result.bodies):
         band = result.response.frequencies_hz
         for name, error in result.response.error.items():
             console.print(
@@ -131,6 +147,28 @@ def print_result(console: Console, result: JobResult) -> None:
             )
     written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
     console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+
+
+def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None:
+    """The errors of each body, and the choices of those that made some."""
+    known = [(body, body.certificate) for body in bodies if body.certificate is not None]
+    if not known:
+        return
+    hz = known[0][1].frequencies_hz
+    table = _table(
+        "body", "order", "error, max", "mean", "bound, max", "", "block, max", "static", "modes off by", "MAC"
+    )
+    for body, its in known:
+        table.add_row(
+            body.name, str(body.reduced.order), f"{its.error.max():.1e}", f"{its.error.mean():.1e}",
+            "-" if its.bound_kind == "none" else f"{its.bound.max():.1e}",
+            its.bound_kind.replace("none", ""), f"{its.block_error.max(initial=0.0):.1e}", f"{its.static_error:.1e}",
+            f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mac.min(initial=1.0):.4f}",
+        )  # fmt: skip
+    _titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
+    for body, its in known:
+        for note in [*its.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
+            console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies) -> None:

@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.band import POINTS, band_frequencies
 from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.budget import Budget
-from morembs.compare import FrequencyResponse, Shapes, frequency_response, mode_shapes
+from morembs.certify import Certificate, certify
+from morembs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.errors import InputError
 from morembs.fem import assemble
 from morembs.importers import read_mesh
@@ -25,6 +27,7 @@ from morembs.model import FEModel, Mesh
 from morembs.picture import draw
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
+from morembs.reducers import Automatic
 from morembs.schema import MaterialTable
 from morembs.selection import select_nodes
 from morembs.storage import check_writable, write_body
@@ -84,8 +87,8 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
     with problem:
         bodies = _reduce(job, problem, watch)
-        response = None
-        if job.tables.response is not None or (job.picture is not None and interfaces):
+        response = certified_response(problem, bodies)
+        if job.tables.response is not None or (response is None and job.picture is not None and interfaces):
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
         shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
@@ -123,8 +126,25 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
                 reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
             except InputError as error:
                 raise InputError(f"[[reduce]] {name!r}: {error}") from error
+    certificates: Sequence[Certificate | None] = [None] * len(reduced)
+    band = _certified_band(job)
+    if band is not None:
+        with watch.stage("certify"):
+            given = job.tables.certify
+            frequencies = band_frequencies(problem, band, POINTS if given is None else given.points)
+            certificates = certify(
+                problem, reduced, frequencies, bound=given is None or given.bound, progress=watch.progress
+            )
     part = make_part(problem, job.tables.output.nodes)
-    return tuple(elastic_body(problem, one, part) for one in reduced)
+    return tuple(elastic_body(problem, one, part, its) for one, its in zip(reduced, certificates, strict=True))
+
+
+def _certified_band(job: Job) -> Sequence[float] | None:
+    """The band of [certify], or the widest that a reduction was made for with a tolerance."""
+    if job.tables.certify is not None:
+        return job.tables.certify.band_hz
+    bands = [reducer.band_hz for reducer in job.reducers.values() if isinstance(reducer, Automatic)]
+    return (min(band[0] for band in bands), max(band[1] for band in bands)) if bands else None
 
 
 def wants_modes(job: Job) -> bool:

@@ -139,6 +139,20 @@ class ResponseTable(Table):
         return self
 
 
+class CertifyTable(Table):
+    """``[certify]``: errors over a band, measured and bounded."""
+
+    band_hz: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(description="[LOW, HIGH] in Hz")
+    points: int = Field(default=200, ge=2, le=100_000, description="a count from 2 to 100000")
+    bound: bool = Field(default=True, description="true or false")
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if not 0 <= self.band_hz[0] < self.band_hz[1] < 1e12:
+            raise ValueError(f"band_hz = {self.band_hz}: expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH")
+        return self
+
+
 class CheckTable(Table):
     """``[check]``: what the reduced bodies are compared with."""
 
@@ -158,4 +172,5 @@ class JobTables(Table):
     reduce: list[ReduceTable] = Field(min_length=1, description="at least one table [[reduce]]")
     output: OutputTable = Field(description="a table [output]")
     response: ResponseTable | None = Field(default=None, description="a table [response]")
+    certify: CertifyTable | None = Field(default=None, description="a table [certify]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from morembs import vtkhdf
 from morembs.body import ElasticBody, Part
+from morembs.certify import Certificate
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import MODE_KINDS
@@ -32,7 +33,7 @@ from morembs.stored import (
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20
 # Largest chunk HDF5 allows is 4 GiB.
@@ -135,7 +136,9 @@ class _Writer:
 def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, object]) -> None:
     """Everything the bodies share."""
     out.put("format", FORMAT)
-    out.put("format_version", FORMAT_VERSION)
+    # Readers of version 1 take the transposed input matrix for the motions.
+    plain_bodies = all(body.reduced.symmetric for body in bodies)
+    out.put("format_version", 1 if plain_bodies else FORMAT_VERSION)
     out.put("unit_system", "SI")
     out.put("body_names", [body.name for body in bodies], "groups of /bodies in their order")
     names = text(*(interface.name for interface in part.interfaces))
@@ -171,9 +174,11 @@ def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recip
 def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     group, reduced = f"bodies/{body.name}", body.reduced
+    about = "reduced matrix, symmetric" if reduced.symmetric else "reduced matrix, not symmetric"
     for name, matrix in zip(_MATRICES, (reduced.M, reduced.K, reduced.D), strict=True):
-        out.put(f"{group}/{name}", matrix, "reduced matrix, symmetric")
-    out.put(f"{group}/input_matrix", reduced.B, "forces on the coordinates; the transpose gives the motions")
+        out.put(f"{group}/{name}", matrix, about)
+    turned = "; the transpose gives the motions" if reduced.symmetric else ""
+    out.put(f"{group}/input_matrix", reduced.B, f"forces on the coordinates{turned}")
     out.put(f"{group}/frequencies_hz", body.frequencies_hz, "eigenfrequencies, undamped, ascending", "Hz")
     if body.full_frequencies_hz is not None:
         full = body.full_frequencies_hz
@@ -182,6 +187,10 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     out.put(f"{group}/mode_kind", codes, "kind of each coordinate, code of /mode_kinds")
     out.put(f"{group}/rigid_count", reduced.rigid_count, "number of rigid-body motions")
     out.put(f"{group}/recipe", json_text(body.recipe), "options of the reduction, as JSON")
+    if not reduced.symmetric:
+        out.put(f"{group}/output_matrix", reduced.C, "motions of the interfaces; not the transpose of input_matrix")
+    if body.certificate is not None:
+        _write_certificate(out, f"{group}/certificate", body.certificate)
     rows, count = 3 * len(body.part.nodes), reduced.order
     chunks = (min(rows, CHUNK_ROWS), 1) if rows and count else None
     out.safe.doing = f"{group}/basis"
@@ -200,6 +209,25 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     modes = vtkhdf.shown_modes(reduced)
     shown = body.frequencies_hz[reduced.rigid_count :][: modes.shape[1]]
     vtkhdf.write_modes(out.file["VTKHDF"], body.name, data, modes, shown, out.safe.check)
+
+
+def _write_certificate(out: _Writer, group: str, its: Certificate) -> None:
+    """How wrong the body is."""
+    out.put(f"{group}/frequencies_hz", its.frequencies_hz, "where the errors were taken", "Hz")
+    out.put(f"{group}/full", its.full, "size of the transfer matrix of the full model", "m/N")
+    out.put(f"{group}/reduced", its.reduced, "size of that of the body", "m/N")
+    out.put(f"{group}/error", its.error, "size of the difference, relative to the full model")
+    out.put(f"{group}/bound", its.bound, "upper bound of the error, or an estimate: see bound_kind")
+    out.put(f"{group}/bound_kind", its.bound_kind)
+    out.put(f"{group}/block_error", its.block_error, "largest error of motion of interface i to load on interface j")
+    out.put(f"{group}/static_error", its.static_error, "error at 0 Hz")
+    out.put(f"{group}/absolute_error", its.absolute_error, "largest difference over the largest size in the band")
+    out.put(f"{group}/reference_error", its.reference_error, "estimated error of the full response itself")
+    out.put(f"{group}/mode_frequencies_hz", its.mode_frequencies_hz, "of the full model in the band", "Hz")
+    out.put(f"{group}/mode_deviation", its.mode_deviation, "relative deviation of the body's frequencies")
+    out.put(f"{group}/mode_mac", its.mac, "mass-weighted modal assurance criterion")
+    out.put(f"{group}/verified_below_hz", its.verified_below_hz, "a Sturm count found no mode missing", "Hz")
+    out.put(f"{group}/notes", "; ".join(its.notes) or " ")
 
 
 def read_body(path: str | Path) -> StoredBodies:

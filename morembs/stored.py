@@ -39,18 +39,22 @@ class StoredInterface:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredBody:
-    """One body of a file: matrices (n, n), ``input_matrix`` (n, m), ``frequencies_hz`` (n,), SI units."""
+    """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
+    transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values.
+    """
 
     name: str
     mass_matrix: Floats
     stiffness_matrix: Floats
     damping_matrix: Floats
     input_matrix: Floats
+    output_matrix: Floats
     frequencies_hz: Floats
     mode_kind: tuple[str, ...]
     rigid_count: int
     full_frequencies_hz: Floats | None
     recipe: dict[str, Any]
+    certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
 
     def basis(self, columns: slice = slice(None)) -> Floats:
@@ -114,15 +118,18 @@ def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floa
     )
 
 
-def _tree(group: Any) -> dict[str, Any]:
-    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as lists."""
+def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
+    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as ``array`` makes them."""
     result: dict[str, Any] = {}
     for name, item in group.items():
         if hasattr(item, "shape"):
             value = item[()]
-            result[name] = value.decode() if isinstance(value, bytes) else value.tolist()
+            if isinstance(value, bytes):
+                result[name] = value.decode()
+            else:
+                result[name] = array(value) if item.shape else value.item()
         else:
-            result[name] = _tree(item)
+            result[name] = _tree(item, array)
     return result
 
 
@@ -155,7 +162,7 @@ def _interface(group: Any) -> StoredInterface:
 
 
 def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats]) -> StoredBody:
-    full = group.get("full_frequencies_hz")
+    full, output = group.get("full_frequencies_hz"), group.get("output_matrix")
     return StoredBody(
         name=name,
         frequencies_hz=group["frequencies_hz"][()],
@@ -163,6 +170,8 @@ def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, sl
         rigid_count=int(group["rigid_count"][()]),
         full_frequencies_hz=None if full is None else full[()],
         recipe=json.loads(group["recipe"][()]),
+        output_matrix=group["input_matrix"][()].T if output is None else output[()],
+        certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
         read_basis=read_basis,
         **{matrix: group[matrix][()] for matrix in MATRICES},
     )

@@ -1,0 +1,58 @@
+"""The frequencies at which a band is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.problem import Problem
+
+Floats = NDArray[np.float64]
+POINTS = 200
+MOST_HZ = 1e12
+# The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
+BEYOND = 1.25
+# Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
+FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
+
+
+def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = POINTS) -> Floats:
+    """Frequencies (nf,) in Hz: ``points`` over the band, half of them in equal steps, half in equal ratios, and the
+    flanks of every resonance in it.
+
+    Raises:
+        InputError: not a band.
+    """
+    low, high = checked_band(band_hz)
+    first = low if low > 0 else 1e-3 * high
+    grid = [np.linspace(low, high, points - points // 2), np.geomspace(first, high, points // 2)]
+    modes = problem.elastic_modes(below=beyond(high))
+    omega = np.sqrt(modes.eigenvalues)
+    damping = problem.damping
+    width = damping.modal * omega if damping.modal else 0.5 * (damping.alpha + damping.beta * omega**2)
+    width = np.maximum(width, NEAR * omega)
+    for flank in FLANKS:
+        # At its top an undamped resonance is infinite.
+        if flank or damping.modal or damping.alpha or damping.beta:
+            found = (omega + flank * width) / (2 * np.pi)
+            grid.append(found[(found > low) & (found < high)])
+    return np.unique(np.concatenate(grid))
+
+
+def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
+    """The two ends of a band.
+
+    Raises:
+        InputError: not two ascending frequencies.
+    """
+    if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ:
+        raise InputError(f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH")
+    return float(band_hz[0]), float(band_hz[1])
+
+
+def beyond(high_hz: float) -> float:
+    """Eigenvalue in (rad/s)2 up to which modes are known for a band that ends at ``high_hz``."""
+    return float((2 * np.pi * BEYOND * high_hz) ** 2)

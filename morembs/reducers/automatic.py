@@ -1,0 +1,226 @@
+"""One tolerance in: the family, the frequencies and the order follow from it.
+
+Everything happens in the modal coordinates of the reference model, where a reduced model of any family is a small
+matrix C (k, n) and the residual bound of its transfer matrix takes small products only. Three families stand for
+election, each cut to its smallest order that meets the tolerance over the band:
+
+- "gramian": leading vectors of the responses over the band, weighted by 1/|H| as the tolerance is relative
+  (Lehner 2007; Fehr and Eberhard 2010), in the energy inner product;
+- "krylov": responses at frequencies chosen where the error is largest, one after the other, until the tolerance
+  holds (greedy, after Fehr, Fischer, Haasdonk and Eberhard 2013), then compressed;
+- "modal": modes of the band with the residual static responses (Rubin 1975).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.band import band_frequencies, beyond, checked_band
+from morembs.errors import InputError, SolverError
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import Basis, Reducer, elastic_basis
+from morembs.reducers.guyan import require_interfaces
+from morembs.reference import Reference, reference_model
+
+Floats = NDArray[np.float64]
+# The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
+BETTER, FINE, FINEST = 1e-3, 1e-10, 1e-14
+KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
+# Directions whose share of the leading one is below this are round-off.
+NOISE = 1e-13
+GREEDY_STEPS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Automatic(Reducer):
+    """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
+
+    ``tolerance`` bounds the Frobenius norm of the error relative to that of the full model, at every frequency
+    of the band and beside its resonances; for undamped models and Rayleigh damping by the residual bound, otherwise as
+    measured. ``static_exact`` keeps the static responses to interface loads, ``inertia_loads`` those to the
+    inertia of a moving frame (of a model that is held somewhere they are followed in any case).
+    """
+
+    method: ClassVar[str] = "auto"
+    band_hz: list[float]
+    tolerance: float
+    static_exact: bool = False
+    inertia_loads: bool = False
+
+    def __post_init__(self) -> None:
+        checked_band(self.band_hz)
+        if not 0 < self.tolerance < 1:
+            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        require_interfaces(problem, self.method)
+        omega = 2 * np.pi * band_frequencies(problem, self.band_hz)
+        # A body that is held has no rigid motion to balance the inertia of its frame.
+        inertia = self.inertia_loads or problem.rigid.shape[1] < 6
+        fine = max(min(BETTER * self.tolerance, FINE), FINEST)
+        try:
+            reference = reference_model(problem, omega, tolerance=fine, inertia_loads=inertia, progress=progress)
+        except SolverError as fault:
+            raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
+        election = _Election(problem, reference, omega, self.static_exact)
+        found, best, reached = None, "", np.inf
+        orders: dict[str, object] = {}
+        for family in KINDS:
+            progress.update(f"order of the {family} basis")
+            C, error = election.smallest(family, self.tolerance)
+            orders[family] = "not reached" if error > self.tolerance else C.shape[1]
+            reached = min(reached, error)
+            if error <= self.tolerance and (found is None or C.shape[1] < found.shape[1]):
+                found, best = C, family
+        if found is None:
+            raise InputError(
+                f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; "
+                f"the smallest error found is {reached:.1e}, where the round-off of the full model begins; raise the "
+                "tolerance"
+            )
+        notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
+                 "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
+        if best == "krylov":
+            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in election.chosen]
+        return elastic_basis(problem, reference.vectors(found), KINDS[best], notes)
+
+
+def _words(best: str, orders: dict[str, object], band_hz: list[float], tolerance: float) -> str:
+    others = ", ".join(f"{name} {order}" for name, order in orders.items() if name != best)
+    return (
+        f"{best} basis of {orders[best]} elastic coordinates: the smallest that keeps {tolerance:g} from "
+        f"{band_hz[0]:g} to {band_hz[1]:g} Hz ({others})"
+    )
+
+
+class _Election:
+    """Families of bases (k, n) in the coordinates of a reference model, and their errors."""
+
+    def __init__(self, problem: Problem, reference: Reference, omega: Floats, static: bool) -> None:
+        self.reference, self.omega = reference, omega
+        scale = np.ones(reference.F.shape[1])
+        scale[: reference.inputs] = problem.motion_scale
+        # Inertia loads count as much as the interface loads, whatever their units.
+        energy = np.sqrt(np.einsum("ij,ij->j", reference.F * scale, reference.F * scale / reference.values[:, None]))
+        scale[reference.inputs :] *= energy[: reference.inputs].max() / energy[reference.inputs :]
+        self.F = reference.F * scale
+        self.known = reference.values <= beyond(float(omega[-1]) / (2 * np.pi))
+        self.cut = beyond(float(omega[-1]) / (2 * np.pi))
+        self.size = np.linalg.norm(self._outputs(reference.states(1j * omega, self.F)), axis=(1, 2))
+        self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
+        self.chosen: list[float] = []
+
+    def smallest(self, family: str, tolerance: float) -> tuple[Floats, float]:
+        """Basis of the lowest order with an error below ``tolerance`` and that error; the best found if none has."""
+        made: dict[str, Callable[[float], Floats]] = {
+            "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
+        }  # fmt: skip
+        columns = made[family](tolerance)
+        few, many = self.fixed.shape[1], columns.shape[1]
+        error = self.error(columns)
+        if error > tolerance:
+            return columns, error
+        while few < many:
+            middle = (few + many) // 2
+            tried = self.error(columns[:, :middle])
+            if tried <= tolerance:
+                many, error = middle, tried
+            else:
+                few = middle + 1
+        return columns[:, :many], error
+
+    def error(self, C: Floats) -> float:
+        """Largest error over the band."""
+        return float(self.errors(C).max())
+
+    def errors(self, C: Floats) -> Floats:
+        """Errors (nf,) relative to |H|: the residual bound, or as measured where the damping allows no bound."""
+        reference, values = self.reference, self.reference.values
+        if not C.shape[1]:
+            return np.ones(len(self.omega))
+        theta, Y = sl.eigh(C.T @ (values[:, None] * C))
+        V = C @ Y
+        B = V.T @ self.F
+        damping = reference.damping
+        found = np.empty(len(self.omega))
+        for j, w in enumerate(self.omega):
+            own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
+            y = B / (theta + 1j * w * own - w**2)[:, None]
+            a = values + 1j * w * reference.damping_of_modes() - w**2
+            if damping.modal or reference.D is not None:
+                off = self.F.T @ (self.F / a[:, None] - V @ y)
+                found[j] = np.linalg.norm(off)
+                continue
+            r = self.F - a[:, None] * (V @ y)
+            inside = np.linalg.norm(r[self.known].T @ (r[self.known] / a[self.known, None]))
+            tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
+            gamma = self.cut / (self.cut - w**2)
+            found[j] = inside + gamma * np.linalg.norm(tail) * np.linalg.norm(tail, 2)
+        return np.asarray(found / self.size)
+
+    def _outputs(self, states: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.asarray(self.F.T @ states)
+
+    def _orthonormal(self, X: Floats) -> Floats:
+        """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
+        size = np.linalg.norm(X, axis=0)
+        U, s, _ = sl.svd(X[:, size > 0] / size[size > 0], full_matrices=False)
+        return np.asarray(U[:, s > NOISE * s[0]])
+
+    def _leading(self, snapshots: Floats) -> Floats:
+        """``fixed`` and behind it the principal vectors of the rest of the snapshots (k, j), in the energy norm."""
+        weight = np.sqrt(self.reference.values + self.omega.mean() ** 2)[:, None]
+        start = np.linalg.qr(weight * self.fixed)[0]
+        X = weight * snapshots
+        X = X - start @ (start.T @ X)
+        U, s, _ = sl.svd(X, full_matrices=False)
+        columns = np.hstack([start, U[:, s > NOISE * s[0]]]) / weight
+        # Nested spans: the first n columns of Q span the first n of these.
+        return np.asarray(np.linalg.qr(columns)[0])
+
+    def _gramian(self, _: float) -> Floats:
+        weights = np.sqrt(np.gradient(self.omega)) / self.size
+        states = self.reference.states(1j * self.omega, self.F) * weights[:, None, None]
+        flat = np.concatenate(list(states), axis=1)
+        return self._leading(np.hstack([flat.real, flat.imag]))
+
+    def _krylov(self, tolerance: float) -> Floats:
+        """Greedy responses of the undamped model, at 0 Hz first, compressed to their principal vectors."""
+        values, shifts = self.reference.values, [0.0]
+        for _ in range(GREEDY_STEPS):
+            blocks = [self.F / (values - shift**2)[:, None] for shift in shifts]
+            C = self._orthonormal(np.hstack(blocks))
+            errors = self.errors(C)
+            # Beside a shift that is there already a new one would add next to nothing.
+            near = np.min(np.abs(self.omega[:, None] - np.array(shifts)) / self.omega[-1], axis=1) < 5e-3
+            if errors.max() <= tolerance or near.all():
+                break
+            shifts.append(float(self.omega[np.argmax(np.where(near, 0.0, errors))]))
+        self.chosen = shifts
+        return self._leading(C @ self._seen(C))
+
+    def _seen(self, C: Floats) -> Floats:
+        """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
+        theta, Y = sl.eigh(C.T @ (self.reference.values[:, None] * C))
+        B = (C @ Y).T @ self.F
+        damping = self.reference.damping
+        own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
+        weights = np.sqrt(np.gradient(self.omega)) / self.size
+        states = [
+            weight * B / (theta + 1j * w * own - w**2)[:, None]
+            for w, weight in zip(self.omega, weights, strict=True)
+        ]  # fmt: skip
+        flat = np.concatenate(states, axis=1)
+        return np.asarray(Y @ np.hstack([flat.real, flat.imag]))
+
+    def _modal(self, _: float) -> Floats:
+        """Static responses first, then modes in the order of their frequencies."""
+        static = self._orthonormal(self.F / self.reference.values[:, None])
+        return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
