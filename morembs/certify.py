@@ -25,6 +25,8 @@ Complexes = NDArray[np.complex128]
 REFERENCE = 1e-10
 # Modes this close to each other are compared as one subspace.
 CLUSTER = 1e-3
+# Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
+HELD = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +36,9 @@ class Certificate:
     ``frequencies_hz`` (nf,); ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the norm of
     the difference over that of the full model, ``bound`` (nf,) an upper bound of it, ``bound_kind`` "bound" where it is
     proven, "estimate" where it is not, "none". ``block_error`` (ni, ni) largest relative error of each block
-    (motion of interface i, load on interface j). ``static_error`` that at 0 Hz. ``mode_frequencies_hz`` (k,) of the
+    (motion of interface i, load on interface j), ``held_error`` (ni, nf) the relative error of what is left when
+    interface i is held still, from the whole transfer matrix with its rigid-body part; not a number below ``HELD`` of
+    the upper frequency. ``static_error`` that at 0 Hz. ``mode_frequencies_hz`` (k,) of the
     full model in the band, ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mac`` (k,) mass-weighted
     modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` is the estimated error
     of the full response itself.
@@ -47,6 +51,7 @@ class Certificate:
     bound: Floats
     bound_kind: str
     block_error: Floats
+    held_error: Floats
     static_error: float
     mode_frequencies_hz: Floats
     mode_deviation: Floats
@@ -108,6 +113,7 @@ def _certificate(
         frequencies_hz=omega / (2 * np.pi), full=norm, reduced=np.linalg.norm(H_r * S, axis=(1, 2)),
         error=np.linalg.norm((H_r - H) * S, axis=(1, 2)) / norm, bound=limit, bound_kind=kind,
         block_error=_block_errors(problem, (H_r - H) * S, H * S),
+        held_error=_held_errors(problem, H_r * S, H * S, omega),
         static_error=float(np.linalg.norm((reduced_response(reduced, np.zeros(1))[0] - statics) * S)
                            / np.linalg.norm(statics * S)),
         mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mac=mac,
@@ -173,6 +179,29 @@ def _block_errors(problem: Problem, error: Complexes, H: Complexes) -> Floats:
             wrong, size = (np.linalg.norm(A[:, rows, loads], axis=(1, 2)) for A in (error, H))
             found[i, j] = float((wrong / np.maximum(size, np.finfo(float).tiny)).max())
     return found
+
+
+def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) -> Floats:
+    """(ni, nf) relative error of H_bb - H_ba H_aa^-1 H_ab, the response of the other motions with those of a held."""
+    columns = list(problem.coupling.columns.values())
+    found = np.full((len(columns), len(omega)), np.nan)
+    high = omega > max(HELD * omega[-1], 0.0)
+    ZB = (problem.B.T @ problem.rigid) * problem.motion_scale[:, None]
+    rigid = -(ZB @ ZB.T) / omega[high, None, None] ** 2
+    for i, own in enumerate(columns):
+        a = np.arange(H.shape[1])[own]
+        b = np.setdiff1d(np.arange(H.shape[1]), a)
+        if not len(b):
+            continue
+        full, reduced = (_with_held(A[high] + rigid, a, b) for A in (H, H_r))
+        norm = np.linalg.norm(full, axis=(1, 2))
+        found[i, high] = np.linalg.norm(reduced - full, axis=(1, 2)) / np.maximum(norm, np.finfo(float).tiny)
+    return found
+
+
+def _with_held(H: Complexes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Complexes:
+    inner = H[:, a[:, None], a]
+    return np.asarray(H[:, b[:, None], b] - H[:, b[:, None], a] @ np.linalg.solve(inner, H[:, a[:, None], b]))
 
 
 def _compared_modes(

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from threading import Timer
 from typing import Annotated, Any
@@ -23,10 +24,11 @@ from morembs.errors import InputError, MorembsError
 from morembs.job import load_job
 from morembs.linalg.interruptible import calls_running
 from morembs.linalg.select import available_solvers
+from morembs.pareto import contenders, draw_contenders
 from morembs.progress import Progress
-from morembs.report import print_forecast, print_result, print_stored, result_json, stored_json
+from morembs.report import print_contenders, print_forecast, print_result, print_stored, result_json, stored_json
 from morembs.run import run_job
-from morembs.storage import read_body
+from morembs.storage import check_writable, read_body
 
 # Bad input, and the usual code of a process that Ctrl-C ends.
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -149,6 +151,31 @@ def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
         return result_json(result), lambda: print_result(_console(), result)
 
     _each_job(jobs, as_json, work)
+
+
+@app.command(epilog=EPILOG)
+def compare(
+    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with [certify].", show_default=False)],
+    picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run a job and set its reductions side by side: order, errors, time, memory."""
+
+    def work(path: Path, progress: Progress) -> Done:
+        if picture is not None:
+            if picture.suffix not in (".png", ".pdf", ".svg"):
+                raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
+            check_writable(picture)
+        loaded = load_job(path)
+        if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
+            raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+        found = contenders(run_job(loaded, progress))
+        if picture is not None:
+            draw_contenders(picture, found, path.name)
+        document = {"job": str(path), "contenders": [asdict(one) for one in found]}
+        return document, lambda: print_contenders(_console(), str(path), found)
+
+    _each_job([job], as_json, work)
 
 
 @app.command(epilog=EPILOG)

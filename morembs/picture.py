@@ -44,10 +44,19 @@ def draw(path: Path, bodies: Sequence[ElasticBody], shapes: Shapes | None, respo
         figure = Figure(figsize=(10.0, height), dpi=150, facecolor="white")
         FigureCanvasAgg(figure)
         _fill(figure, bodies, shapes, response)
-        dates = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-        kind = path.suffix.lower().lstrip(".")
-        with replacing(path) as file:
-            figure.savefig(cast(IO[bytes], file), format=kind, metadata=dates.get(kind))
+        save(figure, path)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write ``figure`` as the kind of file that its name says, without dates: whole, or not at all.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    dates = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    kind = path.suffix.lower().lstrip(".")
+    with replacing(path) as file:
+        figure.savefig(cast(IO[bytes], file), format=kind, metadata=dates.get(kind))
 
 
 def _fill(

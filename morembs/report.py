@@ -14,6 +14,7 @@ from rich.table import Table
 from morembs.body import ElasticBody
 from morembs.certify import Certificate
 from morembs.forecast import JobForecast
+from morembs.pareto import Contender
 from morembs.run import JobResult
 from morembs.storage import StoredBodies
 
@@ -67,7 +68,7 @@ def _certificate_json(its: Certificate) -> dict[str, Any]:
 def _without_nan(value: Any) -> Any:
     """Arrays as lists, what is not a number as None."""
     if isinstance(value, np.ndarray):
-        return [_without_nan(inner) for inner in value.tolist()] if value.ndim < 2 else value.tolist()
+        return [_without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -212,6 +213,23 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
         console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
     for text in forecast.warnings:
         console.print(f"[yellow]warning:[/] {text}", highlight=False)
+
+
+def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
+    """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
+    heads = ("order", "error", "mean", "bound", "static", "interface held", "seconds", "peak memory")
+    table = _table("body", *heads)
+    for one in found:
+        table.add_row(
+            ("* " if one.best else "  ") + one.name, str(one.order), f"{one.error:.1e}", f"{one.mean_error:.1e}",
+            *("-" if value is None else f"{value:.1e}" for value in (one.bound, one.static_error, one.held_error)),
+            f"{one.seconds:.2f}", _bytes(one.peak_memory_bytes),
+        )  # fmt: skip
+    _titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
+    console.print(
+        "what reductions share (factorisation, modes, the reference model) counts for the first that needs it",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
 
 
 def _titled(console: Console, title: str, table: Table) -> None:

@@ -220,6 +220,7 @@ def _write_certificate(out: _Writer, group: str, its: Certificate) -> None:
     out.put(f"{group}/bound", its.bound, "upper bound of the error, or an estimate: see bound_kind")
     out.put(f"{group}/bound_kind", its.bound_kind)
     out.put(f"{group}/block_error", its.block_error, "largest error of motion of interface i to load on interface j")
+    out.put(f"{group}/held_error", its.held_error, "error of what is left when interface i is held still")
     out.put(f"{group}/static_error", its.static_error, "error at 0 Hz")
     out.put(f"{group}/absolute_error", its.absolute_error, "largest difference over the largest size in the band")
     out.put(f"{group}/reference_error", its.reference_error, "estimated error of the full response itself")
