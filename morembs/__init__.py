@@ -11,6 +11,7 @@ import morembs.linalg  # noqa: F401
 from morembs.band import band_frequencies
 from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.certify import Certificate, certify
+from morembs.direct import direct_response
 from morembs.errors import InputError, MorembsError
 from morembs.fem import assemble
 from morembs.importers import read_mesh
@@ -19,7 +20,19 @@ from morembs.linalg.select import available_solvers, select_solver
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh, Nodes
 from morembs.problem import Damping, Problem
-from morembs.reducers import REDUCERS, Automatic, CraigBampton, FreeInterface, Guyan, Modal, ReducedModel
+from morembs.reducers import (
+    REDUCERS,
+    Automatic,
+    Balanced,
+    CraigBampton,
+    FreeInterface,
+    Gramian,
+    Guyan,
+    Irka,
+    Krylov,
+    Modal,
+    ReducedModel,
+)
 from morembs.response import full_response, reduced_response
 from morembs.selection import select_nodes
 from morembs.storage import read_body, write_body
@@ -30,15 +43,19 @@ __version__ = "0.1.0"
 __all__ = [
     "REDUCERS",
     "Automatic",
+    "Balanced",
     "Certificate",
     "CraigBampton",
     "Damping",
     "ElasticBody",
     "FEModel",
     "FreeInterface",
+    "Gramian",
     "Guyan",
     "InputError",
     "Interface",
+    "Irka",
+    "Krylov",
     "Material",
     "Mesh",
     "Modal",
@@ -50,6 +67,7 @@ __all__ = [
     "available_solvers",
     "band_frequencies",
     "certify",
+    "direct_response",
     "elastic_body",
     "full_response",
     "isotropic",

@@ -9,7 +9,7 @@ the Ritz values, which makes it an estimate.
 
 One factorisation and a few blocks of solves make it; frequency responses, Gramians, and the choice of shifts and
 orders are small dense problems in its coordinates afterwards. The space is kept with the problem and grows when
-more is asked of it.
+more is asked of it. A damping matrix of the model's own needs another space: ``damped_reference``.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.damped_reference import DampedSpace
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.orthogonal import combine, dot
@@ -105,15 +107,35 @@ def reference_model(
         inertia_loads: also follow the inertia loads of the moving frame, as ``inertia_loads`` gives them.
 
     Raises:
-        InputError: no interfaces, or a model with its own damping matrix.
+        InputError: no interfaces.
         SolverError: the error does not fall below ``tolerance``.
     """
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+    omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
-        raise InputError("the full frequency response needs proportional damping; this model has its own D")
+        return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
     growth = problem.shared(("reference", inertia_loads), lambda: _Growth(problem, inertia_loads))
-    return growth.until(np.asarray(omega, dtype=float), tolerance, progress)
+    return growth.until(omega, tolerance, progress)
+
+
+def _damped(
+    problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool, progress: Progress
+) -> Reference:
+    """Reference of a model with a damping matrix of its own."""
+    F = _loads(problem, inertia)
+    space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
+    V, values, Y, seen, error = space.until(omega, tolerance, progress)
+    return Reference(
+        values=values, D=seen, damping=problem.damping, F=Y.T @ dot(V, F, problem.budget), inputs=problem.B.shape[1],
+        V=V, Y=Y, error=error, problem=problem,
+    )  # fmt: skip
+
+
+def _loads(problem: Problem, inertia: bool) -> Floats:
+    """Unit interface loads (Nc, p) and the inertia loads behind them, if wanted."""
+    B = problem.B.toarray()
+    return np.hstack([B, inertia_loads(problem)]) if inertia else B
 
 
 def inertia_loads(problem: Problem) -> Floats:
@@ -140,10 +162,8 @@ class _Growth:
 
     def __init__(self, problem: Problem, inertia: bool) -> None:
         self.problem = problem
-        F = problem.B.toarray()
-        self.inputs = F.shape[1]
-        if inertia:
-            F = np.hstack([F, inertia_loads(problem)])
+        F = _loads(problem, inertia)
+        self.inputs = problem.B.shape[1]
         start = problem.elastic.flexibility(F)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
@@ -213,7 +233,7 @@ class _Growth:
             y = Y @ (row[:, None] * made.F)
             fy = Y @ ((1.0 - c * row * values)[:, None] * made.F)
             rho = np.vstack([g - c * y - T @ fy, -fy[lanczos.last]])
-            residual = np.abs(np.einsum("ij,ik,kj->j", rho.conj(), energy, rho))
+            residual = np.abs(np.einsum("ij,ij->j", rho.conj(), energy @ rho))
             gain = max(1.0, float(np.abs(values * row).max()))
             worst = max(worst, gain * float(residual.max()) / float(np.abs(H).max()))
         return worst

@@ -27,7 +27,7 @@ from morembs.model import FEModel, Mesh
 from morembs.picture import draw
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
-from morembs.reducers import Automatic
+from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal
 from morembs.schema import MaterialTable
 from morembs.selection import select_nodes
 from morembs.storage import check_writable, write_body
@@ -38,6 +38,8 @@ Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
 BAND = (0.2, 1.1)
 BAND_POINTS = 400
+# Reductions that compute modes.
+WITH_MODES = (Automatic, CraigBampton, FreeInterface, Modal)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +151,8 @@ def _certified_band(job: Job) -> Sequence[float] | None:
 
 def wants_modes(job: Job) -> bool:
     """Whether any modes are computed, and so counted."""
-    return bool(job.tables.check.full_modes) or any(reducer.method != "guyan" for reducer in job.reducers.values())
+    wanted = bool(job.tables.check.full_modes) or job.tables.certify is not None
+    return wanted or any(isinstance(reducer, WITH_MODES) for reducer in job.reducers.values())
 
 
 def units_of(job: Job) -> Units:

@@ -38,7 +38,7 @@ class DynamicStiffness:
         self.solver, self.budget = solver, budget
         stiffness = Lower.of(K, "the stiffness matrix", budget)
         parts = [
-            Lower.of(A, what, budget)
+            Lower.of(A, what, budget, regular=False)
             for A, what in ((M, "the mass matrix"), (D, "the damping matrix"))
             if A is not None
         ]

@@ -63,6 +63,17 @@ def combine(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Fl
     return out
 
 
+def beside(*parts: Floats, budget: Budget) -> Floats:
+    """Columns of the ``parts`` (N, .) beside each other, where the budget wants them."""
+    V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
+    at = 0
+    for part in parts:
+        V[:, at : at + part.shape[1]] = part
+        at += part.shape[1]
+        budget.relax()
+    return V
+
+
 def _blocks(V: Floats) -> list[slice]:
     return [slice(first, first + _COLUMNS) for first in range(0, V.shape[1], _COLUMNS)]
 

@@ -51,8 +51,10 @@ class Lower:
         return zlib.crc32(buffers[1], zlib.crc32(buffers[0]))
 
     @classmethod
-    def of(cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED) -> Lower:
-        """Lower triangle of ``A``, which is checked.
+    def of(
+        cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED, regular: bool = True
+    ) -> Lower:
+        """Lower triangle of ``A``, which is checked; ``regular`` False lets it have rows of nothing but zero.
 
         Peak memory: the triangle itself, where ``budget`` wants it, and a piece of it.
 
@@ -72,7 +74,7 @@ class Lower:
         if not isinstance(A, sp.csr_array) or not A.has_canonical_format:
             A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
             A.sum_duplicates()
-        _check_values(A, what)
+        _check_values(A, what, regular)
         counts = np.zeros(A.shape[0] + 1, dtype=np.int64)
         for first, row, keep in _upper(A):
             local = np.bincount(row[keep] - first)
@@ -163,7 +165,7 @@ def _upper(A: sp.csr_array) -> Iterator[tuple[int, Ints, NDArray[np.bool_]]]:
         yield first, row, A.indices[A.indptr[first] : A.indptr[last]] >= row
 
 
-def _check_values(A: sp.csr_array, what: str) -> None:
+def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     if not np.isfinite(A.data).all():
         raise InputError(f"{what} has values that are not finite; check the input matrices")
     x = np.random.default_rng(11).standard_normal(A.shape[0])
@@ -172,6 +174,8 @@ def _check_values(A: sp.csr_array, what: str) -> None:
     one, other = A @ x, A.T @ x
     if np.linalg.norm(one - other) > SYMMETRIC * (np.linalg.norm(one) + np.linalg.norm(other)):
         raise InputError(f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping")
+    if not regular:
+        return
     if not A.nnz:
         raise SingularMatrixError(f"{what} is zero")
     empty = np.flatnonzero(np.diff(A.indptr) == 0)

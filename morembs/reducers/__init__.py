@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from morembs.reducers.automatic import Automatic
+from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
 from morembs.reducers.free_interface import FreeInterface
+from morembs.reducers.gramian import Gramian
 from morembs.reducers.guyan import Guyan
+from morembs.reducers.irka import Irka
+from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 
 REDUCERS: dict[str, type[Reducer]] = {
-    reducer.method: reducer for reducer in (Modal, Guyan, CraigBampton, FreeInterface, Automatic)
+    reducer.method: reducer
+    for reducer in (Automatic, Modal, Guyan, CraigBampton, FreeInterface, Krylov, Gramian, Balanced, Irka)
 }
 
 __all__ = [
-    "MODE_KINDS", "REDUCERS", "Automatic", "Basis", "CraigBampton", "FreeInterface", "Guyan", "Modal", "ReducedModel",
-    "Reducer",
+    "MODE_KINDS", "REDUCERS", "Automatic", "Balanced", "Basis", "CraigBampton", "FreeInterface", "Gramian", "Guyan",
+    "Irka", "Krylov", "Modal", "ReducedModel", "Reducer",
 ]  # fmt: skip

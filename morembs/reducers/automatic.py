@@ -113,7 +113,10 @@ class _Election:
         self.F = reference.F * scale
         self.known = reference.values <= beyond(float(omega[-1]) / (2 * np.pi))
         self.cut = beyond(float(omega[-1]) / (2 * np.pi))
-        self.size = np.linalg.norm(self._outputs(reference.states(1j * omega, self.F)), axis=(1, 2))
+        full = self.F.T @ reference.states(1j * omega, self.F)
+        self.size = np.linalg.norm(full, axis=(1, 2))
+        # Only undamped models and Rayleigh damping have a bound; for others the errors are measured.
+        self.full = full if reference.damping.modal or reference.D is not None else None
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []
 
@@ -145,28 +148,33 @@ class _Election:
         reference, values = self.reference, self.reference.values
         if not C.shape[1]:
             return np.ones(len(self.omega))
-        theta, Y = sl.eigh(C.T @ (values[:, None] * C))
-        V = C @ Y
-        B = V.T @ self.F
-        damping = reference.damping
+        V, states = self._reduced(C)
+        a = values + 1j * self.omega[:, None] * reference.damping_of_modes() - self.omega[:, None] ** 2
         found = np.empty(len(self.omega))
-        for j, w in enumerate(self.omega):
-            own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
-            y = B / (theta + 1j * w * own - w**2)[:, None]
-            a = values + 1j * w * reference.damping_of_modes() - w**2
-            if damping.modal or reference.D is not None:
-                off = self.F.T @ (self.F / a[:, None] - V @ y)
-                found[j] = np.linalg.norm(off)
+        for j, (w, y) in enumerate(zip(self.omega, states, strict=True)):
+            if self.full is not None:
+                found[j] = np.linalg.norm(self.full[j] - self.F.T @ (V @ y))
                 continue
-            r = self.F - a[:, None] * (V @ y)
-            inside = np.linalg.norm(r[self.known].T @ (r[self.known] / a[self.known, None]))
+            r = self.F - a[j, :, None] * (V @ y)
+            inside = np.linalg.norm(r[self.known].T @ (r[self.known] / a[j, self.known, None]))
             tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
             gamma = self.cut / (self.cut - w**2)
             found[j] = inside + gamma * np.linalg.norm(tail) * np.linalg.norm(tail, 2)
         return np.asarray(found / self.size)
 
-    def _outputs(self, states: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        return np.asarray(self.F.T @ states)
+    def _reduced(self, C: Floats) -> tuple[Floats, NDArray[np.complex128]]:
+        """Eigenvectors (k, n) of the pencil on span(C), and their coordinates (nf, n, p) over the band."""
+        reference = self.reference
+        theta, Y = sl.eigh(C.T @ (reference.values[:, None] * C))
+        V = C @ Y
+        B, w = V.T @ self.F, self.omega[:, None]
+        damping = reference.damping
+        own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
+        if reference.D is None:
+            return V, B / (theta + 1j * w * own - w**2)[:, :, None]
+        D = V.T @ reference.D @ V
+        A = np.array([np.diag(theta - x**2) + 1j * x * D for x in self.omega])
+        return V, np.linalg.solve(A, np.broadcast_to(B.astype(complex), (len(A), *B.shape)))
 
     def _orthonormal(self, X: Floats) -> Floats:
         """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
@@ -208,17 +216,10 @@ class _Election:
 
     def _seen(self, C: Floats) -> Floats:
         """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
-        theta, Y = sl.eigh(C.T @ (self.reference.values[:, None] * C))
-        B = (C @ Y).T @ self.F
-        damping = self.reference.damping
-        own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
+        V, states = self._reduced(C)
         weights = np.sqrt(np.gradient(self.omega)) / self.size
-        states = [
-            weight * B / (theta + 1j * w * own - w**2)[:, None]
-            for w, weight in zip(self.omega, weights, strict=True)
-        ]  # fmt: skip
-        flat = np.concatenate(states, axis=1)
-        return np.asarray(Y @ np.hstack([flat.real, flat.imag]))
+        flat = np.concatenate(list(states * weights[:, None, None]), axis=1)
+        return np.asarray(C.T @ V @ np.hstack([flat.real, flat.imag]))
 
     def _modal(self, _: float) -> Floats:
         """Static responses first, then modes in the order of their frequencies."""

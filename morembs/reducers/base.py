@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
-from morembs.linalg.orthogonal import combine, dot, m_norms, m_orthonormal, remove
+from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -127,7 +127,9 @@ class Reducer(ABC):
             moved = V if basis.inertial is None else basis.inertial
             M, K = projected(moved, problem.M, budget, basis.left), basis.K
             B = np.asarray((problem.B.T @ basis.left).T)
-        D = problem.damping.matrix(M, K, basis.rigid, basis.left is None)
+        # Velocities see the stiffness through their own basis.
+        slow = K if basis.inertial is None else projected(basis.inertial, problem.K, budget, basis.left)
+        D = problem.damping.matrix(M, slow, basis.rigid, basis.left is None)
         if problem.D is not None:
             D = D + projected(V if basis.inertial is None else basis.inertial, problem.D, budget, basis.left)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
@@ -186,17 +188,6 @@ def projected(V: Floats, A: sp.csr_array, budget: Budget, left: Floats | None = 
     parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
     whole = np.hstack(parts) if parts else np.zeros((0, 0))
     return 0.5 * (whole + whole.T) if left is None else whole
-
-
-def beside(*parts: Floats, budget: Budget) -> Floats:
-    """Columns of the ``parts`` (Nc, .) beside each other, where the budget wants them."""
-    V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
-    at = 0
-    for part in parts:
-        V[:, at : at + part.shape[1]] = part
-        at += part.shape[1]
-        budget.relax()
-    return V
 
 
 def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None:

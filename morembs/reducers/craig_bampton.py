@@ -18,9 +18,10 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.errors import InputError
+from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, beside, chosen_modes
+from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
 from morembs.reducers.guyan import require_interfaces
 
 

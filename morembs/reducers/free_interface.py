@@ -12,9 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, beside, chosen_modes
+from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
 from morembs.reducers.guyan import require_interfaces
 
 

@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.errors import InputError, nearest
+from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, beside, chosen_modes
+from morembs.reducers.base import Basis, Reducer, chosen_modes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,100 @@
+"""Responses of the full model by factorising A(s) itself, frequency by frequency, with one symbolic analysis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, SingularMatrixError
+from morembs.linalg.solver import Factorization
+from morembs.linalg.statics import solved
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+
+Values = NDArray[Any]
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+# A damping matrix whose forces under rigid motion stay below this part of |D| |u| leaves it undamped.
+UNDAMPED = 1e-9
+
+
+def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
+    """Elastic part (Nc, p) of A(s)^-1 F for loads ``F`` (Nc, p), dense or sparse, at complex ``s`` in 1/s, not zero.
+
+    Rayleigh damping needs no damping matrix: A(s) = c (K + f M) with c = 1 + beta s and f = (s^2 + alpha s) / c.
+    Factor and solution are real where A(s) is. Peak memory: 2 p columns and the factor.
+
+    Raises:
+        InputError: modal damping, which has no matrix, or Rayleigh damping beside a matrix of the model's own.
+        SingularMatrixError: ``s`` is an eigenvalue.
+    """
+    damping, M, Z = problem.damping, problem.M, problem.rigid
+    if damping.modal:
+        raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
+    if problem.D is not None and (damping.alpha or damping.beta):
+        raise InputError("Rayleigh damping beside a damping matrix of the model is not solved directly; add it to D")
+    c = 1 + s * damping.beta
+    at = s if not (damping.alpha or damping.beta) else np.sqrt(complex((s * s + s * damping.alpha) / c))
+    if not complex(at).imag:
+        at = complex(at).real
+    try:
+        factor = problem.stiffness.factorize(at)
+    except SingularMatrixError as error:
+        raise SingularMatrixError(
+            f"{abs(s) / (2 * np.pi):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
+            "infinite; move the frequency or give the model damping"
+        ) from error
+    U = _solved(problem, factor, F)
+    if not Z.shape[1]:
+        return U if c == 1 else U / c
+    if damps_no_rigid_motion(problem):
+        # Rigid motion is a solution of its own, and is left out.
+        U -= Z @ (Z.T @ (M @ U))
+        return U if c == 1 else U / c
+    # Damping couples it to the rest: it is held by forces M Z, as the mean axes of the body hold it.
+    X = _solved(problem, factor, M @ Z)
+    return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
+
+
+def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT) -> Complexes:
+    """Elastic part of H (nf, m, m) at ``omega`` (nf,) in rad/s, one factorisation for each frequency.
+
+    It owes nothing to any reduction, and is what to check reductions against. ``full_response`` is many times faster.
+
+    Raises:
+        InputError: as ``elastic_states``, or no interfaces.
+        SingularMatrixError: an undamped eigenfrequency among ``omega``.
+    """
+    if not problem.B.shape[1]:
+        raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+    m = problem.B.shape[1]
+    H = np.empty((len(omega), m, m), dtype=complex)
+    for j, w in enumerate(omega):
+        progress.update(f"direct response: {j + 1} of {len(omega)}")
+        if w == 0.0:
+            H[j] = problem.B.T @ solved(problem.elastic.flexibility, problem.B, problem.budget)
+        else:
+            H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)
+    return H
+
+
+def damps_no_rigid_motion(problem: Problem) -> bool:
+    """Whether rigid-body motion is free of the model's own damping, so that the elastic part stands alone."""
+    D, Z = problem.D, problem.rigid
+    if D is None or not D.nnz or not Z.shape[1]:
+        return True
+    force = np.linalg.norm(D @ Z, axis=0)
+    return bool((force <= UNDAMPED * np.abs(D.data).max() * np.linalg.norm(Z, axis=0)).all())
+
+
+def _solved(problem: Problem, factor: Factorization, F: Values) -> Values:
+    """factor.solve(F) (Nc, p), some columns at a time."""
+    X = problem.budget.empty(F.shape, factor.dtype, order="F")
+    width = problem.budget.columns(F.shape[0])
+    for at in range(0, F.shape[1], width):
+        part = F[:, at : at + width]
+        X[:, at : at + width] = factor.solve(np.asarray(part if isinstance(part, np.ndarray) else part.toarray()))
+        problem.budget.relax()
+    return X

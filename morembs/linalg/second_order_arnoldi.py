@@ -1,0 +1,165 @@
+"""Second-order Krylov spaces of s^2 M + s D + K about s0, by two-level orthogonal Arnoldi.
+
+With A0 = s0^2 M + s0 D + K and E = 2 s0 M + D the blocks are (Bai and Su 2005)
+
+    r_0 = A0^-1 F,   r_1 = -A0^-1 E r_0,   r_j = -A0^-1 (E r_{j-1} + M r_{j-2}),
+
+the derivatives of A(s)^-1 F at s0 up to factors. The recurrence itself loses them after some blocks. It is the
+Arnoldi process of a linearisation in pairs (r_j, r_{j-1}), whose vectors are [Q S1; Q S2] with one orthonormal Q:
+the first level makes Q orthonormal, the second the small [S1; S2] (Su, Zhang and Bai 2008; Lu, Su and Bai 2016).
+Only Q has the length of the model, and both levels stay orthonormal to working precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+
+Values = NDArray[Any]
+Solve = Callable[[Values], Values]
+# A column that keeps less than this part of its norm after orthogonalisation is dependent.
+DEPENDENT = 1e-10
+# Eigenvalues of a Gram matrix of unit columns below this are round-off.
+NOISE = 1e-14
+
+
+class SecondOrderArnoldi:
+    """The space of ``M``, ``D`` (N, N) about ``shift``, started at ``start`` = A0^-1 F (N, p); grows with ``expand``.
+
+    ``blocks`` are M-orthonormal, real if ``start`` and ``shift`` are, else complex (orthonormal in x^H M y).
+    ``scale`` is a frequency in rad/s of the order of those of interest: blocks r_j scale^j are what is orthogonalised,
+    so that the two halves of a pair have one unit. Peak memory: the blocks and four blocks more.
+    """
+
+    def __init__(
+        self, M: sp.sparray, D: sp.sparray, start: Values, *, shift: complex, scale: float, budget: Budget = UNLIMITED,
+    ) -> None:  # fmt: skip
+        self.M, self.D, self.scale, self.budget = M, D, scale, budget
+        self.shift = complex(shift) if complex(shift).imag else complex(shift).real
+        Q = orthonormal(np.array(start), M)
+        self.blocks: list[Values] = []
+        self._add(Q)
+        k = Q.shape[1]
+        self.deflated = [start.shape[1] - k]
+        # One column of [S1; S2] for every vector of the linearisation; the last ones are what comes next.
+        self.upper: Values = np.eye(k, dtype=Q.dtype)
+        self.lower: Values = np.zeros((k, k), dtype=Q.dtype)
+        self.last = slice(0, k)
+
+    @property
+    def size(self) -> int:
+        """Number of columns of all blocks."""
+        return sum(block.shape[1] for block in self.blocks)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the space holds all that the loads can reach."""
+        return bool(self.last.stop == self.last.start)
+
+    def expand(self, solve: Solve) -> None:
+        """One block r_j more; ``solve`` gives A0^-1 F of a block (N, k)."""
+        upper, lower = self.upper[:, self.last], self.lower[:, self.last]
+        newest, before = self._vectors(upper), self._vectors(lower)
+        E = 2 * self.shift * (self.M @ newest) + self.D @ newest
+        W = -solve(self.scale * E + self.scale**2 * (self.M @ before))
+        del newest, before, E
+        coordinates, Q = self._outside(W)
+        self.deflated.append(W.shape[1] - Q.shape[1])
+        self._add(Q)
+        self._second_level(coordinates, np.vstack([upper, np.zeros((Q.shape[1], upper.shape[1]))]))
+
+    def _outside(self, W: Values) -> tuple[Values, Values]:
+        """Coordinates of ``W`` in [Q, new block], and the new block."""
+        start = _norms(W, self.M)
+        coordinates = self._remove(W)
+        Q = orthonormal(np.array(W), self.M, start)
+        # Scaling up what was small scaled up its part along Q too.
+        self._remove(Q)
+        Q = orthonormal(Q, self.M)
+        return np.vstack([coordinates, Q.conj().T @ (self.M @ W)]), Q
+
+    def _remove(self, W: Values) -> Values:
+        """Take span(Q) out of ``W`` in place, twice; returns the coordinates."""
+        total = np.zeros((self.size, W.shape[1]), dtype=W.dtype)
+        for _ in range(2):
+            MW = self.M @ W
+            part = np.vstack([block.conj().T @ MW for block in self.blocks])
+            W -= self._vectors(part)
+            total += part
+        return total
+
+    def _second_level(self, upper: Values, lower: Values) -> None:
+        """New columns of [S1; S2], orthonormalised against the known ones."""
+        k, known = len(upper), self.upper.shape[1]
+        grown = [np.vstack([S, np.zeros((k - len(S), known))]) for S in (self.upper, self.lower)]
+        S, T = np.vstack(grown), np.vstack([upper, lower])
+        start = np.linalg.norm(T, axis=0)
+        for _ in range(2):
+            T = T - S @ (S.conj().T @ T)
+        T = orthonormal(T, None, start)
+        T = orthonormal(T - S @ (S.conj().T @ T), None)
+        both = np.hstack([S, T])
+        self.upper, self.lower = both[:k], both[k:]
+        self.last = slice(known, known + T.shape[1])
+
+    def _vectors(self, C: Values) -> Values:
+        """Q C (N, j), a block of Q at a time."""
+        at, total = 0, np.zeros((self.M.shape[0], C.shape[1]), dtype=C.dtype, order="F")
+        for block in self.blocks:
+            total += block @ C[at : at + block.shape[1]]
+            at += block.shape[1]
+            self.budget.relax()
+        return total
+
+    def _add(self, Q: Values) -> None:
+        self.blocks.append(self.budget.store(np.asfortranarray(Q)))
+
+
+def orthonormal(W: Values, M: sp.sparray | None, reference: Values | None = None) -> Values:
+    """Basis of the columns of ``W`` (n, k), real or complex, orthonormal in x^H M y; dependent columns are dropped.
+
+    ``M`` None is the identity. ``reference`` (k,) gives the norms that the columns had before anything was taken
+    out of them. By eigenvectors of the Gram matrix (Stathopoulos and Wu 2002).
+    """
+    norms = _norms(W, M)
+    start = norms if reference is None else reference
+    Q = np.zeros((len(W), 0), dtype=W.dtype)
+    # What one pass cannot tell from round-off beside larger directions, the next one sees alone.
+    for _ in range(3):
+        keep = (norms > DEPENDENT * start) & (norms > 0)
+        if not keep.any():
+            break
+        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])
+        if Q.shape[1] == W.shape[1]:
+            break
+        for _ in range(2):
+            W = W - Q @ (Q.conj().T @ _weighted(W, M))
+        norms = _norms(W, M)
+    return Q
+
+
+def _by_gram(W: Values, M: sp.sparray | None) -> Values:
+    for _ in range(4):
+        G = W.conj().T @ _weighted(W, M)
+        if np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
+            break
+        values, U = sl.eigh(0.5 * (G + G.conj().T))
+        good = values > NOISE * values[-1]
+        W = W @ (U[:, good] / np.sqrt(values[good]))
+    return W
+
+
+def _weighted(W: Values, M: sp.sparray | None) -> Values:
+    return W if M is None else np.asarray(M @ W)
+
+
+def _norms(W: Values, M: sp.sparray | None) -> Values:
+    squares = np.einsum("ij,ij->j", W.conj(), _weighted(W, M)).real
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

@@ -1,0 +1,377 @@
+"""Second-order balanced truncation: keep what loads reach and interface motions show most.
+
+Gramians come from low-rank ADI on the full elastic part, or, over a frequency band and with modal damping, from
+the reference model in its few modal coordinates. Only the variants "fv" (Meyer and Srinivasan 1996) and "pv" (with
+forces and motions at the same places) project with one basis and keep symmetry and stability; the others (Reis
+and Stykel 2008; "so": Chahlaoui et al. 2006) may lose stability, are checked, and then refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, SolverError
+from morembs.linalg.adi import SecondOrder, low_rank_gramian
+from morembs.linalg.congruence import max_norm
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.linalg.orthogonal import beside, combine, remove
+from morembs.linalg.select import select_solver
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
+from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.second_order_balancing import (
+    ONE_SIDED,
+    VARIANTS,
+    Products,
+    Truncation,
+    band_factor,
+    lyapunov_factor,
+    singular_values,
+    truncated,
+    usable_order,
+)
+from morembs.reference import Reference, reference_model
+
+Floats = NDArray[np.float64]
+Values = NDArray[Any]
+
+INSTEAD = "give band_hz = [lower, upper], or replace the modal damping by alpha and beta"
+BALANCING = ("bfsr", "sr")
+REFERENCE_ERROR = 1e-8
+# Frequencies at which the reference is held to that error.
+SAMPLES = 60
+# The reference has range enough where doubling it changes the singular values of the position Gramian by less than
+# this part of the largest; those of "fv" and "p" weigh high frequencies more, their change is in the notes.
+SETTLED, DOUBLINGS = 1e-6, 8
+# Undamped resonances are integrated beside the axis, at this part of the upper limit.
+BESIDE = 0.01
+# Test and trial spaces whose angle has a smaller cosine do not belong together.
+PERPENDICULAR = 1e-3
+# A pole this far to the right, as part of its size, is unstable.
+GROWING = 1e-8
+# Rigid motion of a free body is damped where D moves it by more than this.
+RIGID_DAMPING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Gramian:
+    """Zp and Zv in the coordinates of ``lift``, which gives columns (Nc, j) in coupled dofs."""
+
+    Zp: Floats
+    Zv: Floats
+    products: Products
+    reference: Reference | None
+    notes: Mapping[str, object]
+
+    def lift(self, Z: Floats, C: Floats, problem: Problem) -> Floats:
+        """Z C as columns (Nc, j)."""
+        if self.reference is not None:
+            return self.reference.vectors(Z @ C)
+        return combine(Z, C, problem.budget.empty((len(Z), C.shape[1]), order="F"), problem.budget)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balanced(Reducer):
+    """``order`` elastic coordinates, or as many as have singular values above ``tolerance`` times the largest.
+
+    Args:
+        variant: "fv" (free velocity), "pv" (position-velocity), "p", "v", "vp" or "so" (position and velocity).
+        band_hz: [lower, upper] limit of the frequencies that count; all if None, which needs damping.
+        balancing: "bfsr" orthonormalises the bases, "sr" scales them; the reduced model is the same but for rounding.
+        adi_tolerance: part of the loads' static compliance that the Gramian may leave unresolved.
+        adi_steps: most shifts, each of which factorises the full dynamic stiffness.
+    """
+
+    method: ClassVar[str] = "balanced-truncation"
+    variant: str = "fv"
+    order: int | None = None
+    tolerance: float | None = None
+    band_hz: list[float] | None = None
+    balancing: str = "bfsr"
+    adi_tolerance: float = 1e-10
+    adi_steps: int = 300
+
+    def __post_init__(self) -> None:
+        if self.variant not in VARIANTS:
+            raise InputError(f'variant = "{self.variant}" was given; expected one of {", ".join(VARIANTS)}')
+        if self.balancing not in BALANCING:
+            raise InputError(f'balancing = "{self.balancing}" was given; expected one of {", ".join(BALANCING)}')
+        if (self.order is None) == (self.tolerance is None):
+            raise InputError(f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)')
+        if self.order is not None and self.order < 1:
+            raise InputError(f"order = {self.order} was given; expected a count, one or more")
+        for name, value in (("tolerance", self.tolerance), ("adi_tolerance", self.adi_tolerance)):
+            if value is not None and not 0 < value < 1:
+                raise InputError(f"{name} = {value} was given; expected a number between 0 and 1, such as 1e-8")
+        if self.adi_steps < 1:
+            raise InputError(f"adi_steps = {self.adi_steps} was given; expected one or more")
+        if self.band_hz is not None and (
+            len(self.band_hz) != 2 or not 0 <= self.band_hz[0] < self.band_hz[1] < MOST_HZ
+        ):
+            raise InputError(
+                f"band_hz = {self.band_hz} was given; expected [lower, upper] limits in Hz, such as [0, 500]"
+            )
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        require_interfaces(problem, self.method)
+        gramian = self._gramian(problem, progress)
+        products = gramian.products
+        order = self._order(products)
+        cut = truncated(products, self.variant, order, self.balancing)
+        if cut.cosine < PERPENDICULAR:
+            raise SolverError(
+                f'variant = "{self.variant}" has a test space that is nearly perpendicular to the motion '
+                f"at order {order} (cosine {cut.cosine:.1e}): the order cuts between singular values that belong "
+                'together; take another order, or variant = "fv" or "pv"'
+            )
+        values = [float(x) for x in cut.values[: min(2 * order, len(cut.values))]]
+        notes = {**gramian.notes, "singular_values": values}
+        if self.variant == "so":
+            notes["position_singular_values"] = [float(x) for x in singular_values(products, "p")[: 2 * order]]
+        right = gramian.lift(gramian.Zv if cut.right_of_velocities else gramian.Zp, cut.right, problem)
+        if self.variant in ONE_SIDED:
+            return elastic_basis(problem, right, "balanced", notes)
+        return _two_sided(problem, gramian, cut, right, notes, self.variant)
+
+    def _order(self, products: Products) -> int:
+        usable = usable_order(products, self.variant)
+        if self.order is not None:
+            if self.order > usable:
+                raise InputError(
+                    f"order = {self.order} was given, but only {usable} singular values are above round-off; "
+                    f"take order = {usable} or less"
+                )
+            return self.order
+        names = ("p", "v") if self.variant == "so" else (self.variant,)
+        found = [singular_values(products, name) for name in names]
+        return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in found))
+
+    def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
+        damping = problem.damping
+        damped = bool(damping.alpha or damping.beta or damping.modal)
+        if self.band_hz is not None:
+            if problem.D is not None:
+                raise InputError(
+                    "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
+                )
+            return _over_band(problem, (self.band_hz[0], self.band_hz[1]), damped, progress)
+        if problem.D is None and not damped:
+            raise InputError(
+                f'method "{self.method}" integrates over all resonances, which are infinite without damping; add '
+                '[damping], or give band_hz = [lower, upper], or take method = "gramian"'
+            )
+        if damping.modal and problem.D is not None:
+            raise InputError(
+                f'method "{self.method}" takes a damping matrix of the model or modal damping, not both; replace the '
+                "modal damping by alpha and beta"
+            )
+        if damping.modal:
+            return self._with_modal_damping(problem, progress)
+        return self._over_all(problem, progress)
+
+    def _over_all(self, problem: Problem, progress: Progress) -> _Gramian:
+        with _pencil(problem) as (pencil, notes):
+            system = _system(problem, pencil)
+            found = low_rank_gramian(
+                system, _loads(problem), tolerance=self.adi_tolerance, max_steps=self.adi_steps,
+                budget=problem.budget, progress=progress,
+            )  # fmt: skip
+        M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
+        Zp, Zv = found.Zp, found.Zv
+        Mpp, Mpv, Mvv = projected(Zp, M, budget), projected(Zv, M, budget, Zp), projected(Zv, M, budget)
+        Dpp, Dpv = alpha * Mpp, alpha * Mpv
+        if beta:
+            Dpp, Dpv = Dpp + beta * projected(Zp, K, budget), Dpv + beta * projected(Zv, K, budget, Zp)
+        if problem.D is not None:
+            Dpp, Dpv = Dpp + projected(Zp, problem.D, budget), Dpv + projected(Zv, problem.D, budget, Zp)
+        notes = {
+            **notes, "gramian": "low-rank ADI over all frequencies", "adi_residual": found.residual,
+            "adi_shifts": len(found.shifts),
+        }  # fmt: skip
+        products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
+        return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
+
+    def _with_modal_damping(self, problem: Problem, progress: Progress) -> _Gramian:
+        """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
+        made = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR, progress=progress)
+        wanted = self.order or 10
+        top = 4 * float(np.sqrt(made.values[0]))
+        before: tuple[Floats, Floats] | None = None
+        for _ in range(DOUBLINGS):
+            made = _up_to(problem, top, progress)
+            Zp, Zv = lyapunov_factor(made.values, made.damping_of_modes(), made.B / problem.motion_scale)
+            products = _modal_products(made, Zp, Zv)
+            values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
+            if before is not None and len(before[0]) == wanted:
+                settled, change = (float(np.abs(a - b).max() / a[0]) for a, b in zip(values, before, strict=True))
+                if settled <= SETTLED:
+                    notes = {
+                        "gramian": "modal damping: Lyapunov equation of a reference model of order "
+                        f"{len(made.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
+                        "gramian_change": change,
+                    }
+                    return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=made, notes=notes)
+            before = values
+            top *= 2
+        raise SolverError(
+            f"the singular values still change where the Gramian covers {top / (4 * np.pi):.6g} Hz; {INSTEAD}"
+        )
+
+
+def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
+    """Reference from zero to ``top`` (rad/s)."""
+    omega = np.linspace(0.0, top, SAMPLES)
+    try:
+        return reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
+    except SolverError as error:
+        raise SolverError(
+            "with modal damping the Gramian over all frequencies needs a reference model up to "
+            f"{top / (2 * np.pi):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
+        ) from error
+
+
+def _over_band(problem: Problem, band_hz: tuple[float, float], damped: bool, progress: Progress) -> _Gramian:
+    """The Gramian over a band, in the coordinates of the reference model."""
+    low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
+    omega = np.linspace(low, high, SAMPLES)
+    made = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
+    loads = made.B / problem.motion_scale
+    delta = 0.0 if damped else BESIDE * high
+    Zp, Zv = band_factor(
+        lambda s: made.states(s, loads), made.values, made.damping_of_modes(), (low, high), delta
+    )  # fmt: skip
+    notes: dict[str, object] = {
+        "gramian": f"quadrature over {band_hz[0]:g} to {band_hz[1]:g} Hz of a reference model of order "
+        f"{len(made.values)}"
+    }
+    if delta:
+        notes["delta"] = delta
+        notes["undamped"] = f"resonances without damping: integrated along s = {delta:.6g} rad/s + i omega"
+    return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(made, Zp, Zv), reference=made, notes=notes)
+
+
+def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
+    D = made.damping_of_modes()[:, None]
+    return Products.of(Zp.T @ Zp, Zp.T @ Zv, Zv.T @ Zv, Zp.T @ (D * Zp), Zp.T @ (D * Zv))
+
+
+def _loads(problem: Problem) -> Floats:
+    """Loads (Nc, m) on the elastic part, moments as forces at the radius of gyration."""
+    Z = problem.rigid
+    F = problem.B.toarray() / problem.motion_scale
+    return np.asarray(F - problem.M @ (Z @ (Z.T @ F)))
+
+
+def _rayleigh(problem: Problem) -> tuple[float, float]:
+    return problem.damping.alpha, problem.damping.beta
+
+
+@contextmanager
+def _pencil(problem: Problem) -> Iterator[tuple[DynamicStiffness, dict[str, object]]]:
+    """A(s) with the whole explicit damping, and what had to be changed for it.
+
+    The problem's own one serves unless Rayleigh damping comes on top of a damping matrix, or its solver takes no
+    complex matrices.
+    """
+    alpha, beta = _rayleigh(problem)
+    own = problem.D is None or not (alpha or beta)
+    notes: dict[str, object] = {}
+    solver = problem.solver
+    if "complex-symmetric" not in solver.structures:
+        solver = select_solver(memory=solver.memory, scratch=solver.scratch)
+        notes["shift_solver"] = f"{solver.name}, as {problem.solver.name} takes no complex matrices"
+    if own and solver is problem.solver:
+        yield problem.stiffness, notes
+        return
+    D = problem.D if own or problem.D is None else problem.D + alpha * problem.M + beta * problem.K
+    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as pencil:
+        yield pencil, notes
+
+
+def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
+    """The elastic part as the iteration sees it: no solution has rigid motion in it."""
+    M, K, D, Z = problem.M, problem.K, problem.D, problem.rigid
+    alpha, beta = _rayleigh(problem)
+    if D is not None and Z.shape[1]:
+        # Compared at the scale of each row, forces with forces and moments with moments.
+        size = np.abs(D) @ np.abs(Z)
+        if np.abs(D @ Z).max() > RIGID_DAMPING * max(float(size.max()), max_norm(D) * np.finfo(float).tiny):
+            raise InputError(
+                "the damping matrix of this model damps its rigid-body motion, so its elastic part has no Gramian of "
+                "its own; hold the body somewhere, or give [damping] instead of the matrix"
+            )
+
+    def apply_D(X: Floats) -> Floats:
+        Y = alpha * (M @ X) + (beta * (K @ X) if beta else 0.0)
+        return np.asarray(Y if D is None else Y + D @ X)
+
+    def solve(s: complex, F: Values) -> Values:
+        at, c = s, 1.0 + 0.0 * s
+        if D is None:
+            # (1 + s beta) (K + f M): real and positive definite for positive s, one pattern for all damping.
+            c = 1.0 + s * beta
+            at = np.sqrt((s * s + alpha * s) / c)
+        with pencil.factorize(at) as factor:
+            X: Values = factor.solve(F / c)
+        X -= Z @ (Z.T @ (M @ X))
+        return X
+
+    return SecondOrder(M=M, K=K, apply_D=apply_D, solve=solve, flexibility=problem.elastic.flexibility)
+
+
+def _two_sided(
+    problem: Problem, gramian: _Gramian, cut: Truncation, right: Floats, notes: Mapping[str, object], variant: str
+) -> Basis:
+    """Rigid-body modes beside the elastic columns of trial, test and inertial spaces; refused where unstable."""
+    M, Z, budget = problem.M, problem.rigid, problem.budget
+    left = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
+    moved = None if cut.inertial is None else gramian.lift(gramian.Zv, cut.inertial, problem)
+    for X in (right, left, *([] if moved is None else [moved])):
+        remove(Z, X, M)
+    K = projected(right, problem.K, budget, left)
+    r, n = Z.shape[1], right.shape[1]
+    inertial = right if moved is None else moved
+    mass = projected(inertial, M, budget, left)
+    # Velocities are expanded with the inertial columns, so stiffness damping acts on those.
+    slow = K if moved is None else projected(moved, problem.K, budget, left)
+    D = problem.damping.matrix(mass, slow, np.zeros((n, 0)), False)
+    if problem.D is not None:
+        D = D + projected(inertial, problem.D, budget, left)
+    _refuse_unstable(mass, D, K, variant)
+    whole = np.zeros((r + n, r + n))
+    whole[r:, r:] = K
+    return Basis(
+        V=beside(Z, right, budget=budget), kinds=("rigid",) * r + ("balanced",) * n, K=whole, rigid=np.eye(r + n, r),
+        left=beside(Z, left, budget=budget), inertial=None if moved is None else beside(Z, moved, budget=budget),
+        notes={**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"},
+    )  # fmt: skip
+
+
+def _refuse_unstable(M: Floats, D: Floats, K: Floats, variant: str) -> None:
+    """Raise where M q'' + D q' + K q = 0 grows.
+
+    Raises:
+        SolverError: the message names the pole.
+    """
+    n = len(M)
+    # Time in units of the mean frequency, or K and M differ by many powers of ten.
+    unit = np.sqrt(np.linalg.norm(K) / np.linalg.norm(M))
+    inverse = np.linalg.solve(M, np.hstack([K / unit**2, D / unit]))
+    poles = unit * sl.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inverse[:, :n], -inverse[:, n:]]]))
+    growth = poles.real / np.maximum(np.abs(poles), np.finfo(float).tiny)
+    worst = int(np.argmax(growth))
+    if growth[worst] > GROWING:
+        pole = poles[worst]
+        raise SolverError(
+            f'variant = "{variant}" gives an unstable reduced model at order {n}: a motion of '
+            f"{abs(pole.imag) / (2 * np.pi):.6g} Hz grows at {pole.real:.6g} per second; take variant = "
+            '"fv" or "pv", which are always stable, or another order'
+        )

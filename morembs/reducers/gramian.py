@@ -1,0 +1,256 @@
+"""Dominant directions of the Gramian of a frequency band (Lehner 2007; Fehr and Eberhard 2010): a POD of responses.
+
+Snapshots U_k = A(i omega_k)^-1 B at the points of a quadrature with weights w_k over the band make a factor S of the
+position Gramian 1/pi int Re(U U*) d omega. V holds the left singular vectors of S in the energy inner product
+X = K + mu M, mu the square of the middle of the band. With Pi the X-orthogonal projector on V,
+
+    sum of sigma_k^2 left out = 1/pi sum_k w_k |U_k - Pi U_k|_X^2 ,
+
+exact for the points of the quadrature; the error of the reduced model between them is not bounded by it.
+
+The elastic part of the loads counts, with moments over the length of the body as forces. Snapshots come from the
+modal coordinates of the reference model, where hundreds of points are small dense work, or by factorising the full
+matrices ("direct"). Without damping the integral over a resonance does not exist: the path then runs along
+s = delta + i omega, and the notes say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.linalg.gramians import (
+    StreamedSVD,
+    WeightedSVD,
+    gauss,
+    modal_poles,
+    resonant_panels,
+    snapshot_factor,
+)
+from morembs.linalg.orthogonal import beside, m_norms, m_orthonormal, remove
+from morembs.linalg.statics import solved
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
+from morembs.reducers.guyan import require_interfaces
+from morembs.reference import Reference, inertia_loads, reference_model
+
+Floats = NDArray[np.float64]
+WEIGHTS = ("position", "velocity")
+# Shift off the imaginary axis where there is no damping, as a part of the upper end of the band.
+SHIFT = 0.01
+# A pole this close to the band, as a part of its upper end, counts as inside.
+EDGE = 1e-3
+# The response is static where it differs from statics by less than this part.
+STATIC = 1e-6
+# Tolerances below this ask for singular values that are round-off.
+FINEST = 1e-10
+# Gauss points on each panel, and over the whole band for full factorisations.
+PANEL_POINTS, DIRECT_POINTS = 6, 12
+# Of states the square root counts: the response is quadratic in their error.
+ACCURACY = 1e-11
+GRID = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gramian(Reducer):
+    """``order`` elastic directions of the band ``band_hz`` = [low, high], or as many as a ``tolerance`` asks for.
+
+    ``tolerance`` bounds sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2), the part of the
+    snapshots that V leaves out. ``weight`` "velocity" takes s U for U, which stresses the upper end of the band.
+    ``points`` Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
+    ``direct`` solves with the full matrices at each point (one factorisation each) in place of the reference model;
+    a model with its own damping matrix needs it. ``static`` keeps the response to static interface forces exact:
+    these displacements come first, among the ``order``, and the rest works on what they leave out.
+    ``inertia_loads`` adds the loads of a moving frame, each of the static energy of an average interface force.
+    """
+
+    method: ClassVar[str] = "gramian"
+    band_hz: list[float]
+    order: int | None = None
+    tolerance: float | None = None
+    weight: str = "position"
+    direct: bool = False
+    points: int | None = None
+    static: bool = False
+    inertia_loads: bool = False
+
+    def __post_init__(self) -> None:
+        band = self.band_hz
+        if len(band) != 2 or not 0 <= band[0] < band[1] < MOST_HZ:
+            raise InputError(
+                f"band_hz = {list(band)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH < {MOST_HZ:g}"
+            )
+        if (self.order is None) == (self.tolerance is None):
+            raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
+        if self.order is not None and self.order < 1:
+            raise InputError(f"order = {self.order} was given; expected the number of elastic directions, 1 or more")
+        if self.tolerance is not None and not FINEST <= self.tolerance < 1:
+            raise InputError(
+                f"tolerance = {self.tolerance} was given; expected a part of the response from {FINEST:g} to below 1"
+            )
+        if self.weight not in WEIGHTS:
+            raise InputError(f'weight = "{self.weight}" was given; expected one of {", ".join(WEIGHTS)}')
+        if self.points is not None and self.points < 1:
+            raise InputError(f"points = {self.points} was given; expected the number of Gauss points, 1 or more")
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        require_interfaces(problem, self.method)
+        low, high = (2 * np.pi * f for f in self.band_hz)
+        mu = (0.5 * (low + high)) ** 2
+        notes: dict[str, object] = {}
+        make = self._direct if self.direct else self._modal
+        X = make(problem, low, high, mu, notes, progress)
+        wanted = X.shape[1]
+        basis = elastic_basis(problem, X, "gramian", notes)
+        lost = wanted + problem.rigid.shape[1] - basis.V.shape[1]
+        return replace(basis, notes={**notes, "dependent_directions_dropped": lost}) if lost else basis
+
+    def _modal(
+        self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object], progress: Progress
+    ) -> Floats:
+        """Basis (Nc, n) from snapshots in the modal coordinates of the reference model, where X is diagonal."""
+        reference = reference_model(
+            problem, np.linspace(low, high, GRID), tolerance=ACCURACY, inertia_loads=self.inertia_loads,
+            progress=progress,
+        )  # fmt: skip
+        values = reference.values
+        F = reference.F.copy()
+        _scale(F, F / values[:, None], problem)
+        X = sp.diags_array(values + mu).tocsr()
+        self._refuse_statics(reference.states(np.array([1j * high]), F)[0], F / values[:, None], X)
+        delta = _shift(reference, low, high)
+        poles = modal_poles(values, reference.damping_of_modes()) + 1j * delta
+        edges = resonant_panels(low, high, poles) if self.points is None else np.array([low, high])
+        omega, weights = gauss(edges, self.points or PANEL_POINTS)
+        # Blocks four times as wide as long: few decompositions, little memory.
+        chunk = 1 + 2 * len(values) // F.shape[1]
+
+        def snapshots() -> Iterator[Floats]:
+            for at in range(0, len(omega), chunk):
+                s = delta + 1j * omega[at : at + chunk]
+                yield self._factor(reference.states(s, F), s, weights[at : at + chunk])
+
+        first, V = self._pod(snapshots(), F / values[:, None], X, WeightedSVD(values + mu), notes)
+        notes |= {"quadrature_points": len(omega), "reference_order": len(values), "delta_1_per_s": delta}
+        # M is the identity here: orthonormal coordinates are M-orthonormal columns.
+        return reference.vectors(np.linalg.qr(np.hstack([first, V]))[0])
+
+    def _direct(
+        self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object], progress: Progress
+    ) -> Floats:
+        """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
+        damping, Z, M, budget = problem.damping, problem.rigid, problem.M, problem.budget
+        if damping.modal:
+            raise InputError('method "gramian": modal damping is known mode by mode only; take direct = false')
+        if problem.D is not None and (damping.alpha or damping.beta):
+            raise InputError(
+                'method "gramian": Rayleigh damping beside a damping matrix of the model is not solved directly; '
+                "add it to the matrix D of the model"
+            )
+        F = _loads(problem, self.inertia_loads)
+        G = solved(problem.elastic.flexibility, F, budget)
+        _scale(F, G, problem, G)
+        X = sp.csr_array(problem.K + mu * M)
+        damped = problem.D is not None or damping.alpha > 0 or damping.beta > 0
+        delta = 0.0 if damped else SHIFT * high
+        omega, weights = gauss(np.array([low, high]), self.points or DIRECT_POINTS)
+        width = budget.columns(len(F), copies=10)
+
+        def snapshots() -> Iterator[Floats]:
+            # The highest first: it tells whether there are any dynamics.
+            for k in range(len(omega))[::-1]:
+                progress.update(f"responses of the band: {len(omega) - k} of {len(omega)}")
+                s = complex(delta, omega[k])
+                c = 1 + s * damping.beta
+                factor = problem.stiffness.factorize(
+                    s if problem.D is not None else np.sqrt(s * (s + damping.alpha) / c)
+                )
+                for at in range(0, F.shape[1], width):
+                    U = factor.solve(F[:, at : at + width]) / c
+                    if k == len(omega) - 1 and at == 0:
+                        self._refuse_statics(U - Z @ (Z.T @ (M @ U)), G[:, at : at + width], X)
+                    S = self._factor(U[None], np.array([s]), weights[k : k + 1])
+                    remove(Z, S, M)
+                    yield S
+
+        svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
+        first, V = self._pod(snapshots(), G, X, svd, notes)
+        notes |= {"quadrature_points": len(omega), "delta_1_per_s": delta}
+        return beside(first, V, budget=budget)
+
+    def _factor(self, U: NDArray[Any], s: NDArray[Any], weights: Floats) -> Floats:
+        """Snapshot factor of the states ``U`` (ns, n, p) at ``s`` (ns,), or of their velocities."""
+        return snapshot_factor(s[:, None, None] * U if self.weight == "velocity" else U, weights)
+
+    def _pod(
+        self, snapshots: Iterator[Floats], statics: Floats, X: sp.csr_array, svd: WeightedSVD | StreamedSVD,
+        notes: dict[str, object],
+    ) -> tuple[Floats, Floats]:  # fmt: skip
+        """Static directions that are kept (n, j) and the dominant ones of the rest, all X-orthonormal."""
+        first = m_orthonormal(statics, X) if self.static else np.zeros((len(statics), 0))
+        energy = 0.0
+        for S in snapshots:
+            energy += float((m_norms(S, X @ S) ** 2).sum())
+            remove(first, S, X)
+            svd.add(S)
+        tail = np.sqrt(np.append(np.cumsum(svd.sigma[::-1] ** 2)[::-1], 0.0) / energy)
+        fixed, most = first.shape[1], first.shape[1] + len(svd.sigma)
+        # Exactly one of the two is given.
+        count = int(np.argmax(tail <= self.tolerance)) if self.tolerance else (self.order or 0) - fixed
+        if count < 0:
+            raise InputError(
+                f"order = {self.order} was given, but static = true keeps {fixed} static displacements; expected "
+                f"order = {fixed} or more"
+            )
+        if count > len(svd.sigma):
+            raise InputError(
+                f"order = {self.order} was given, but the responses of the band span {most} directions only; take "
+                f"order = {most} or less, a wider band or more points"
+            )
+        notes |= {"part_left_out": float(tail[count]), "static_directions": fixed}
+        return first, svd.vectors[:, :count]
+
+    def _refuse_statics(self, U: NDArray[Any], G: Floats, X: sp.csr_array) -> None:
+        """Raise where the states ``U`` (n, p) at the upper end of the band are the static ones ``G``."""
+        change = U - G
+        size = (np.sum((X @ A * A.conj()).real) for A in (change, G))
+        if np.sqrt(next(size) / next(size)) < STATIC:
+            raise InputError(
+                f"the response in the band {list(self.band_hz)} Hz is static to {STATIC:g}: it holds no dynamics; take "
+                'method = "guyan", or raise the upper end of the band towards the first frequency of the body'
+            )
+
+
+def _loads(problem: Problem, inertia: bool) -> Floats:
+    """Elastic part (Nc, p) of unit loads at the interfaces and, behind them, of the inertia loads."""
+    Z = problem.rigid
+    parts = [problem.B.toarray(), *([inertia_loads(problem)] if inertia else [])]
+    F = beside(*parts, budget=problem.budget)
+    F -= problem.M @ (Z @ (Z.T @ F))
+    return F
+
+
+def _scale(F: Floats, G: Floats, problem: Problem, *others: Floats) -> None:
+    """Scale loads ``F`` (n, p), and the columns of ``others``, to one unit: ``G`` are their displacements."""
+    scale = np.ones(F.shape[1])
+    m = problem.B.shape[1]
+    scale[:m] = problem.motion_scale
+    energy = np.einsum("ij,ij->j", F, G) * scale**2
+    scale[m:] = np.sqrt(energy[:m].mean() / energy[m:])
+    for A in (F, *others):
+        A *= scale
+
+
+def _shift(reference: Reference, low: float, high: float) -> float:
+    """Real part of the path in 1/s: zero unless the model is undamped and resonant in the band."""
+    if reference.damping_of_modes().any():
+        return 0.0
+    at = np.sqrt(reference.values)
+    return SHIFT * high if ((at > low - EDGE * high) & (at < high + EDGE * high)).any() else 0.0

@@ -1,0 +1,257 @@
+"""H2-optimal choice of shifts for few inputs, after SOR-IRKA (Gugercin, Antoulas and Beattie 2008; Wyatt 2012).
+
+V = [Re, Im] of A(sigma_i)^-1 B b_i, sigma_i the mirror images of poles and b_i the directions of their residues:
+a second-order model of order n has 2 n poles, of which the first-order iteration on that small model keeps n. A
+fixed point is no proven optimum of the second-order problem, so errors are measured and the best model is kept.
+
+Everything happens in the modal coordinates of a reference model: no shift costs a factorisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.linalg.second_order_arnoldi import orthonormal
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
+from morembs.reducers.guyan import require_interfaces
+from morembs.reference import Reference, reference_model
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+# Frequencies at which the reference model is held to its tolerance, and those of the error measure.
+CHECKED, MEASURED, TOLERANCE = 60, 300, 1e-8
+# Modes with less damping than this ratio have no H2 norm to speak of; then s moves to the right by this part of
+# the upper frequency.
+LIGHT, DELTA = 1e-6, 5e-3
+# Damping ratio of the shifts to begin with.
+FIRST_RATIO = 0.02
+INNER_STEPS, INNER_TOLERANCE = 30, 1e-7
+# Places about a resonance, in half power widths, where its peak is sampled.
+PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Irka(Reducer):
+    """``order`` elastic coordinates with a small H2 error of the responses in ``band_hz`` = [low, high].
+
+    Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely; where
+    the band has more, Krylov or Gramian bases of that order follow all of them better.
+
+    At most ``max_steps`` steps, until no shift moves by more than ``tolerance`` of itself. The recipe says whether
+    they came to rest (``converged``), the relative H2 error in the band of the first and of the kept model, and the
+    shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper one). Without damping
+    poles have no mirror images off the imaginary axis: H(s + delta) is approximated instead, delta in the recipe.
+    """
+
+    method: ClassVar[str] = "irka"
+    order: int
+    band_hz: list[float]
+    max_steps: int = 50
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.order < 1:
+            raise InputError(f"order = {self.order} was given; expected a positive number of elastic coordinates")
+        if len(self.band_hz) != 2 or not 0 <= self.band_hz[0] < self.band_hz[1] < MOST_HZ:
+            raise InputError(f"band_hz = {self.band_hz} was given; expected [low, high] in Hz")
+        if self.max_steps < 1 or not 0 < self.tolerance < 1:
+            raise InputError(
+                f"max_steps = {self.max_steps}, tolerance = {self.tolerance} were given; expected at least one step "
+                "and a tolerance between 0 and 1"
+            )
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        require_interfaces(problem, self.method)
+        low, high = (2 * np.pi * f for f in self.band_hz)
+        reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE, progress=progress)
+        if self.order > len(reference.values):
+            raise InputError(
+                f"order = {self.order} was given; {len(reference.values)} coordinates give the responses in this band "
+                f"to {TOLERANCE:.0e} already: lower the order, or widen band_hz"
+            )
+        band = _Band(reference, low, high)
+        runs = [self._run(band, shifts, progress) for shifts in _starts(band, self.order, low, high)]
+        best = min(runs, key=lambda run: run.error)
+        s = best.shifts.s + band.delta
+        notes: dict[str, object] = {
+            "converged": best.change <= self.tolerance, "steps": best.steps, "kept_step": best.kept,
+            "first_h2_error": best.first, "h2_error": best.error,
+            "shifts": [[float(x.real), float(x.imag)] for x in s],
+        }  # fmt: skip
+        if best.change > self.tolerance:
+            notes["not_converged"] = f"the shifts still moved by {best.change:.1e}; the best model met was kept"
+        if band.delta:
+            notes["delta"] = band.delta
+        if best.C.shape[1] < self.order:
+            notes["deflated"] = f"{self.order - best.C.shape[1]} of {self.order} columns depend on the others"
+        return elastic_basis(problem, reference.vectors(best.C), "krylov", notes)
+
+    def _run(self, band: _Band, shifts: _Shifts, progress: Progress) -> _Run:
+        """The iteration from one start, and the best model on its way."""
+        errors: list[float] = []
+        best, kept, change = band.columns(shifts), shifts, np.inf
+        for step in range(self.max_steps + 1):
+            X = band.columns(shifts)
+            errors.append(band.error(X))
+            progress.update(f"{self.method}: step {step}, H2 error {errors[-1]:.2e}, shifts move by {change:.1e}")
+            if errors[-1] == min(errors):
+                best, kept = X, shifts
+            if change <= self.tolerance or step == self.max_steps:
+                break
+            moved = band.next_shifts(X, shifts)
+            change, shifts = _change(shifts, moved), moved
+        return _Run(C=best, shifts=kept, first=errors[0], error=min(errors), kept=int(np.argmin(errors)),
+                    steps=len(errors) - 1, change=change)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Shifts:
+    """``s`` (k,), imaginary parts not negative (those above zero stand for a pair), with directions ``b`` (k, m)."""
+
+    s: Complexes
+    b: Complexes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Run:
+    """Best model ``C`` (k, n) met in ``steps`` steps, at step ``kept``, with its ``shifts`` and errors."""
+
+    C: Floats
+    shifts: _Shifts
+    first: float
+    error: float
+    kept: int
+    steps: int
+    change: float
+
+
+class _Band:
+    """The reference with s moved by ``delta`` (M = I, K + delta D + delta^2, D + 2 delta), and its response."""
+
+    def __init__(self, reference: Reference, low: float, high: float) -> None:
+        self.reference = reference
+        values, d = reference.values, reference.damping_of_modes()
+        inside = values <= (1.2 * high) ** 2
+        inside[0] = True
+        light = bool((d[inside] < 2 * LIGHT * np.sqrt(values[inside])).any())
+        self.delta = delta = DELTA * high if light else 0.0
+        # What the damping of the peaks is when s has moved.
+        self.decay = 0.5 * d + delta
+        self.B = reference.B / reference.problem.motion_scale
+        width = self.decay[inside, None] * PEAK
+        middle = np.sqrt(values[inside, None])
+        every = np.concatenate([np.linspace(low, high, MEASURED), *(middle - width), *(middle + width), middle[:, 0]])
+        self.omega = np.unique(every[(every >= low) & (every <= high)])
+        gap = np.diff(self.omega)
+        self.weight = 0.5 * (np.append(gap, 0.0) + np.append(0.0, gap))
+        self.H = self.B.T @ self.states(1j * self.omega, self.B)
+        self.size = self._norm(self.H)
+
+    def states(self, s: Complexes, F: NDArray[Any]) -> Complexes:
+        """A(s + delta)^-1 F (ns, k, p)."""
+        return self.reference.states(s + self.delta, F)
+
+    def reduced(self, X: Floats) -> tuple[Floats, Floats, Floats]:
+        """K, D (n, n) and B (n, m) of the model on ``X`` (k, n), damped as the reducer damps it, s moved."""
+        reference, eye = self.reference, np.eye(X.shape[1])
+        K = X.T @ (reference.values[:, None] * X)
+        none = np.zeros((len(K), 0))
+        D = reference.problem.damping.matrix(eye, K, none) if reference.D is None else X.T @ reference.D @ X
+        return K + self.delta * D + self.delta**2 * eye, D + 2 * self.delta * eye, X.T @ self.B
+
+    def _norm(self, H: Complexes) -> float:
+        return float(np.sqrt(self.weight @ np.linalg.norm(H, axis=(1, 2)) ** 2 / np.pi))
+
+    def columns(self, shifts: _Shifts) -> Floats:
+        """Orthonormal columns (k, n) of [Re, Im] of the states at the shifts."""
+        parts = []
+        for s, b in zip(shifts.s, shifts.b, strict=True):
+            x = self.states(np.array([s]), (self.B @ b)[:, None])[0]
+            parts += [x.real, x.imag] if s.imag else [x.real]
+        return np.asarray(orthonormal(np.hstack(parts), None))
+
+    def error(self, X: Floats) -> float:
+        """Relative H2 error in the band of the model on ``X``."""
+        K, D, B = self.reduced(X)
+        w = self.omega[:, None, None]
+        A = K + 1j * w * D - w**2 * np.eye(len(K))
+        h = B.T @ np.linalg.solve(A, np.broadcast_to(B.astype(complex), (len(w), *B.shape)))
+        return self._norm(h - self.H) / self.size
+
+    def next_shifts(self, X: Floats, shifts: _Shifts) -> _Shifts:
+        """Mirrored poles of the first-order model of order n that is optimal for the second-order one on ``X``."""
+        K, D, B = self.reduced(X)
+        n = len(K)
+        eye, zero = np.eye(n), np.zeros((n, n))
+        # A symmetric form of first order, so that one space serves both sides: E x' = A x + F u, y = F'x. The
+        # frequency c gives velocities the unit of motions.
+        c = float(np.sqrt(np.trace(K) / n))
+        E = np.block([[D, c * eye], [c * eye, zero]])
+        A = np.block([[-K, zero], [zero, c**2 * eye]])
+        F = np.vstack([B, np.zeros_like(B)])
+        for _ in range(INNER_STEPS):
+            moved = _mirrored_poles(E, A, F, shifts)
+            change, shifts = _change(shifts, moved), moved
+            if change <= INNER_TOLERANCE:
+                break
+        return shifts
+
+
+def _mirrored_poles(E: Floats, A: Floats, F: Floats, shifts: _Shifts) -> _Shifts:
+    """One step of first-order IRKA for E x' = A x + F u, y = F'x with symmetric E and A."""
+    parts = []
+    for s, b in zip(shifts.s, shifts.b, strict=True):
+        x = np.linalg.solve(s * E - A, (F @ b)[:, None])
+        parts += [x.real, x.imag] if s.imag else [x.real]
+    V = np.asarray(orthonormal(np.hstack(parts), None))
+    poles, X = sl.eig(V.T @ A @ V, V.T @ E @ V)
+    good = np.isfinite(poles) & (poles.imag >= 0)
+    poles, G = poles[good], (X[:, good].T @ (V.T @ F)).conj()
+    G /= np.maximum(np.linalg.norm(G, axis=1, keepdims=True), np.finfo(float).tiny)
+    # The upper of a mirrored pair belongs to the lower pole; poles on the wrong side are mirrored to the right too.
+    s = np.abs(poles.real) + 1j * poles.imag
+    order = np.lexsort((s.real, s.imag))
+    real = s.imag == 0
+    G[real] = G[real].real
+    return _Shifts(s=s[order], b=G[order])
+
+
+def _starts(band: _Band, order: int, low: float, high: float) -> list[_Shifts]:
+    """Pairs spread over the band, and pairs at the modes that respond most; for an odd order one real shift too.
+
+    The iteration finds the next fixed point only, which for a few sharp resonances depends on the start.
+    """
+    pairs, reference = order // 2, band.reference
+    spread = low + (high - low) * (np.arange(pairs) + 0.5) / max(pairs, 1)
+    omega = np.sqrt(reference.values)
+    inside = np.flatnonzero((omega >= low) & (omega <= high))
+    strength = np.linalg.norm(band.B, axis=1) ** 2 / (omega * np.sqrt(band.decay))
+    strongest = omega[inside[np.argsort(-strength[inside], kind="stable")[:pairs]]]
+    # Where the band has fewer modes than pairs, the others are spread.
+    chosen = [spread, np.append(strongest, spread[: pairs - len(strongest)])]
+    return [_first_shifts(band, np.sort(w), 0.5 * (low + high) if order % 2 else None) for w in chosen]
+
+
+def _first_shifts(band: _Band, omega: Floats, real: float | None) -> _Shifts:
+    """Lightly damped shifts at ``omega`` and one at ``real``, in the directions of the largest response there."""
+    s = FIRST_RATIO * omega + 1j * omega
+    if real is not None:
+        s = np.append(real + 0j, s)
+    H = band.B.T @ band.states(s, band.B)
+    directions = [np.linalg.svd(h if x.imag else h.real)[2][0].conj() + 0j for x, h in zip(s, H, strict=True)]
+    return _Shifts(s=s, b=np.array(directions))
+
+
+def _change(old: _Shifts, new: _Shifts) -> float:
+    """Largest move of a shift, relative to it."""
+    if len(old.s) != len(new.s):
+        return np.inf
+    return float((np.abs(new.s - old.s) / np.abs(old.s)).max())

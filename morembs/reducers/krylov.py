@@ -1,0 +1,326 @@
+"""Krylov bases: transfer functions matched at expansion points (Grimme 1997, Lehner and Eberhard 2006).
+
+V = span of A(s_k)^-1 F and further blocks. One block makes H and, for loads and motions of the same interfaces,
+dH/df exact at the point; J blocks match J moments for any outputs and 2J for those of the loads themselves.
+With Rayleigh or modal damping the undamped matrices are factorised and the basis is real (Beattie and Gugercin
+2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.direct import damps_no_rigid_motion
+from morembs.errors import InputError, nearest
+from morembs.linalg.orthogonal import beside, combine, dot
+from morembs.problem import Problem
+from morembs.progress import Progress
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
+from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.shifts import (
+    RIGID_LOAD,
+    Wanted,
+    apply,
+    frequency,
+    outside,
+    shift_at,
+)
+from morembs.reference import inertia_loads
+
+Floats = NDArray[np.float64]
+MOST_COLUMNS = 500
+# Loads that the columns so far carry up to this part need no direction of their own.
+CARRIED = 1e-7
+# Cosine between spaces of inputs and outputs below which they cannot be paired.
+PAIRED = 1e-6
+# Growth of motion, relative to its frequency, that is instability and not round-off.
+UNSTABLE = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Krylov(Reducer):
+    """``moments`` blocks at each of ``shifts_hz`` (s = i omega) and ``real_shifts`` (s in 1/s).
+
+    ``moments`` is one number or a list: one for each of ``shifts_hz``, then for ``real_shifts``. ``order`` keeps
+    that many elastic coordinates, those with most energy in the responses between zero and the highest shift (each
+    frequency counts alike); moments are then matched approximately. ``tangential`` solves for that many
+    combinations of loads per shift, those that the basis so far carries worst, instead of for all.
+
+    Columns come from all interfaces or those named in ``inputs``; ``inertia_loads`` adds the loads of a moving
+    frame. ``two_sided`` tests the equations with columns from the interfaces ``outputs``: J + J moments from inputs to
+    outputs at half the order that both would take. It gives up symmetry; for equal inputs and outputs it would be
+    the one-sided method, and is refused. An unstable result (the rule between far ends) is refused too.
+
+    Peak memory: the columns twice (blocks stay with the problem, for other reducers with the same shifts) beside the
+    factor of one shift.
+    """
+
+    method: ClassVar[str] = "krylov"
+    shifts_hz: list[float] = field(default_factory=lambda: [0.0])
+    real_shifts: list[float] = field(default_factory=list)
+    moments: int | list[int] = 1
+    order: int | None = None
+    tangential: int | None = None
+    two_sided: bool = False
+    inputs: list[str] | None = None
+    outputs: list[str] | None = None
+    inertia_loads: bool = False
+
+    def __post_init__(self) -> None:
+        count = len(self.shifts_hz) + len(self.real_shifts)
+        if not count:
+            raise InputError("no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts")
+        if not all(0 <= f < MOST_HZ for f in self.shifts_hz):
+            raise InputError(
+                f"shifts_hz = {self.shifts_hz} was given; expected frequencies in Hz from 0 to {MOST_HZ:g}"
+            )
+        if not all(0 < s < MOST_HZ for s in self.real_shifts):
+            raise InputError(f"real_shifts = {self.real_shifts} was given; expected positive numbers in 1/s")
+        if len({*self.shifts_hz}) + len({*self.real_shifts}) < count:
+            raise InputError("a shift was given twice; give it once and raise its moments")
+        moments = [self.moments] * count if isinstance(self.moments, int) else self.moments
+        if len(moments) != count or min(moments) < 1:
+            raise InputError(
+                f"moments = {self.moments} was given for {count} shifts; expected one positive number, or one for each "
+                "of shifts_hz and then of real_shifts"
+            )
+        for name in ("order", "tangential"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"{name} = {value} was given; expected a positive number")
+        if self.outputs is not None and not self.two_sided:
+            raise InputError("outputs were given, which only two_sided = true uses; set it, or leave outputs out")
+        if (
+            self.two_sided
+            and (self.inputs is None) == (self.outputs is None)
+            and (self.inputs is None or set(self.inputs) == set(self.outputs or []))
+        ):
+            raise InputError(
+                "two_sided = true needs inputs and outputs that differ; for equal ones it is the one-sided method: "
+                "leave two_sided out"
+            )
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        self._check(problem)
+        notes: dict[str, object] = {}
+        sides = [_Side(problem, self.inputs, "inputs", self.inertia_loads)]
+        if self.two_sided:
+            sides.append(_Side(problem, self.outputs, "outputs", self.inertia_loads))
+            if sides[0].names == sides[1].names:
+                raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
+        for side in sides:
+            side.reserve(self._columns(problem, side.F.shape[1]))
+        lost, moved = self._fill(problem, sides, progress)
+        lost = [text for side in sides for text in side.lost] + lost
+        if lost:
+            notes["deflated"] = lost
+        if moved:
+            notes["moved_shifts"] = moved
+        if problem.D is not None and problem.damping.alpha + problem.damping.beta + problem.damping.modal > 0:
+            notes["damping"] = (
+                "the expansion is that of the model's own damping matrix, without the damping added to it"
+            )
+        if self.order is not None:
+            top = max([*self.shifts_hz, *(s / (2 * np.pi) for s in self.real_shifts)])
+            for side in sides:
+                notes[f"columns_of_{side.name}_before_the_cut"] = side.size
+                side.cut(self.order, 2 * np.pi * top)
+        if self.two_sided:
+            return _two_sided(problem, sides[0].V, sides[1].V, notes)
+        return elastic_basis(problem, sides[0].V, "krylov", notes)
+
+    def _check(self, problem: Problem) -> None:
+        if not self.inertia_loads or problem.B.shape[1]:
+            require_interfaces(problem, self.method)
+        if 0.0 in self.shifts_hz and not damps_no_rigid_motion(problem):
+            raise InputError(
+                "the model's damping matrix damps its rigid-body motion, so there is no expansion at 0 Hz; take "
+                "real_shifts, or shifts_hz above zero"
+            )
+
+    def _points(self) -> Iterator[tuple[complex, int]]:
+        """Expansion points s in 1/s and the blocks of each."""
+        points = [2j * np.pi * f for f in self.shifts_hz] + [complex(s) for s in self.real_shifts]
+        counts = [self.moments] * len(points) if isinstance(self.moments, int) else self.moments
+        yield from zip(points, counts, strict=True)
+
+    def _columns(self, problem: Problem, loads: int) -> int:
+        """Columns of the basis before rank decisions."""
+        width = min(loads, self.tangential or loads)
+        total = sum(count * width * (2 if problem.D is not None and s.imag else 1) for s, count in self._points())
+        room = problem.K.shape[0] - problem.rigid.shape[1]
+        if total > min(MOST_COLUMNS, room):
+            raise InputError(
+                f"{loads} loads with these shifts and moments make {total} columns; at most {min(MOST_COLUMNS, room)} "
+                "make sense here: take fewer shifts or moments, or set tangential = COUNT (loads per shift)"
+            )
+        return total
+
+    def _fill(self, problem: Problem, sides: list[_Side], progress: Progress) -> tuple[list[str], list[str]]:
+        """All blocks into the spaces of the sides; words on columns lost and shifts moved."""
+        lost: list[str] = []
+        moved: list[str] = []
+        for s, count in self._points():
+            shift = shift_at(problem, s)
+            what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
+            wanted: dict[object, Wanted] = {}
+            growing = []
+            for side in sides:
+                key, F = side.loads(shift.at, self.tangential)
+                if F.shape[1]:
+                    wanted[side.names, *key] = Wanted(F, count)
+                    growing.append(side)
+                else:
+                    lost.append(f"{what}: the space carries all {side.name} already, nothing was solved")
+            progress.update(f"{self.method}: {what}, {sum(side.size for side in sides)} columns so far")
+            for side, chain in zip(growing, shift.grow(wanted), strict=True):
+                for j, block in enumerate(chain.blocks[:count]):
+                    gone = chain.deflated[j] + side.add(block)
+                    if gone:
+                        lost.append(f"{what}, block {j + 1}: {gone} columns of the {side.name}")
+            if shift.moves:
+                moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
+        return lost, moved
+
+
+class _Side:
+    """Loads ``F`` (Nc, p) of some interfaces on the elastic body, and the space ``V`` that grows from them."""
+
+    def __init__(self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool) -> None:
+        self.problem, self.name, self.size = problem, name, 0
+        columns = problem.coupling.columns
+        for one in interfaces or []:
+            if one not in columns:
+                raise InputError(f"{name} name the interface {one!r}, which there is not; {nearest(one, columns)}")
+        chosen = [one for one in columns if interfaces is None or one in interfaces]
+        rows = np.concatenate([np.arange(problem.B.shape[1])[columns[one]] for one in chosen] or [np.zeros(0, int)])
+        if interfaces is None:
+            rows = np.arange(problem.B.shape[1])
+        F = problem.B[:, rows].toarray() / problem.motion_scale[rows]
+        self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
+        whole = np.linalg.norm(F, axis=0)
+        if damps_no_rigid_motion(problem):
+            F -= problem.M @ (problem.rigid @ (problem.rigid.T @ F))
+        bends = np.linalg.norm(F, axis=0) > RIGID_LOAD * whole
+        self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
+        F = F[:, bends]
+        if inertia:
+            more = inertia_loads(problem)
+            # As large as a load of an interface: only their direction is known.
+            size = float(np.mean(whole)) if len(whole) else 1.0
+            F = np.hstack([F, more * (size / np.linalg.norm(more, axis=0))])
+        if not F.shape[1]:
+            raise InputError(f"none of the {name} deforms the body; choose other interfaces")
+        self.F = F
+
+    def reserve(self, columns: int) -> None:
+        """Make room for the space."""
+        self._room: Floats = self.problem.budget.empty((len(self.F), columns), order="F")
+
+    @property
+    def V(self) -> Floats:
+        """M-orthonormal elastic columns so far (Nc, size)."""
+        return self._room[:, : self.size]
+
+    def add(self, block: Floats) -> int:
+        """Join the columns of ``block`` to the space; returns how many were in it already."""
+        new = outside([self.problem.rigid, self.V], np.array(block, order="F"), self.problem)
+        self._room[:, self.size : self.size + new.shape[1]] = new
+        self.size += new.shape[1]
+        return int(block.shape[1] - new.shape[1])
+
+    def loads(self, s: complex, tangential: int | None) -> tuple[tuple[object, ...], Floats]:
+        """All loads, or the combinations that the space so far carries worst at ``s``; and a name for them."""
+        if tangential is None or tangential >= self.F.shape[1]:
+            return (), self.F
+        weight = np.maximum(self.problem.K.diagonal(), np.finfo(float).tiny)[:, None]
+        rest = self._residual(s)
+        values, U = sl.eigh((rest.conj().T @ (rest / weight)).real)
+        largest = np.sqrt(np.einsum("ij,ij->j", self.F, self.F / weight).max())
+        good = np.sqrt(np.maximum(values, 0.0)) > CARRIED * largest
+        directions = U[:, good][:, ::-1][:, :tangential]
+        return (directions.tobytes(),), self.F @ directions
+
+    def _residual(self, s: complex) -> NDArray[Any]:
+        """F - A(s) V y of the Galerkin solution y: loads (Nc, p) that the space does not carry."""
+        problem, V, F = self.problem, self.V, self.F
+        if not self.size:
+            return np.asarray(F)
+        width = problem.budget.columns(len(V))
+        blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
+        A = np.hstack([dot(V, apply(problem, s, V[:, block]), problem.budget) for block in blocks])
+        y = np.linalg.solve(A, V.T @ F)
+        rest: NDArray[Any] = np.array(F, dtype=y.dtype)
+        for block in blocks:
+            rest -= apply(problem, s, V[:, block]) @ y[block]
+        return np.asarray(rest)
+
+    def cut(self, order: int, top: float) -> None:
+        """Keep the ``order`` directions with most energy in the responses up to ``top`` in rad/s.
+
+        Responses of the space itself with one percent of damping, in the norm of K + mu M, each frequency scaled
+        to equal size: principal directions of frequency responses (Lehner 2007), without a further solve.
+        """
+        if order > self.size:
+            raise InputError(
+                f"order = {order} was given, but the shifts and moments give {self.size} columns; lower it, or add some"
+            )
+        values, Y = sl.eigh(projected(self.V, self.problem.K, self.problem.budget))
+        load = Y.T @ (self.V.T @ self.F)
+        top = top or float(np.sqrt(values[0]))
+        mu = (0.5 * top) ** 2
+        samples = []
+        for w in np.linspace(0.0, top, 60):
+            x = np.sqrt(values + mu)[:, None] * load / (values - w**2 + 0.02j * w * np.sqrt(values))[:, None]
+            samples += [x.real / np.linalg.norm(x), x.imag / np.linalg.norm(x)]
+        R = sl.qr(np.hstack(samples).T, mode="r")[0]
+        directions = np.linalg.svd(R[: self.size])[2][:order].T
+        combine(self.V, sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
+                self._room[:, :order], self.problem.budget)  # fmt: skip
+        self.size = order
+
+
+def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object]) -> Basis:
+    """[rigid, V] tested with [rigid, W], paired so that W' M V = I.
+
+    Raises:
+        InputError: the two spaces cannot be paired, or the result is unstable.
+    """
+    if V.shape[1] != W.shape[1]:
+        # The smaller space takes directions of the other one, which loses no moment.
+        small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
+        missing = large.shape[1] - small.shape[1]
+        more = outside([small], np.array(large, order="F"), problem)[:, :missing]
+        notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
+        joined = beside(small, more, budget=problem.budget)
+        V, W = (joined, W) if small is V else (V, joined)
+    U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
+    if cosines[-1] < PAIRED:
+        raise InputError(
+            "the spaces of inputs and outputs are nearly orthogonal and cannot be paired; leave two_sided out, or take "
+            "other shifts"
+        )
+    V, W = V @ (T.T / np.sqrt(cosines)), W @ (U / np.sqrt(cosines))
+    Z, n = problem.rigid, V.shape[1]
+    r = Z.shape[1]
+    K = np.zeros((r + n, r + n))
+    K[r:, r:] = projected(V, problem.K, problem.budget, W)
+    D = problem.damping.matrix(np.eye(n), K[r:, r:], np.zeros((n, 0)), symmetric=False)
+    if problem.D is not None:
+        D = D + projected(V, problem.D, problem.budget, W)
+    s = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K[r:, r:], -D]]))
+    if (s.real > UNSTABLE * np.abs(s)).any():
+        raise InputError(
+            f"the two-sided model is unstable (it grows at {s.real.max():.3g} 1/s); leave two_sided out, or take other "
+            "shifts, moments or damping"
+        )
+    return Basis(
+        V=beside(Z, V, budget=problem.budget), left=beside(Z, W, budget=problem.budget), K=K,
+        kinds=("rigid",) * r + ("krylov",) * n, rigid=np.eye(r + n, r), notes=notes,
+    )  # fmt: skip

@@ -1,0 +1,240 @@
+"""Krylov blocks about one expansion point s, solved with one factor and kept with the problem.
+
+Undamped and proportionally damped models have A(s) = (1 + beta s)(K + f(s) M), f = (s^2 + alpha s)/(1 + beta s): the
+blocks of K - omega^2 M (or K + s^2 M) are real and match the damped transfer function where f(s) = -omega^2. A
+model with its own D needs the second-order Krylov space of A(s).
+
+At s = 0 the elastic flexibility stands for the inverse of K, with the factor that the problem has anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.direct import damps_no_rigid_motion
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.orthogonal import m_norms, remove
+from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi, orthonormal
+from morembs.linalg.statics import solved
+from morembs.problem import Problem
+
+Floats = NDArray[np.float64]
+Values = NDArray[Any]
+Solve = Callable[[Values], Values]
+# Backward error that a solution may have.
+BACKWARD_ERROR = 1e-8
+# An eigenvalue lambda of the body with |lambda - omega^2| below this part of omega^2 drowns all but its mode.
+ON_EIGENVALUE = 1e-6
+# A load that deforms the body by less than this part of itself is rigid.
+RIGID_LOAD = 1e-10
+MOVE, MOVES = 1.005, 3
+
+
+@dataclass(eq=False)
+class Wanted:
+    """``count`` blocks started at the loads ``F`` (Nc, p)."""
+
+    F: Floats
+    count: int
+
+
+class Chain:
+    """M-orthonormal real blocks of one expansion point ``s``; ``deflated`` columns were lost in each."""
+
+    def __init__(self, problem: Problem, s: complex, F: Floats) -> None:
+        self.problem, self.s, self.F = problem, s, F
+        self.blocks: list[Floats] = []
+        self.deflated: list[int] = []
+        self.space: SecondOrderArnoldi | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether a further block would be empty."""
+        if self.space is not None:
+            return self.space.finished
+        return bool(self.blocks) and not self.blocks[-1].shape[1]
+
+    def extend(self, solve: Solve, count: int) -> None:
+        """Blocks up to ``count``, as far as there are any."""
+        while len(self.blocks) < count and not self.finished:
+            if self.problem.D is None:
+                self._arnoldi(solve)
+            else:
+                self._second_order(solve)
+
+    def _arnoldi(self, solve: Solve) -> None:
+        """The orthonormal block is the next right-hand side: raw powers would lose directions after a few blocks."""
+        budget = self.problem.budget
+        W = solve(self.problem.M @ self.blocks[-1] if self.blocks else self.F)
+        width = W.shape[1]
+        W = outside(self.blocks, W, problem=self.problem)
+        self.deflated.append(width - W.shape[1])
+        self.F = np.zeros((0, 0))
+        self.blocks.append(budget.store(np.asfortranarray(W)))
+
+    def _second_order(self, solve: Solve) -> None:
+        problem, D = self.problem, self.problem.D
+        if self.space is None:
+            if D is None:
+                raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
+            start, self.F = solve(self.F), np.zeros((0, 0))
+            self.space = SecondOrderArnoldi(
+                problem.M, D, start, shift=self.s, scale=self._scale(start), budget=problem.budget
+            )
+        else:
+            self.space.expand(solve)
+        Q = self.space.blocks[-1]
+        self.deflated.append(self.space.deflated[-1])
+        # Re and Im span what a block and its conjugate span: the basis serves s and its conjugate.
+        self.blocks.append(np.hstack([Q.real, Q.imag]) if Q.dtype.kind == "c" else Q)
+
+    def _scale(self, start: Values) -> float:
+        """A frequency in rad/s: that of the expansion point, or at zero that of the deformation under the loads."""
+        if self.s:
+            return abs(self.s)
+        return float(np.sqrt(np.vdot(start, self.problem.K @ start) / np.vdot(start, self.problem.M @ start)))
+
+
+class Shift:
+    """An expansion point as asked for, and ``at``, where it was moved to; holds the chains made there."""
+
+    def __init__(self, problem: Problem, asked: complex) -> None:
+        self.problem, self.asked, self.at, self.moves = problem, asked, asked, 0
+        self.chains: dict[object, Chain] = {}
+        self._weight = 1.0 / np.sqrt(np.maximum(problem.K.diagonal(), np.finfo(float).tiny))
+        self._weight[problem.K.diagonal() <= 0] = 0.0
+
+    def grow(self, wanted: Mapping[object, Wanted]) -> list[Chain]:
+        """The wanted chains, as long as wanted or as the space is; at most one factorisation where nothing moves.
+
+        A point on an eigenvalue is moved by half a percent, up to three times.
+
+        Raises:
+            SolverError: there is no regular A(s) near the expansion point.
+        """
+        missing = [key for key, want in wanted.items() if not self._long_enough(key, want.count)]
+        while missing:
+            try:
+                self._extend(wanted)
+                break
+            except BudgetError:
+                raise
+            except (SingularMatrixError, SolverError) as error:
+                if not complex(self.asked).imag:
+                    raise
+                if self.moves == MOVES:
+                    raise SolverError(
+                        f"shift {frequency(self.asked):.6g} Hz and {MOVES} places above it, up to "
+                        f"{frequency(self.at):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
+                        f"percent away, or 0 ({error})"
+                    ) from error
+                self.chains.clear()
+                self.at, self.moves = self.at * MOVE, self.moves + 1
+        return [self.chains[key] for key in wanted]
+
+    def _long_enough(self, key: object, count: int) -> bool:
+        chain = self.chains.get(key)
+        return chain is not None and (len(chain.blocks) >= count or chain.finished)
+
+    def _extend(self, wanted: Mapping[object, Wanted]) -> None:
+        problem = self.problem
+        if not self.at:
+            self._extend_with(lambda F: solved(problem.elastic.flexibility, F, problem.budget), wanted)
+            return
+        s = self.at if complex(self.at).imag else complex(self.at).real
+        problem.budget.rest()
+        with problem.stiffness.factorize(s) as factor:
+            kind = factor.dtype
+
+            def solve(F: Values) -> Values:
+                X = _in_blocks(factor.solve, F, kind, problem)
+                self._check(F, X)
+                return X
+
+            self._extend_with(solve, wanted)
+
+    def _extend_with(self, solve: Solve, wanted: Mapping[object, Wanted]) -> None:
+        elastic = damps_no_rigid_motion(self.problem)
+        M, Z = self.problem.M, self.problem.rigid
+
+        def deformation(F: Values) -> Values:
+            X = solve(F)
+            # Round-off along rigid motion would grow from block to block.
+            return X - Z @ (Z.T @ (M @ X)) if elastic else X
+
+        for key, want in wanted.items():
+            if self._long_enough(key, want.count):
+                continue
+            chain = self.chains.get(key)
+            fresh = Chain(self.problem, self.at, want.F) if chain is None else chain
+            fresh.extend(deformation, want.count)
+            if chain is None:
+                self._refuse_near_eigenvalue(fresh)
+                self.chains[key] = fresh
+
+    def _check(self, F: Values, X: Values) -> None:
+        """Backward error of a solution, with rows scaled so that forces and moments count alike."""
+        A = apply(self.problem, self.at, X)
+        d = self._weight[:, None]
+        small = np.linalg.norm(d * (A - F), axis=0)
+        size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
+        error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
+        if not error <= BACKWARD_ERROR:
+            raise SolverError(f"solved at {frequency(self.at):.6g} Hz to a backward error of {error:.1e} only")
+
+    def _refuse_near_eigenvalue(self, chain: Chain) -> None:
+        """A mode that drowns the others shows as a Rayleigh quotient next to the shift."""
+        w2 = complex(self.at).imag ** 2
+        if not w2 or self.problem.D is not None or not chain.blocks[0].shape[1]:
+            return
+        Q = chain.blocks[0]
+        distance = np.abs(sl.eigvalsh(Q.T @ (self.problem.K @ Q)) - w2).min()
+        if distance < ON_EIGENVALUE * w2:
+            raise SingularMatrixError(f"{frequency(self.at):.6g} Hz is an eigenfrequency")
+
+
+def shift_at(problem: Problem, s: complex) -> Shift:
+    """The expansion point ``s`` (1/s) of a problem, which all reducers share."""
+    return problem.shared(("krylov shift", complex(s)), lambda: Shift(problem, complex(s)))
+
+
+def outside(known: Sequence[Floats], W: Floats, problem: Problem) -> Floats:
+    """M-orthonormal columns of what ``W`` adds to the M-orthonormal blocks ``known``; ``W`` is overwritten."""
+    M = problem.M
+    before = m_norms(W, M @ W)
+    for _ in range(2):
+        for Q in known:
+            remove(Q, W, M, budget=problem.budget)
+        # Scaling up what was small scales up its part along the known columns too: hence twice.
+        W = orthonormal(W, M, before)
+        before = np.ones(W.shape[1])
+    return W
+
+
+def frequency(s: complex) -> float:
+    """|s| in Hz."""
+    return float(abs(s) / (2 * np.pi))
+
+
+def apply(problem: Problem, s: complex, X: Values) -> Values:
+    """A(s) X (Nc, k), without the proportional damping of the problem."""
+    square: complex = s * s
+    s, square = (x.real if not complex(x).imag else x for x in (complex(s), complex(square)))
+    out = problem.K @ X + square * (problem.M @ X)
+    return np.asarray(out if problem.D is None else out + s * (problem.D @ X))
+
+
+def _in_blocks(solve: Solve, F: Values, kind: np.dtype[Any], problem: Problem) -> Values:
+    """solve(F), a block of columns at a time."""
+    X = problem.budget.empty(F.shape, kind, order="F")
+    width = problem.budget.columns(len(F))
+    for at in range(0, F.shape[1], width):
+        X[:, at : at + width] = solve(np.asarray(F[:, at : at + width]))
+        problem.budget.relax()
+    return X
