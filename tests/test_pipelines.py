@@ -46,6 +46,17 @@ def test_connecting_rod_meets_its_accuracy(connecting_rod):
     assert (folder / "connecting_rod.png").stat().st_size > 50_000
 
 
+def test_connecting_rod_keeps_its_tolerance(connecting_rod):
+    folder, result = connecting_rod
+    its = result["bodies"]["certified"]["certificate"]
+    assert result["bodies"]["certified"]["order"] <= 60
+    assert its["bound_kind"] == "bound" and len(its["frequencies_hz"]) >= 200
+    assert max(its["error"]) <= max(its["bound"]) <= 1.01e-4
+    # The other body is certified over the same band, and stored with it.
+    stored = read_body(folder / "connecting_rod.h5").bodies["cb30"].certificate
+    assert stored["error"].tolist() == result["bodies"]["cb30"]["certificate"]["error"]
+
+
 def test_connecting_rod_body_file_is_what_was_reported(connecting_rod):
     folder, result = connecting_rod
     stored = read_body(folder / "connecting_rod.h5")
