@@ -246,6 +246,13 @@ def modes(spec: Spec) -> Row:
     return measure_modes(spec, steel(spec["shape"], spec["dofs"]))
 
 
+def interpolation(spec: Spec) -> Row:
+    """See interpolation.py."""
+    from interpolation import measure
+
+    return measure(spec, steel)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -259,7 +266,7 @@ def part(spec: Spec) -> Row:
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "job": write_job, "made_factor": made_factor, "part": part,
+    "job": write_job, "made_factor": made_factor, "interpolation": interpolation, "part": part,
 }  # fmt: skip
 
 

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import jobs
 import killed
+import krylov
 import parts
 import solvers
 from measure import HERE, Settings, required
 
-CASES = {**solvers.CASES, **jobs.CASES, "killed": killed.killed}
+CASES = {**solvers.CASES, **krylov.CASES, **jobs.CASES, "killed": killed.killed}
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
 ROUNDS = 3

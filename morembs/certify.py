@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from morembs.band import beyond
+from morembs.band import beyond, round_off, uncertainty
 from morembs.linalg.eigen import Modes
 from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
@@ -40,8 +40,8 @@ class Certificate:
     interface i is held still, from the whole transfer matrix with its rigid-body part; not a number below ``HELD`` of
     the upper frequency. ``static_error`` that at 0 Hz. ``mode_frequencies_hz`` (k,) of the
     full model in the band, ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mac`` (k,) mass-weighted
-    modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` is the estimated error
-    of the full response itself.
+    modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` (nf,) is the estimated
+    error of the full response itself, round-off in K included: below it ``error`` says nothing.
     """
 
     frequencies_hz: Floats
@@ -57,7 +57,7 @@ class Certificate:
     mode_deviation: Floats
     mac: Floats
     verified_below_hz: float
-    reference_error: float
+    reference_error: Floats
     notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
@@ -117,7 +117,8 @@ def _certificate(
         static_error=float(np.linalg.norm((reduced_response(reduced, np.zeros(1))[0] - statics) * S)
                            / np.linalg.norm(statics * S)),
         mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mac=mac,
-        verified_below_hz=float(np.sqrt(modes.verified_below) / (2 * np.pi)), reference_error=reference.error,
+        verified_below_hz=float(np.sqrt(modes.verified_below) / (2 * np.pi)),
+        reference_error=reference.error + round_off(problem, modes, omega),
         notes=tuple(notes),
     )  # fmt: skip
 
@@ -149,7 +150,7 @@ def _bounds(
     dual = primal if reduced.left is None else residual_of(problem, W, V, modes, reference).scaled(S)
     C_true = np.asarray(problem.B.T @ V)
     alpha, beta = problem.damping.alpha, problem.damping.beta
-    D_known = _damping_of_known(problem, modes)
+    D_known, off_known = _damping_of_known(problem, modes), uncertainty(problem, modes)
     found = []
     for w in omega:
         c, g = 1 + 1j * w * beta, 1j * w * alpha - w**2
@@ -158,7 +159,7 @@ def _bounds(
         z = y if reduced.left is None else np.linalg.solve(A.T, (C.T * S).astype(complex))
         # What the reduced matrices differ from the projections of the full ones: often round-off, and it counts.
         off = z.T @ primal.projected(y, w, c, g) + S[:, None] * ((C_true - C) @ y)
-        limit = bound_of((primal, np.asarray(y)), (dual, np.asarray(z)), modes, w, c, g, D_known)
+        limit = bound_of((primal, np.asarray(y)), (dual, np.asarray(z)), modes, w, c, g, D_known, off_known)
         found.append(limit + float(np.linalg.norm(off)))
     return np.array(found)
 

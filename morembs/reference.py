@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from morembs.damped_reference import DampedSpace
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.linalg.orthogonal import combine, dot
+from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress
 
@@ -197,6 +197,9 @@ class _Growth:
             progress.update(f"frequency response: order {lanczos.size}, error {error:.1e}")
             if error <= tolerance or not lanczos.pending.shape[1]:
                 return replace(made, F=F * self.scale, error=error)
+            self._clean()
+            if not lanczos.pending.shape[1]:
+                return replace(made, F=F * self.scale, error=error)
             if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
                 lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
             if lanczos.full():
@@ -206,6 +209,19 @@ class _Growth:
                 )
             lanczos.expand()
             self._border()
+
+    def _clean(self) -> None:
+        """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
+        lanczos, M = self.lanczos, self.problem.M
+        Q = lanczos.pending
+        for _ in range(2):
+            remove(self.problem.rigid, Q, M)
+            remove(lanczos.V[:, : lanczos.size], Q, M, budget=self.problem.budget)
+            gram = Q.T @ (M @ Q)
+            values, U = sl.eigh(0.5 * (gram + gram.T))
+            # What was orthonormal keeps its length, unless it was rigid motion or round-off.
+            Q = Q @ (U[:, values > 0.5] / np.sqrt(values[values > 0.5]))
+        lanczos.pending = Q[:, : self.room - lanczos.size]
 
     def _border(self) -> None:
         """V' K V with the newest block of V."""

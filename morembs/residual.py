@@ -33,8 +33,7 @@ from morembs.reference import Reference
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-# How exactly the eigenvalues of the known modes are known, and what their vectors leave out.
-KNOWN = 1e-10
+# What the vectors of the known modes leave out.
 SAFETY = 1 + 1e-6
 
 
@@ -100,11 +99,12 @@ class Residual:
 
 def bound_of(
     primal: tuple[Residual, Complexes], dual: tuple[Residual, Complexes], modes: Modes, omega: float, c: complex,
-    g: complex, D: Floats,
+    g: complex, D: Floats, off: Floats,
 ) -> float:  # fmt: skip
     """Bound of |r_du' A^-1 r|_F at ``omega`` in rad/s, from both residuals and their coordinates y (n, m).
 
-    ``c`` and ``g`` as in ``Residual.at``; ``D`` (k,) or (k, k) is the further damping of the known modes.
+    ``c`` and ``g`` as in ``Residual.at``; ``D`` (k,) or (k, k) is the further damping of the known modes,
+    ``off`` (k,) how far their eigenvalues may be off.
     """
     (P, rho, rest), (P_du, rho_du, rest_du) = (part.at(y, omega, c, g) for part, y in (primal, dual))
     values = modes.eigenvalues
@@ -113,7 +113,7 @@ def bound_of(
     else:
         a = c * values + g + 1j * omega * D
         size = np.maximum(np.abs(a), np.finfo(float).tiny)
-        states = P / (a / size * np.maximum(size - KNOWN * values, np.finfo(float).tiny))[:, None]
+        states = P / (a / size * np.maximum(size - off, np.finfo(float).tiny))[:, None]
     gamma = modes.verified_below / (modes.verified_below - omega**2)
     spectral, _ = primal[0].tail(P, rho, values)
     _, frobenius = dual[0].tail(P_du, rho_du, values)

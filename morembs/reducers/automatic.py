@@ -80,16 +80,23 @@ class Automatic(Reducer):
             if error <= self.tolerance and (found is None or C.shape[1] < found.shape[1]):
                 found, best = C, family
         if found is None:
-            raise InputError(
-                f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; "
-                f"the smallest error found is {reached:.1e}, where the round-off of the full model begins; raise the "
-                "tolerance"
-            )
+            raise self._unreachable(reached)
         notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
             notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in election.chosen]
-        return elastic_basis(problem, reference.vectors(found), KINDS[best], notes)
+        basis = elastic_basis(problem, reference.vectors(found), KINDS[best], notes)
+        real = election.measured(found, np.diag(basis.K)[problem.rigid.shape[1] :])
+        if real > self.tolerance:
+            raise self._unreachable(real)
+        return basis
+
+    def _unreachable(self, error: float) -> InputError:
+        return InputError(
+            f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; the "
+            f"smallest error found is {error:.1e}, where the round-off of the full model begins; raise the tolerance, "
+            "or give an undamped model damping"
+        )
 
 
 def _words(best: str, orders: dict[str, object], band_hz: list[float], tolerance: float) -> str:
@@ -162,10 +169,20 @@ class _Election:
             found[j] = inside + gamma * np.linalg.norm(tail) * np.linalg.norm(tail, 2)
         return np.asarray(found / self.size)
 
-    def _reduced(self, C: Floats) -> tuple[Floats, NDArray[np.complex128]]:
-        """Eigenvectors (k, n) of the pencil on span(C), and their coordinates (nf, n, p) over the band."""
+    def measured(self, C: Floats, theta: Floats) -> float:
+        """Largest error over the band of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
+        full = self.F.T @ self.reference.states(1j * self.omega, self.F)
+        V, states = self._reduced(C, theta if len(theta) == C.shape[1] else None)
+        return float((np.linalg.norm(full - self.F.T @ V @ states, axis=(1, 2)) / self.size).max())
+
+    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[Floats, NDArray[np.complex128]]:
+        """Eigenvectors (k, n) of the pencil on span(C), and their coordinates (nf, n, p) over the band.
+
+        ``real`` (n,) replaces the eigenvalues.
+        """
         reference = self.reference
         theta, Y = sl.eigh(C.T @ (reference.values[:, None] * C))
+        theta = theta if real is None else real
         V = C @ Y
         B, w = V.T @ self.F, self.omega[:, None]
         damping = reference.damping
