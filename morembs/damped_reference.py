@@ -32,6 +32,8 @@ DENSE = 400
 FEW_ROWS = 200
 # Frequencies at which changes are looked for.
 LOOKED_AT = 100
+# Error that is put down to round-off where the space cannot grow.
+EXHAUSTED = 1e-8
 # Nearer to each other than this part of the highest two frequencies count as one.
 NEAR = 5e-3
 
@@ -87,7 +89,8 @@ class DampedSpace:
                 return self.V, values, Y, D, error
             fresh = self._outside(np.hstack([U.real, U.imag]))
             if not fresh.shape[1] or len(values) + fresh.shape[1] > MAX_ORDER:
-                if good:
+                # Where nothing is left to add, the rest is the round-off of the direct solution.
+                if good or (not fresh.shape[1] and error <= EXHAUSTED):
                     return self.V, values, Y, D, error
                 raise SolverError(
                     f"the response reached an error of only {error:.1e} with {len(values)} vectors; lower the upper "

@@ -34,7 +34,9 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
     if damping.modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
     if problem.D is not None and (damping.alpha or damping.beta):
-        raise InputError("Rayleigh damping beside a damping matrix of the model is not solved directly; add it to D")
+        raise InputError(
+            "Rayleigh damping beside a damping matrix of the model is not solved directly; add it to the matrix D"
+        )
     c = 1 + s * damping.beta
     at = s if not (damping.alpha or damping.beta) else np.sqrt(complex((s * s + s * damping.alpha) / c))
     if not complex(at).imag:

@@ -123,7 +123,7 @@ def test_gramian_of_a_free_body_is_that_of_its_elastic_part():
     with Problem(model, made, damping=RAYLEIGH) as problem:
         K, M = problem.K.toarray(), problem.M.toarray()
         reduced = {v: Balanced(variant=v, order=24, adi_tolerance=1e-12).reduce(problem) for v in ("fv", "pv", "v")}
-        F, Z = problem.B.toarray() / problem.motion_scale, problem.rigid
+        F, Z = problem.B.toarray() * problem.motion_scale, problem.rigid
         H = full_response(problem, OMEGA)
     values, Phi = sl.eigh(K, M)
     values, F = values[6:], Phi[:, 6:].T @ F
@@ -147,16 +147,16 @@ def test_a_band_spends_the_order_where_it_counts():
             reduced = Balanced(order=30, band_hz=[0.0, 3500.0]).reduce(problem)
             assert error(reduced_response(reduced, OMEGA), H) < 1e-5
             assert ("delta" in reduced.recipe) == (damping == Damping())
-            small = Balanced(tolerance=1e-6, band_hz=[0.0, 3500.0]).reduce(problem)
+            small = Balanced(tolerance=1e-4, band_hz=[0.0, 3500.0]).reduce(problem)
             values = np.array(small.recipe["singular_values"])
-            assert (values > 1e-6 * values[0]).sum() == small.order - 6 < 24
+            assert (values > 1e-4 * values[0]).sum() == small.order - 6 < 24
 
 
 def test_modal_damping_is_integrated_in_a_reference_model():
     model, made = free_beam("average")
     with Problem(model, made, damping=Damping(modal=0.02)) as problem:
         reduced = Balanced(variant="pv", order=12).reduce(problem)
-        K, M, F = problem.K.toarray(), problem.M.toarray(), problem.B.toarray() / problem.motion_scale
+        K, M, F = problem.K.toarray(), problem.M.toarray(), problem.B.toarray() * problem.motion_scale
     values, Phi = sl.eigh(K, M)
     values, F = values[6:], Phi[:, 6:].T @ F
     Zp, _ = lyapunov_factor(values, 2 * 0.02 * np.sqrt(values), F)

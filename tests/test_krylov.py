@@ -37,7 +37,7 @@ def with_dampers(model, ground=False):
 
 
 def elastic_loads(problem, columns=slice(None)):
-    B = problem.B.toarray()[:, columns] / problem.motion_scale[columns]
+    B = problem.B.toarray()[:, columns] * problem.motion_scale[columns]
     return B - problem.M @ problem.rigid @ (problem.rigid.T @ B)
 
 
@@ -150,11 +150,11 @@ def test_general_damping_is_interpolated_at_a_frequency_and_its_conjugate(ground
     with Problem(model, ends(model)) as problem:
         r = Krylov(shifts_hz=[hz]).reduce(problem)
         M, D, K, B = (A.toarray() for A in (problem.M, problem.D, problem.K, problem.B))
-        B = B / problem.motion_scale
+        B = B * problem.motion_scale
         assert r.order == 6 + 24 and r.V.dtype == float
         for s in (2j * np.pi * hz, -2j * np.pi * hz):
             full = B.T @ np.linalg.solve(s * s * M + s * D + K, B)
-            b = r.B / problem.motion_scale
+            b = r.B * problem.motion_scale
             mine = b.T @ np.linalg.solve(s * s * r.M + s * r.D + r.K, b)
             assert np.linalg.norm(full - mine) < 1e-9 * np.linalg.norm(full)
         if ground:
@@ -206,7 +206,7 @@ def test_tangential_shifts_pay_at_equal_order():
 
 def worst(problem, mine, H):
     """Largest relative error in the Frobenius norm, forces and moments scaled."""
-    S = 1 / np.outer(problem.motion_scale, problem.motion_scale)
+    S = np.outer(problem.motion_scale, problem.motion_scale)
     return (np.linalg.norm(S * (mine - H), axis=(1, 2)) / np.linalg.norm(S * H, axis=(1, 2))).max()
 
 

@@ -207,7 +207,7 @@ class Balanced(Reducer):
         before: tuple[Floats, Floats] | None = None
         for _ in range(DOUBLINGS):
             made = _up_to(problem, top, progress)
-            Zp, Zv = lyapunov_factor(made.values, made.damping_of_modes(), made.B / problem.motion_scale)
+            Zp, Zv = lyapunov_factor(made.values, made.damping_of_modes(), made.B * problem.motion_scale)
             products = _modal_products(made, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
             if before is not None and len(before[0]) == wanted:
@@ -243,7 +243,7 @@ def _over_band(problem: Problem, band_hz: tuple[float, float], damped: bool, pro
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
     omega = np.linspace(low, high, SAMPLES)
     made = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
-    loads = made.B / problem.motion_scale
+    loads = made.B * problem.motion_scale
     delta = 0.0 if damped else BESIDE * high
     Zp, Zv = band_factor(
         lambda s: made.states(s, loads), made.values, made.damping_of_modes(), (low, high), delta
@@ -266,7 +266,7 @@ def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
 def _loads(problem: Problem) -> Floats:
     """Loads (Nc, m) on the elastic part, moments as forces at the radius of gyration."""
     Z = problem.rigid
-    F = problem.B.toarray() / problem.motion_scale
+    F = problem.B.toarray() * problem.motion_scale
     return np.asarray(F - problem.M @ (Z @ (Z.T @ F)))
 
 

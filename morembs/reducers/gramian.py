@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.direct import elastic_states
 from morembs.errors import InputError
 from morembs.linalg.gramians import (
     StreamedSVD,
@@ -146,14 +147,10 @@ class Gramian(Reducer):
         self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object], progress: Progress
     ) -> Floats:
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
-        damping, Z, M, budget = problem.damping, problem.rigid, problem.M, problem.budget
+        M, budget = problem.M, problem.budget
+        damping = problem.damping
         if damping.modal:
             raise InputError('method "gramian": modal damping is known mode by mode only; take direct = false')
-        if problem.D is not None and (damping.alpha or damping.beta):
-            raise InputError(
-                'method "gramian": Rayleigh damping beside a damping matrix of the model is not solved directly; '
-                "add it to the matrix D of the model"
-            )
         F = _loads(problem, self.inertia_loads)
         G = solved(problem.elastic.flexibility, F, budget)
         _scale(F, G, problem, G)
@@ -161,24 +158,16 @@ class Gramian(Reducer):
         damped = problem.D is not None or damping.alpha > 0 or damping.beta > 0
         delta = 0.0 if damped else SHIFT * high
         omega, weights = gauss(np.array([low, high]), self.points or DIRECT_POINTS)
-        width = budget.columns(len(F), copies=10)
 
         def snapshots() -> Iterator[Floats]:
             # The highest first: it tells whether there are any dynamics.
             for k in range(len(omega))[::-1]:
                 progress.update(f"responses of the band: {len(omega) - k} of {len(omega)}")
                 s = complex(delta, omega[k])
-                c = 1 + s * damping.beta
-                factor = problem.stiffness.factorize(
-                    s if problem.D is not None else np.sqrt(s * (s + damping.alpha) / c)
-                )
-                for at in range(0, F.shape[1], width):
-                    U = factor.solve(F[:, at : at + width]) / c
-                    if k == len(omega) - 1 and at == 0:
-                        self._refuse_statics(U - Z @ (Z.T @ (M @ U)), G[:, at : at + width], X)
-                    S = self._factor(U[None], np.array([s]), weights[k : k + 1])
-                    remove(Z, S, M)
-                    yield S
+                U = elastic_states(problem, s, F)
+                if k == len(omega) - 1:
+                    self._refuse_statics(U, G, X)
+                yield self._factor(U[None], np.array([s]), weights[k : k + 1])
 
         svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
         first, V = self._pod(snapshots(), G, X, svd, notes)

@@ -145,7 +145,7 @@ class _Band:
         self.delta = delta = DELTA * high if light else 0.0
         # What the damping of the peaks is when s has moved.
         self.decay = 0.5 * d + delta
-        self.B = reference.B / reference.problem.motion_scale
+        self.B = reference.B * reference.problem.motion_scale
         width = self.decay[inside, None] * PEAK
         middle = np.sqrt(values[inside, None])
         every = np.concatenate([np.linspace(low, high, MEASURED), *(middle - width), *(middle + width), middle[:, 0]])

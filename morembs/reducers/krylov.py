@@ -202,7 +202,7 @@ class _Side:
         rows = np.concatenate([np.arange(problem.B.shape[1])[columns[one]] for one in chosen] or [np.zeros(0, int)])
         if interfaces is None:
             rows = np.arange(problem.B.shape[1])
-        F = problem.B[:, rows].toarray() / problem.motion_scale[rows]
+        F = problem.B[:, rows].toarray() * problem.motion_scale[rows]
         self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
         whole = np.linalg.norm(F, axis=0)
         if damps_no_rigid_motion(problem):
