@@ -18,6 +18,7 @@ damping on a basis is seen through the reference model.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,10 +26,12 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import Budget
 from morembs.linalg.eigen import Modes
 from morembs.linalg.orthogonal import combine, dot, m_norms, m_orthonormal, remove, subtract
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
+from morembs.reducers.base import projected
 from morembs.reference import Reference
 
 Floats = NDArray[np.float64]
@@ -129,65 +132,106 @@ def static_response(problem: Problem) -> Floats:
 def residual_of(problem: Problem, V: Floats, W: Floats, modes: Modes, reference: Reference) -> Residual:
     """Residuals on the elastic basis ``V`` (Nc, n), tested with ``W`` (Nc, n), both free of rigid-body motion.
 
-    Peak memory: 4 n + 2 m columns of length Nc; n static solves, 2 n for a damping matrix of the model's own.
+    Peak memory: 2 n + m columns of length Nc where the budget wants them (3 n + m with damping other than Rayleigh's),
+    and a few blocks; n static solves, 2 n for a damping matrix of the model's own.
     """
     K, M, budget = problem.K, problem.M, problem.budget
-    n, m = V.shape[1], problem.B.shape[1]
-    damped = problem.D is not None or bool(problem.damping.modal)
-    X = budget.empty((len(V), m + n + (n if damped else 0)), order="F")
-    X[:, :m] = static_response(problem)
-    _fill(X[:, m : m + n], problem, M, V)
-    modes_M = dot(modes.vectors, M @ V, budget)
-    modes_D = np.zeros_like(modes_M)
-    if problem.D is not None:
-        _fill(X[:, m + n :], problem, problem.D, V)
-        modes_D = dot(modes.vectors, problem.D @ V, budget)
-    elif damped:
-        X[:, m + n :], modes_D = _modally_damped(problem, V, modes, modes_M, reference)
-    # D V = K G_e D V, as seen by columns without rigid-body motion.
-    projected_D = dot(W, K @ X[:, m + n :], budget) if damped else np.zeros((n, n))
-    gram = dot(V, K @ V, budget)
-    L = np.linalg.cholesky(0.5 * (gram + gram.T))
+    n = V.shape[1]
+    modes_M = _between(modes.vectors, M, V, budget)
+    ratio = 2 * problem.damping.modal * np.sqrt(modes.eigenvalues)[:, None]
+    modes_D = ratio * modes_M if problem.D is None else _between(modes.vectors, problem.D, V, budget)
+    gram = projected(V, K, budget)
+    L = np.linalg.cholesky(gram)
     Vk = combine(V, sl.solve_triangular(L, np.eye(n), lower=True).T, budget.empty(V.shape, order="F"), budget)
-    V_of_X = remove(Vk, X, K, budget=budget)
-    Q_of_X = np.zeros((0, X.shape[1]))
-    size = m_norms(X, K @ X)
-    # Directions that one pass takes for round-off of its largest ones are found by the next.
-    for _ in range(3):
-        Q = m_orthonormal(X, K, size)
-        if not Q.shape[1]:
-            break
-        # Q only needs to be orthonormal; what it misses of the old directions stays in the remainder.
-        coordinates = dot(Q, K @ X, budget)
-        subtract(Q, coordinates, X, budget)
-        Q_of_X = np.vstack([Q_of_X, coordinates])
+    basis, projected_D = _EnergyBasis(problem, Vk), np.zeros((n, 0))
+    for X in _inputs(problem, V):
+        basis.add(X)
+    for X in _damping_forces(problem, V, modes, modes_M, reference):
+        # D V = K G_e D V, as seen by columns without rigid-body motion.
+        projected_D = np.hstack([projected_D, dot(W, K @ X, budget)])
+        basis.add(X)
     return Residual(
-        V_of_V=np.asarray(L.T), V_of_X=V_of_X, Q_of_X=Q_of_X, rest=m_norms(X, K @ X),
-        modes_of_B=modes.vectors.T @ problem.B, modes_K=dot(modes.vectors, K @ V, budget), modes_M=modes_M,
-        modes_D=modes_D, projected_B=(problem.B.T @ W).T, projected_K=gram if W is V else dot(W, K @ V, budget),
-        projected_M=dot(W, M @ V, budget), projected_D=projected_D,
+        V_of_V=np.asarray(L.T), V_of_X=np.hstack(basis.of_V), Q_of_X=basis.coordinates(),
+        rest=np.concatenate(basis.rest), modes_of_B=modes.vectors.T @ problem.B,
+        modes_K=_between(modes.vectors, K, V, budget), modes_M=modes_M, modes_D=modes_D,
+        projected_B=np.asarray(problem.B.T @ W).T, projected_K=gram if W is V else _between(W, K, V, budget),
+        projected_M=_between(W, M, V, budget), projected_D=projected_D if projected_D.size else np.zeros((n, n)),
     )  # fmt: skip
 
 
-def _fill(X: Floats, problem: Problem, A: sp.csr_array, V: Floats) -> None:
-    """G_e A V into ``X`` (Nc, n), some columns at a time."""
-    width = problem.budget.columns(len(V))
-    for at in range(0, V.shape[1], width):
-        X[:, at : at + width] = problem.elastic.flexibility(A @ V[:, at : at + width])
-        problem.budget.relax()
+class _EnergyBasis:
+    """K-orthonormal directions Q beside those of ``Vk`` (Nc, n), made of columns X that come block by block.
 
-
-def _modally_damped(
-    problem: Problem, V: Floats, modes: Modes, modes_M: Floats, reference: Reference
-) -> tuple[Floats, Floats]:
-    """G_e D V (Nc, n) and Phi'D V (k, n), where D gives every mode the same ratio.
-
-    D of the known modes is known; what they leave of V is seen through the modes of the reference.
+    ``of_V`` and ``coordinates`` are the coordinates of X, ``rest`` the norms of what is left of it.
     """
-    ratio = 2 * problem.damping.modal
-    rest = V - modes.vectors @ modes_M
-    known = modes.vectors @ (ratio / np.sqrt(modes.eigenvalues)[:, None] * modes_M)
-    C = reference.coordinates(rest)
-    return known + reference.vectors(ratio / np.sqrt(reference.values)[:, None] * C), ratio * np.sqrt(
-        modes.eigenvalues
-    )[:, None] * modes_M
+
+    def __init__(self, problem: Problem, Vk: Floats) -> None:
+        self.problem, self.Vk = problem, Vk
+        self.Q: list[Floats] = []
+        self.of_V: list[Floats] = []
+        self.of_Q: list[list[Floats]] = []
+        self.rest: list[Floats] = []
+
+    def add(self, X: Floats) -> None:
+        """Take in some columns ``X`` (Nc, j), which are overwritten."""
+        K, budget = self.problem.K, self.problem.budget
+        size = m_norms(X, K @ X)
+        self.of_V.append(remove(self.Vk, X, K, budget=budget))
+        coordinates = [remove(Q, X, K, budget=budget) for Q in self.Q]
+        # Directions that one pass takes for round-off of its largest ones are found by the next.
+        for _ in range(3):
+            Q = m_orthonormal(X, K, size)
+            if not Q.shape[1]:
+                break
+            # Q only needs to be orthonormal; what it misses of the columns stays in the rest.
+            coordinates.append(dot(Q, K @ X, budget))
+            subtract(Q, coordinates[-1], X, budget)
+            self.Q.append(budget.store(Q))
+        self.of_Q.append(coordinates)
+        self.rest.append(m_norms(X, K @ X))
+
+    def coordinates(self) -> Floats:
+        """(q, x) coordinates of all X in all Q: later directions have no part in earlier columns."""
+        found = np.zeros((sum(Q.shape[1] for Q in self.Q), sum(len(rest) for rest in self.rest)))
+        column = 0
+        for blocks, rest in zip(self.of_Q, self.rest, strict=True):
+            part = np.vstack([found[:0, : len(rest)], *blocks])
+            found[: len(part), column : column + len(rest)] = part
+            column += len(rest)
+        return found
+
+
+def _inputs(problem: Problem, V: Floats) -> Iterator[Floats]:
+    """G_e B and G_e M V, some columns at a time."""
+    width = problem.budget.columns(len(V), copies=10)
+    static = static_response(problem)
+    for at in range(0, static.shape[1], width):
+        yield np.array(static[:, at : at + width], order="F")
+    for at in range(0, V.shape[1], width):
+        yield problem.elastic.flexibility(problem.M @ V[:, at : at + width])
+
+
+def _damping_forces(
+    problem: Problem, V: Floats, modes: Modes, modes_M: Floats, reference: Reference
+) -> Iterator[Floats]:
+    """G_e D V, some columns at a time; nothing for Rayleigh damping.
+
+    Modal damping of the known modes is known; what they leave of V is seen through the modes of the reference.
+    """
+    width, ratio = problem.budget.columns(len(V), copies=10), 2 * problem.damping.modal
+    for at in range(0, V.shape[1], width):
+        some = slice(at, at + width)
+        if problem.D is not None:
+            yield problem.elastic.flexibility(problem.D @ V[:, some])
+        elif ratio:
+            rest = V[:, some] - modes.vectors @ modes_M[:, some]
+            C = reference.coordinates(rest)
+            known = modes.vectors @ (ratio / np.sqrt(modes.eigenvalues)[:, None] * modes_M[:, some])
+            yield known + reference.vectors(ratio / np.sqrt(reference.values)[:, None] * C)
+
+
+def _between(W: Floats, A: sp.csr_array, V: Floats, budget: Budget) -> Floats:
+    """W' A V, some columns of V at a time."""
+    width = budget.columns(len(V))
+    parts = [dot(W, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
+    return np.hstack(parts) if parts else np.zeros((W.shape[1], 0))

@@ -1,0 +1,5 @@
+"""``python -m morembs`` is the command ``morembs``."""
+
+from morembs.cli import main
+
+main()
