@@ -38,10 +38,13 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
     omega = np.sqrt(modes.eigenvalues)
     damping = problem.damping
     width = damping.modal * omega if damping.modal else 0.5 * (damping.alpha + damping.beta * omega**2)
+    if problem.D is not None:
+        width = width + 0.5 * np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
+    # At its top an undamped resonance is infinite.
+    damped = bool(damping.modal or damping.alpha or damping.beta or problem.D is not None)
     width = np.maximum(width, NEAR * omega)
     for flank in FLANKS:
-        # At its top an undamped resonance is infinite.
-        if flank or damping.modal or damping.alpha or damping.beta:
+        if flank or damped:
             found = (omega + flank * width) / (2 * np.pi)
             grid.append(found[(found > low) & (found < high)])
     return np.unique(np.concatenate(grid))

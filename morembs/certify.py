@@ -25,6 +25,8 @@ Complexes = NDArray[np.complex128]
 REFERENCE = 1e-10
 # Modes this close to each other are compared as one subspace.
 CLUSTER = 1e-3
+# A mode whose MAC is below this is missing.
+MISSING = 0.5
 # Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
 HELD = 0.02
 
@@ -39,9 +41,9 @@ class Certificate:
     (motion of interface i, load on interface j), ``held_error`` (ni, nf) the relative error of what is left when
     interface i is held still, from the whole transfer matrix with its rigid-body part; not a number below ``HELD`` of
     the upper frequency. ``static_error`` that at 0 Hz. ``mode_frequencies_hz`` (k,) of the
-    full model in the band, ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mac`` (k,) mass-weighted
-    modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` (nf,) is the estimated
-    error of the full response itself, round-off in K included: below it ``error`` says nothing.
+    full model in the band, ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,)
+    mass-weighted modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` (nf,) is
+    the estimated error of the full response itself, round-off in K included: below it ``error`` says nothing.
     """
 
     frequencies_hz: Floats
@@ -55,7 +57,7 @@ class Certificate:
     static_error: float
     mode_frequencies_hz: Floats
     mode_deviation: Floats
-    mac: Floats
+    mode_mac: Floats
     verified_below_hz: float
     reference_error: Floats
     notes: tuple[str, ...] = field(default_factory=tuple)
@@ -105,10 +107,16 @@ def _certificate(
         notes.append("no bound: positions and velocities have bases of their own")
     elif bound and V.shape[1]:
         kind = "estimate" if problem.damping.modal or problem.D is not None else "bound"
+        if problem.D is not None:
+            notes.append("the estimate neglects how the model's own damping couples modes in the band to those above")
         limit = _bounds(problem, reduced, V, modes, omega, reference) / norm
     statics = problem.B.T @ static_response(problem)
     deviation, mac = _compared_modes(problem, reduced, V, modes, omega[-1])
     inside = modes.eigenvalues <= omega[-1] ** 2
+    missing = modes.frequencies_hz[inside][mac < MISSING]
+    if len(missing):
+        listed = ", ".join(f"{f:,.6g}" for f in missing[:5]) + (", ..." if len(missing) > 5 else "")
+        notes.append(f"{len(missing)} of {int(inside.sum())} modes in the band are not in this body: {listed} Hz")
     return Certificate(
         frequencies_hz=omega / (2 * np.pi), full=norm, reduced=np.linalg.norm(H_r * S, axis=(1, 2)),
         error=np.linalg.norm((H_r - H) * S, axis=(1, 2)) / norm, bound=limit, bound_kind=kind,
@@ -116,7 +124,7 @@ def _certificate(
         held_error=_held_errors(problem, H_r * S, H * S, omega),
         static_error=float(np.linalg.norm((reduced_response(reduced, np.zeros(1))[0] - statics) * S)
                            / np.linalg.norm(statics * S)),
-        mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mac=mac,
+        mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mode_mac=mac,
         verified_below_hz=float(np.sqrt(modes.verified_below) / (2 * np.pi)),
         reference_error=reference.error + round_off(problem, modes, omega),
         notes=tuple(notes),
@@ -202,6 +210,9 @@ def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) 
 
 def _with_held(H: Complexes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Complexes:
     inner = H[:, a[:, None], a]
+    # A body without some motion of the interface cannot be held there.
+    if (np.linalg.matrix_rank(inner) < len(a)).any():
+        return np.full((len(H), len(b), len(b)), np.nan)
     return np.asarray(H[:, b[:, None], b] - H[:, b[:, None], a] @ np.linalg.solve(inner, H[:, a[:, None], b]))
 
 

@@ -26,7 +26,15 @@ from morembs.linalg.interruptible import calls_running
 from morembs.linalg.select import available_solvers
 from morembs.pareto import contenders, draw_contenders
 from morembs.progress import Progress
-from morembs.report import print_contenders, print_forecast, print_result, print_stored, result_json, stored_json
+from morembs.report import (
+    print_contenders,
+    print_forecast,
+    print_result,
+    print_stored,
+    result_json,
+    stored_json,
+    without_nan,
+)
 from morembs.run import run_job
 from morembs.storage import check_writable, read_body
 
@@ -155,7 +163,7 @@ def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
 
 @app.command(epilog=EPILOG)
 def compare(
-    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with [certify].", show_default=False)],
+    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -167,12 +175,19 @@ def compare(
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
         loaded = load_job(path)
+        if picture is not None and picture.resolve() in {
+            one.resolve() for one in (loaded.path, loaded.output, loaded.picture) if one is not None
+        }:
+            raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
         found = contenders(run_job(loaded, progress))
         if picture is not None:
             draw_contenders(picture, found, path.name)
-        document = {"job": str(path), "contenders": [asdict(one) for one in found]}
+        document = {
+            "job": str(path),
+            "contenders": [{key: without_nan(value) for key, value in asdict(one).items()} for one in found],
+        }
         return document, lambda: print_contenders(_console(), str(path), found)
 
     _each_job([job], as_json, work)

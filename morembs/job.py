@@ -122,7 +122,7 @@ def _reducer(name: str, table: ReduceTable) -> Reducer:
                 f"{nearest(key, [*known, 'name', 'method'])}"
             )
         try:
-            TypeAdapter(hints[key]).validate_python(value, strict=not isinstance(value, list))
+            TypeAdapter(hints[key]).validate_python(value, strict=True)
         except ValidationError as error:
             expected = " or ".join(dict.fromkeys(_expected(e["msg"]) for e in error.errors()))
             raise InputError(f"[[reduce]] {name!r}: {key} = {_toml(value)} was given; expected {expected}") from error

@@ -14,7 +14,7 @@ from morembs.picture import save
 from morembs.run import JobResult
 
 # What is drawn: label, attribute, marker.
-ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held", "held_error", "^"))
+ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))
 LEAST = 1e-16
 
 
@@ -86,7 +86,7 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
     panels = [figure.add_subplot(1, 3, number) for number in (1, 2, 3)]
     scales: tuple[tuple[str, list[float]], ...] = (
         ("reduced coordinates", [one.order for one in found]), ("seconds", [one.seconds for one in found]),
-        ("peak memory in GB", [one.peak_memory_bytes / 1e9 for one in found]),
+        ("peak memory of the process so far, GB", [one.peak_memory_bytes / 1e9 for one in found]),
     )  # fmt: skip
     for panel, (label, x) in zip(panels, scales, strict=True):
         for number, one in enumerate(found):
@@ -94,7 +94,7 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
                 value = getattr(one, attribute)
                 if value is not None:
                     panel.plot(
-                        x[number],
+                        max(x[number], 1e-3),
                         max(value, LEAST),
                         marker=marker,
                         color=f"C{number % 10}",
@@ -102,6 +102,8 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
                         fillstyle="full" if attribute == "error" else "none",
                     )
         panel.set_yscale("log")
+        if label == "seconds":
+            panel.set_xscale("log")
         panel.set_xlabel(label)
         panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)
@@ -109,8 +111,12 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
     panels[0].plot([n for n, _ in front], [e for _, e in front], color="#9aa0a6", linewidth=1.0, zorder=0)
     panels[0].set_ylabel("relative error of the transfer matrix")
     names = [panels[2].plot([], [], color=f"C{k % 10}", marker="o", linestyle="")[0] for k in range(len(found))]
-    kinds = [panels[2].plot([], [], color="#555555", marker=marker, linestyle="", fillstyle="none")[0]
-             for _, _, marker in ERRORS]  # fmt: skip
+    kinds = [
+        panels[2].plot(
+            [], [], color="#555555", marker=marker, linestyle="", fillstyle="full" if name == "error" else "none"
+        )[0]
+        for _, name, marker in ERRORS
+    ]  # fmt: skip
     labels = [one.name for one in found] + [label for label, _, _ in ERRORS]
     figure.legend(names + kinds, labels, frameon=False, loc="outside right upper")
     save(figure, path)

@@ -154,7 +154,7 @@ def _draw_response(figure: SubFigure, response: FrequencyResponse) -> None:
             lower.loglog(hz, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, bound")
     upper.set_title("Elastic frequency response between the interfaces", loc="left")
     upper.set_ylabel("‖H‖ in m/N")
-    lower.set_ylabel("relative error" + (" (dotted: bound)" if response.bound else ""))
+    lower.set_ylabel("relative error" + ("\n(dotted: bound)" if response.bound else ""))
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")
     for panel in (upper, lower):

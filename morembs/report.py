@@ -61,14 +61,14 @@ def result_json(result: JobResult) -> dict[str, Any]:
 
 def _certificate_json(its: Certificate) -> dict[str, Any]:
     values = {name: value for name, value in asdict(its).items() if name != "notes"}
-    values = {name: _without_nan(value) for name, value in values.items()}
+    values = {name: without_nan(value) for name, value in values.items()}
     return {**values, "absolute_error": its.absolute_error, "notes": list(its.notes)}
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Arrays as lists, what is not a number as None."""
     if isinstance(value, np.ndarray):
-        return [_without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
+        return [without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -164,10 +164,17 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
             body.name, str(body.reduced.order), f"{its.error.max():.1e}", f"{its.error.mean():.1e}",
             "-" if its.bound_kind == "none" else f"{its.bound.max():.1e}",
             its.bound_kind.replace("none", ""), f"{its.block_error.max(initial=0.0):.1e}", f"{its.static_error:.1e}",
-            f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mac.min(initial=1.0):.4f}",
+            f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mode_mac.min(initial=1.0):.4f}",
         )  # fmt: skip
     _titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
+    console.print(
+        "  max, mean: over the band; block: motions of one interface under loads at another; static: at 0 Hz; "
+        "only the kind \"bound\" is proven",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
     for body, its in known:
+        if its.error.max() > 1:
+            console.print(f"  {body.name}: the error exceeds 1; it does not serve in this band", highlight=False)
         for note in [*its.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
             console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
 
@@ -188,6 +195,13 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
         elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
         listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
         console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
+        if body.certificate is not None:
+            hz, error, bound = (body.certificate[key] for key in ("frequencies_hz", "error", "bound"))
+            known = f", {body.certificate['bound_kind']} {bound.max():.1e}" if np.isfinite(bound).all() else ""
+            console.print(
+                f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
+                highlight=False, soft_wrap=True,
+            )  # fmt: skip
     _titled(console, "mass properties", _mass(stored.mass, stored.center_of_mass, stored.inertia))
 
 
@@ -217,7 +231,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
 
 def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
-    heads = ("order", "error", "mean", "bound", "static", "interface held", "seconds", "peak memory")
+    heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak so far")
     table = _table("body", *heads)
     for one in found:
         table.add_row(
@@ -227,7 +241,8 @@ def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> 
         )  # fmt: skip
     _titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     console.print(
-        "what reductions share (factorisation, modes, the reference model) counts for the first that needs it",
+        "held: with one interface held still, median over the band, worst interface; seconds: what reductions share "
+        "(modes, the reference model) counts for the first that needs it; peak so far: of the whole process",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
 

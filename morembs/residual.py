@@ -117,7 +117,7 @@ def bound_of(
         a = c * values + g + 1j * omega * D
         size = np.maximum(np.abs(a), np.finfo(float).tiny)
         states = P / (a / size * np.maximum(size - off, np.finfo(float).tiny))[:, None]
-    gamma = modes.verified_below / (modes.verified_below - omega**2)
+    gamma = 1.0 / (1.0 - omega**2 / modes.verified_below)
     spectral, _ = primal[0].tail(P, rho, values)
     _, frobenius = dual[0].tail(P_du, rho_du, values)
     known = float(np.linalg.norm(P_du.T @ states))

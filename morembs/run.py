@@ -14,7 +14,7 @@ from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.budget import Budget
 from morembs.certify import Certificate, certify
 from morembs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.fem import assemble
 from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
@@ -126,8 +126,10 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
         with watch.stage(f"reduce {name}"):
             try:
                 reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
-            except InputError as error:
-                raise InputError(f"[[reduce]] {name!r}: {error}") from error
+            except (InputError, SolverError) as error:
+                if type(error) not in (InputError, SolverError):
+                    raise
+                raise type(error)(f"[[reduce]] {name!r}: {error}") from error
     certificates: Sequence[Certificate | None] = [None] * len(reduced)
     band = _certified_band(job)
     if band is not None:
@@ -236,6 +238,8 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
     Raises:
         InputError: one does.
     """
+    if not inputs and job.tables.certify is not None:
+        raise InputError("[certify] compares motions of interfaces, and there are none; add at least one [[interface]]")
     for name, reducer in job.reducers.items():
         modes = getattr(reducer, "modes", None)
         if modes is not None and modes > size:

@@ -226,7 +226,7 @@ def _write_certificate(out: _Writer, group: str, its: Certificate) -> None:
     out.put(f"{group}/reference_error", its.reference_error, "estimated error of the full response itself")
     out.put(f"{group}/mode_frequencies_hz", its.mode_frequencies_hz, "of the full model in the band", "Hz")
     out.put(f"{group}/mode_deviation", its.mode_deviation, "relative deviation of the body's frequencies")
-    out.put(f"{group}/mode_mac", its.mac, "mass-weighted modal assurance criterion")
+    out.put(f"{group}/mode_mac", its.mode_mac, "mass-weighted modal assurance criterion")
     out.put(f"{group}/verified_below_hz", its.verified_below_hz, "a Sturm count found no mode missing", "Hz")
     out.put(f"{group}/notes", "; ".join(its.notes) or " ")
 

@@ -440,7 +440,7 @@ def test_exact_bodies():
         for its in certify(problem, bodies, hz):
             assert its.error.max() < 1e-10 and its.static_error < 1e-10 and its.block_error.max() < 1e-9
             assert np.isfinite(its.bound).all() and its.bound.max() < 1e-9
-            assert its.mode_deviation.max() < 1e-10 and its.mac.min() > 1 - 1e-9
+            assert its.mode_deviation.max() < 1e-10 and its.mode_mac.min() > 1 - 1e-9
 
 
 def test_a_body_of_one_coordinate():
@@ -453,8 +453,8 @@ def test_a_body_of_one_coordinate():
         its, nothing = certify(problem, [tiny, none], hz)
         error = errors_of(tiny, omega, H, scale)
         assert np.abs(its.error - error).max() < 1e-7 and (error <= its.bound).all()
-        assert its.mac[0] == pytest.approx(1.0) and its.mac[1:].max() < 1e-6
-        assert nothing.error == pytest.approx(1.0) and nothing.bound_kind == "none" and not nothing.mac.any()
+        assert its.mode_mac[0] == pytest.approx(1.0) and its.mode_mac[1:].max() < 1e-6
+        assert nothing.error == pytest.approx(1.0) and nothing.bound_kind == "none" and not nothing.mode_mac.any()
 
 
 SPOILED = {
@@ -560,11 +560,11 @@ def test_mode_deviation_and_mac_of_a_double_eigenvalue():
             block = cross[first:last]
             near = np.sort(np.argsort(-np.linalg.norm(block, axis=0))[: last - first])
             s = np.linalg.svd(block[:, near], compute_uv=False)
-            assert its.mac[first:last] == pytest.approx(np.full(last - first, s.min() ** 2), abs=1e-8)
+            assert its.mode_mac[first:last] == pytest.approx(np.full(last - first, s.min() ** 2), abs=1e-8)
             assert its.mode_deviation[first:last].max() == pytest.approx(
                 np.abs(np.sqrt(theta[6:][near] / values[first:last]) - 1).max(), abs=1e-9
             )
-        assert its.mac[:2].min() > 1 - 1e-6
+        assert its.mode_mac[:2].min() > 1 - 1e-6
 
 
 def test_turned_vectors_of_a_plane_are_the_same_plane(monkeypatch):
@@ -579,7 +579,7 @@ def test_turned_vectors_of_a_plane_are_the_same_plane(monkeypatch):
         assert single < 0.7
         monkeypatch.setattr(problem, "elastic_modes", lambda **_: replace(known, vectors=turned))
         (its,) = certify(problem, [body], np.array([100.0, 1.001 * known.frequencies_hz[1]]))
-        assert its.mac == pytest.approx(np.ones(2), abs=1e-9) and its.mode_deviation.max() < 1e-9
+        assert its.mode_mac == pytest.approx(np.ones(2), abs=1e-9) and its.mode_deviation.max() < 1e-9
 
 
 def test_a_mode_that_the_body_misses_has_no_mac():
@@ -587,7 +587,7 @@ def test_a_mode_that_the_body_misses_has_no_mac():
     with Problem(model, interfaces) as problem:
         body = Modal(modes=3).reduce(problem)
         (its,) = certify(problem, [body], np.array([100.0, problem.elastic_modes(count=6).frequencies_hz[4] * 1.01]))
-        assert its.mac[:3] == pytest.approx(np.ones(3)) and its.mac[3:].max() < 1e-6
+        assert its.mode_mac[:3] == pytest.approx(np.ones(3)) and its.mode_mac[3:].max() < 1e-6
         assert np.isnan(its.mode_deviation[3:]).all() and its.mode_deviation[:3].max() < 1e-9
 
 

@@ -100,7 +100,7 @@ def test_comparison_marks_the_front_and_draws_it(compare, tmp_path):
 def test_comparison_prints_a_table(compare):
     done = compare("[certify]\nband_hz = [0, 8000]\npoints = 20\nbound = false")
     assert done.exit_code == 0
-    assert "* guyan" in done.stdout and "interface held" in done.stdout
+    assert "* guyan" in done.stdout and "held, median" in done.stdout
 
 
 @pytest.mark.parametrize(

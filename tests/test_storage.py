@@ -77,7 +77,7 @@ class Made:
             cells=(Cells(vtk=1, connectivity=rows[:, None]),), interfaces=(), columns={}, node_ids=rows + 1, source="",
         )  # fmt: skip
         self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
-        self.name, self.recipe, self.full_frequencies_hz = "made", {}, None
+        self.name, self.recipe, self.full_frequencies_hz, self.certificate = "made", {}, None, None
         self.frequencies_hz = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
         self.fail_at, self.error, self.asked = fail_at, error, 0
 
@@ -420,8 +420,8 @@ def test_incomplete_and_newer_files(stored, tmp_path):
     shutil.copy(stored, path)
     back = read_body(path)
     with h5py.File(path, "a") as file:
-        file["format_version"][()] = 2
-    with pytest.raises(InputError, match="format version 2; this morembs reads up to 1"):
+        file["format_version"][()] = 3
+    with pytest.raises(InputError, match="format version 3; this morembs reads up to 2"):
         read_body(path)
     path.unlink()
     with pytest.raises(InputError, match="no such file"):

@@ -136,7 +136,7 @@ def orthonormal(W: Values, M: sp.sparray | None, reference: Values | None = None
         keep = (norms > DEPENDENT * start) & (norms > 0)
         if not keep.any():
             break
-        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])
+        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])[:, : W.shape[1]]
         if Q.shape[1] == W.shape[1]:
             break
         for _ in range(2):

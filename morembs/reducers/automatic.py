@@ -4,8 +4,8 @@ Everything happens in the modal coordinates of the reference model, where a redu
 matrix C (k, n) and the residual bound of its transfer matrix takes small products only. Three families stand for
 election, each cut to its smallest order that meets the tolerance over the band:
 
-- "gramian": leading vectors of the responses over the band, weighted by 1/|H| as the tolerance is relative
-  (Lehner 2007; Fehr and Eberhard 2010), in the energy inner product;
+- "gramian": leading vectors of the responses over the band (Lehner 2007; Fehr and Eberhard 2010) in the energy inner
+  product, with the best of some weights;
 - "krylov": responses at frequencies chosen where the error is largest, one after the other, until the tolerance
   holds (greedy, after Fehr, Fischer, Haasdonk and Eberhard 2013), then compressed;
 - "modal": modes of the band with the residual static responses (Rubin 1975).
@@ -36,6 +36,8 @@ KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # Directions whose share of the leading one is below this are round-off.
 NOISE = 1e-13
 GREEDY_STEPS = 40
+# Responses weighted with |H| to these powers: relative errors ask for -1, resonances lose by it.
+WEIGHTS = (-0.5, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +104,17 @@ class Automatic(Reducer):
 def _words(best: str, orders: dict[str, object], band_hz: list[float], tolerance: float) -> str:
     others = ", ".join(f"{name} {order}" for name, order in orders.items() if name != best)
     return (
-        f"{best} basis of {orders[best]} elastic coordinates: the smallest that keeps {tolerance:g} from "
+        f"{best} basis of {orders[best]} elastic coordinates, the smallest found that keeps {tolerance:g} from "
         f"{band_hz[0]:g} to {band_hz[1]:g} Hz ({others})"
     )
+
+
+def _better(one: tuple[Floats, float], other: tuple[Floats, float], tolerance: float) -> bool:
+    """Whether ``one`` holds the tolerance with fewer columns, or comes nearer to it where none does."""
+    (C, error), (D, least) = one, other
+    if error <= tolerance and least <= tolerance:
+        return bool(C.shape[1] < D.shape[1])
+    return error < least
 
 
 class _Election:
@@ -121,18 +131,30 @@ class _Election:
         self.known = reference.values <= beyond(float(omega[-1]) / (2 * np.pi))
         self.cut = beyond(float(omega[-1]) / (2 * np.pi))
         full = self.F.T @ reference.states(1j * omega, self.F)
-        self.size = np.linalg.norm(full, axis=(1, 2))
+        # Inertia loads must not make the errors between interface motions look small, nor the other way round.
+        self.counted = (reference.inputs, self.F.shape[1])
+        self.sizes = self._norms(full)
+        self.size = self.sizes[:, 1]
         # Only undamped models and Rayleigh damping have a bound; for others the errors are measured.
         self.full = full if reference.damping.modal or reference.D is not None else None
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []
+        self.greedy: Floats | None = None
 
     def smallest(self, family: str, tolerance: float) -> tuple[Floats, float]:
         """Basis of the lowest order with an error below ``tolerance`` and that error; the best found if none has."""
-        made: dict[str, Callable[[float], Floats]] = {
+        made: dict[str, Callable[[float, float], Floats]] = {
             "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
         }  # fmt: skip
-        columns = made[family](tolerance)
+        found: tuple[Floats, float] | None = None
+        for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
+            tried = self._cut(made[family](tolerance, exponent), tolerance)
+            if found is None or _better(tried, found, tolerance):
+                found = tried
+        return found if found is not None else (self.fixed, np.inf)
+
+    def _cut(self, columns: Floats, tolerance: float) -> tuple[Floats, float]:
+        """The first of ``columns``, as few as hold the tolerance, and their error."""
         few, many = self.fixed.shape[1], columns.shape[1]
         error = self.error(columns)
         if error > tolerance:
@@ -157,23 +179,31 @@ class _Election:
             return np.ones(len(self.omega))
         V, states = self._reduced(C)
         a = values + 1j * self.omega[:, None] * reference.damping_of_modes() - self.omega[:, None] ** 2
-        found = np.empty(len(self.omega))
+        found = np.empty((len(self.omega), 2))
         for j, (w, y) in enumerate(zip(self.omega, states, strict=True)):
             if self.full is not None:
-                found[j] = np.linalg.norm(self.full[j] - self.F.T @ (V @ y))
+                off = self.full[j] - self.F.T @ (V @ y)
+                found[j] = [np.linalg.norm(off[:m, :m]) for m in self.counted]
                 continue
             r = self.F - a[j, :, None] * (V @ y)
-            inside = np.linalg.norm(r[self.known].T @ (r[self.known] / a[j, self.known, None]))
+            seen = r[self.known].T @ (r[self.known] / a[j, self.known, None])
             tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
             gamma = self.cut / (self.cut - w**2)
-            found[j] = inside + gamma * np.linalg.norm(tail) * np.linalg.norm(tail, 2)
-        return np.asarray(found / self.size)
+            found[j] = [
+                np.linalg.norm(seen[:m, :m]) + gamma * np.linalg.norm(tail[:, :m]) * np.linalg.norm(tail[:, :m], 2)
+                for m in self.counted
+            ]
+        return np.asarray((found / self.sizes).max(axis=1))
 
     def measured(self, C: Floats, theta: Floats) -> float:
         """Largest error over the band of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
         full = self.F.T @ self.reference.states(1j * self.omega, self.F)
         V, states = self._reduced(C, theta if len(theta) == C.shape[1] else None)
-        return float((np.linalg.norm(full - self.F.T @ V @ states, axis=(1, 2)) / self.size).max())
+        return float((self._norms(full - self.F.T @ V @ states) / self.sizes).max())
+
+    def _norms(self, H: NDArray[np.complex128]) -> Floats:
+        """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
+        return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
 
     def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[Floats, NDArray[np.complex128]]:
         """Eigenvectors (k, n) of the pencil on span(C), and their coordinates (nf, n, p) over the band.
@@ -210,14 +240,24 @@ class _Election:
         # Nested spans: the first n columns of Q span the first n of these.
         return np.asarray(np.linalg.qr(columns)[0])
 
-    def _gramian(self, _: float) -> Floats:
-        weights = np.sqrt(np.gradient(self.omega)) / self.size
+    def _weights(self, exponent: float) -> Floats:
+        """Quadrature weights (nf,) of the band, times |H| to the ``exponent``."""
+        return np.asarray(np.sqrt(np.gradient(self.omega)) * self.size**exponent)
+
+    def _gramian(self, _: float, exponent: float) -> Floats:
+        weights = self._weights(exponent)
         states = self.reference.states(1j * self.omega, self.F) * weights[:, None, None]
         flat = np.concatenate(list(states), axis=1)
         return self._leading(np.hstack([flat.real, flat.imag]))
 
-    def _krylov(self, tolerance: float) -> Floats:
-        """Greedy responses of the undamped model, at 0 Hz first, compressed to their principal vectors."""
+    def _krylov(self, tolerance: float, exponent: float) -> Floats:
+        """Greedy responses, compressed to their principal vectors."""
+        if self.greedy is None:
+            self.greedy = self._responses(tolerance)
+        return self._leading(self.greedy @ self._seen(self.greedy, exponent))
+
+    def _responses(self, tolerance: float) -> Floats:
+        """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(GREEDY_STEPS):
             blocks = [self.F / (values - shift**2)[:, None] for shift in shifts]
@@ -229,16 +269,16 @@ class _Election:
                 break
             shifts.append(float(self.omega[np.argmax(np.where(near, 0.0, errors))]))
         self.chosen = shifts
-        return self._leading(C @ self._seen(C))
+        return C
 
-    def _seen(self, C: Floats) -> Floats:
+    def _seen(self, C: Floats, exponent: float) -> Floats:
         """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
         V, states = self._reduced(C)
-        weights = np.sqrt(np.gradient(self.omega)) / self.size
+        weights = self._weights(exponent)
         flat = np.concatenate(list(states * weights[:, None, None]), axis=1)
         return np.asarray(C.T @ V @ np.hstack([flat.real, flat.imag]))
 
-    def _modal(self, _: float) -> Floats:
+    def _modal(self, _: float, __: float) -> Floats:
         """Static responses first, then modes in the order of their frequencies."""
         static = self._orthonormal(self.F / self.reference.values[:, None])
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
