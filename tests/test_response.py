@@ -48,11 +48,14 @@ def test_few_vectors_suffice_whatever_the_damping():
         def update(self, text):
             self.last = int(text.split("order ")[1].split(",")[0])
 
-    for damping in (Damping(alpha=5.0), Damping(alpha=5.0, beta=1e-5), Damping(modal=0.02)):
+    # A modal ratio acts as the root of M^-1 K, which a space grown by M^-1 K resolves more slowly; one block goes to
+    # seeing that nothing changes any more.
+    dampings = ((Damping(alpha=5.0), 60), (Damping(alpha=5.0, beta=1e-5), 60), (Damping(modal=0.02), 96))
+    for damping, most in dampings:
         orders = Orders()
         with Problem(model, made, damping=damping) as problem:
             full_response(problem, OMEGA, progress=orders)
-        assert 24 <= orders.last <= 80, damping
+        assert 24 <= orders.last <= most, damping
 
 
 def test_modal_damping_limits_the_resonance_to_its_quality():
