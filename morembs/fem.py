@@ -34,14 +34,14 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
     Raises:
         InputError: as ``assemble``.
     """
-    _material_of_elements(mesh, materials)
+    material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
     _refuse_gaps(mesh)
-    for block, rows in _chunks(mesh):
+    for block, rows in chunks(mesh):
         kind = TYPES[block.type]
-        _geometry(mesh.nodes.xyz[block.nodes[rows]], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+        geometry(mesh.nodes.xyz[block.nodes[rows]], kind.rule(kind.stiffness_order), block.ids[rows], kind)
         progress.update(f"{block.type}: {rows[-1] + 1} of {len(block.ids)}")
-    return _node_graph(mesh)
+    return node_graph(mesh)
 
 
 def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr_array:
@@ -73,14 +73,14 @@ def assemble(
         raise InputError(
             f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}"
         )
-    owner = _material_of_elements(mesh, materials)
+    owner = material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
     _refuse_gaps(mesh)
-    graph = _node_graph(mesh)
+    graph = node_graph(mesh)
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
     done, total = 0, sum(len(block.ids) for block in mesh.blocks)
-    for block, rows in _chunks(mesh):
+    for block, rows in chunks(mesh):
         which = owner[id(block)][rows]
         x, ids = mesh.nodes.xyz[block.nodes[rows]], block.ids[rows]
         kind = TYPES[block.type]
@@ -108,11 +108,18 @@ def assemble(
     K = sp.csr_array((k_data, K_indices, indptr), shape=(3 * len(mesh.nodes),) * 2)
     M = _expand_mass(graph, m_data, budget)
     K.has_canonical_format = True
-    return FEModel(K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, source=mesh.source)
+    return FEModel(
+        K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, materials=tuple(materials),
+        source=mesh.source,
+    )  # fmt: skip
 
 
-def _material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int, Ints]:
-    """For each block (by identity) the index of the material of each element."""
+def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int, Ints]:
+    """For each block (by identity) the index of the material of each element.
+
+    Raises:
+        InputError: an unknown set, or an element with no or two materials.
+    """
     owner = {id(block): np.full(len(block.ids), -1, dtype=np.int64) for block in mesh.blocks}
     for number, material in enumerate(materials):
         if material.set != "all" and material.set not in mesh.element_sets:
@@ -160,7 +167,8 @@ def _refuse_gaps(mesh: Mesh) -> None:
         )
 
 
-def _chunks(mesh: Mesh) -> Iterator[tuple[ElementBlock, Ints]]:
+def chunks(mesh: Mesh) -> Iterator[tuple[ElementBlock, Ints]]:
+    """Blocks with rows of their elements, few enough that what is integrated over them stays near 50 MB times 4."""
     for block in mesh.blocks:
         kind = TYPES[block.type]
         points = len(kind.rule(kind.stiffness_order).weights)
@@ -170,7 +178,7 @@ def _chunks(mesh: Mesh) -> Iterator[tuple[ElementBlock, Ints]]:
             yield block, np.arange(start, min(start + size, len(block.ids)))
 
 
-def _node_graph(mesh: Mesh) -> sp.csr_array:
+def node_graph(mesh: Mesh) -> sp.csr_array:
     """Which nodes share an element: CSR pattern (n, n) whose data number its own entries."""
     indptr, indices, offset = [np.zeros(1, dtype=np.int64)], [], 0
     for block in mesh.blocks:
@@ -224,8 +232,8 @@ def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_
 
 
 @dataclass(frozen=True)
-class _Geometry:
-    """``dN`` (ne, nq, k, 3) gradients along x, y, z; ``dV`` (ne, nq) volumes of the points."""
+class Geometry:
+    """Elements at quadrature points: ``dN`` (ne, nq, k, 3) gradients along x, y, z; ``dV`` (ne, nq) volumes."""
 
     dN: Floats
     dV: Floats
@@ -236,7 +244,7 @@ def _jacobian(x: Floats, rule: Rule) -> Floats:
     return np.asarray(np.einsum("eka,qkr->eqar", x, rule.dN, optimize=True))
 
 
-def _geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> _Geometry:
+def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
     """Gradients and volumes at the points of ``rule``; refuses elements that are inside out there."""
     J = _jacobian(x, rule)
     det = np.linalg.det(J)
@@ -249,17 +257,17 @@ def _geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> _Geometry:
         )
     inverse = np.linalg.inv(J)
     dN = np.matmul(rule.dN[None], inverse)
-    return _Geometry(dN, det * rule.weights)
+    return Geometry(dN, det * rule.weights)
 
 
 def _stiffness(kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints) -> Floats:
     """Stiffness (ne, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3)."""
-    geometry = _geometry(x, kind.rule(kind.stiffness_order), ids, kind)
+    here = geometry(x, kind.rule(kind.stiffness_order), ids, kind)
     # C = L L', so that B' C B = (L'B)'(L'B) is one product of a matrix with itself.
     roots = np.stack([np.linalg.cholesky(material.stiffness).T for material in materials])[which]
-    B = strain_operator(geometry.dN)
+    B = strain_operator(here.dN)
     ne, nq, _, width = B.shape
-    B = np.matmul(roots[:, None], B) * np.sqrt(geometry.dV)[..., None, None]
+    B = np.matmul(roots[:, None], B) * np.sqrt(here.dV)[..., None, None]
     B = B.reshape(ne, nq * 6, width)
     stiffness = np.matmul(B.transpose(0, 2, 1), B)
     return np.asarray(0.5 * (stiffness + stiffness.transpose(0, 2, 1)))

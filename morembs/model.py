@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.material import Material
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -119,7 +120,7 @@ class FEModel:
     """M u'' + D u' + K u = f of a finite-element model, in SI units.
 
     ``K``, ``M`` and optionally ``D`` are sparse symmetric (N, N) in CSR form; ``mesh`` is None for
-    models that came as matrices.
+    models that came as matrices, ``materials`` are those that its elements were assembled with.
     """
 
     K: sp.csr_array
@@ -128,6 +129,7 @@ class FEModel:
     nodes: Nodes
     dofs: DofMap
     mesh: Mesh | None = None
+    materials: tuple[Material, ...] = ()
     source: str = ""
 
     def __post_init__(self) -> None:
