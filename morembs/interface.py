@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -157,6 +157,8 @@ class Coupling:
     ``B`` (Nc, m) inputs, one column per exposed interface motion, and also outputs as ``B'``;
     ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
     that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
+    ``frames`` (Nc, 6 k) as B, with all six motions of every rigid and average interface, whatever it exposes;
+    ``frame_columns`` interface name -> its columns of that.
     """
 
     T: sp.csr_array
@@ -164,6 +166,8 @@ class Coupling:
     R: Floats
     pole: Floats
     columns: dict[str, slice]
+    frames: sp.csc_array
+    frame_columns: dict[str, slice]
 
 
 def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
@@ -199,7 +203,9 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
         at = masters[interface.name]
         R[at : at + 6] = rigid_motion(np.tile(interface.point - pole, (6, 1)), np.arange(6))
     B, columns = _inputs(model, interfaces, T, masters)
-    return Coupling(T=T, B=B, R=R, pole=pole, columns=columns)
+    framed = [replace(i, components=tuple(range(6))) for i in interfaces if i.coupling != "direct"]
+    frames, frame_columns = _inputs(model, framed, T, masters)
+    return Coupling(T=T, B=B, R=R, pole=pole, columns=columns, frames=frames, frame_columns=frame_columns)
 
 
 def _inputs(
