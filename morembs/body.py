@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from morembs.certify import Certificate
 from morembs.elements import FACES, TYPES
 from morembs.errors import InputError
+from morembs.floating_frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.problem import Problem
@@ -60,7 +61,8 @@ class ElasticBody:
 
     ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
-    ``certificate`` says how wrong the body is, if that was asked for.
+    ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
+    rotations needs, None for a body that is held or not symmetric.
     """
 
     part: Part
@@ -68,6 +70,7 @@ class ElasticBody:
     frequencies_hz: Floats
     full_frequencies_hz: Floats | None = None
     certificate: Certificate | None = None
+    floating: FloatingFrame | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -127,13 +130,19 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
 
 
 def elastic_body(
-    problem: Problem, reduced: ReducedModel, part: Part, certificate: Certificate | None = None
-) -> ElasticBody:
-    """Body of a reduced model: its frequencies and what it shares with others of the same part."""
+    problem: Problem, reduced: ReducedModel, part: Part, certificate: Certificate | None = None,
+    floating: FloatingFrame | None = None,
+) -> ElasticBody:  # fmt: skip
+    """Body of a reduced model: its frequencies and what it shares with others of the same part.
+
+    ``floating`` by default has mean axes.
+    """
+    if floating is None and not why_not_floating(reduced):
+        floating = floating_frame(problem, reduced)
     eigenvalues, _ = reduced.modes()
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))
     omega[: reduced.rigid_count] = 0.0
     return ElasticBody(
         part=part, reduced=reduced, frequencies_hz=omega / (2 * np.pi), certificate=certificate,
-        full_frequencies_hz=problem.known_frequencies_hz(), recipe=reduced.recipe,
+        floating=floating, full_frequencies_hz=problem.known_frequencies_hz(), recipe=reduced.recipe,
     )  # fmt: skip

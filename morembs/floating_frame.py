@@ -21,6 +21,7 @@ from morembs.model import frozen, rigid_motion, skew
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.shape_integrals import ShapeIntegrals, shape_integrals
+from morembs.stiffening import Stiffening
 
 Floats = NDArray[np.float64]
 # Kinds of frames, and how many interfaces each needs.
@@ -39,25 +40,6 @@ class Marker:
     def __post_init__(self) -> None:
         for name in ("point", "motion"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stiffening:
-    """Geometric stiffness (n, n) per unit of each load, on the side of internal forces.
-
-    ``acceleration`` (3, n, n) of the frame's origin less gravity, ``angular_acceleration`` (3, n, n), ``rotation``
-    (6, n, n) for w_a w_b in the order xx, yy, zz, xy, yz, zx; ``wrench`` interface -> (6, n, n) for its forces and
-    moments; all along axes of the body. ``share`` is the size of each term beside Ke in the stated envelope,
-    ``dropped`` names those that were left out (their matrices are zero) since they stay below ``least_share``.
-    """
-
-    acceleration: Floats
-    angular_acceleration: Floats
-    rotation: Floats
-    wrench: Mapping[str, Floats]
-    share: Mapping[str, float] = field(default_factory=dict)
-    dropped: tuple[str, ...] = ()
-    least_share: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,7 +101,8 @@ class FloatingFrame:
         H[:3, 3:] = skew(d)
         markers = {name: Marker(point=one.point - d, motion=one.motion) for name, one in self.markers.items()}
         return replace(
-            self, origin=self.origin + d, rigid=self.rigid @ H, integrals=self.integrals.about(d), markers=markers
+            self, origin=self.origin + d, rigid=self.rigid @ H, integrals=self.integrals.about(d), markers=markers,
+            stiffening=None if self.stiffening is None else self.stiffening.about(d),
         )  # fmt: skip
 
 

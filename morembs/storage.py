@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from morembs import vtkhdf
 from morembs.body import ElasticBody, Part
-from morembs.certify import Certificate
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import MODE_KINDS
@@ -30,6 +29,8 @@ from morembs.stored import (
     refuse_missing,
     stored_bodies,
 )  # fmt: skip
+from morembs.stored_certificate import write_certificate
+from morembs.stored_frame import write_frame
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -190,7 +191,9 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     if not reduced.symmetric:
         out.put(f"{group}/output_matrix", reduced.C, "motions of the interfaces; not the transpose of input_matrix")
     if body.certificate is not None:
-        _write_certificate(out, f"{group}/certificate", body.certificate)
+        write_certificate(out.put, f"{group}/certificate", body.certificate)
+    if body.floating is not None:
+        write_frame(out.put, f"{group}/floating_frame", body.floating)
     rows, count = 3 * len(body.part.nodes), reduced.order
     chunks = (min(rows, CHUNK_ROWS), 1) if rows and count else None
     out.safe.doing = f"{group}/basis"
@@ -209,26 +212,6 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     modes = vtkhdf.shown_modes(reduced)
     shown = body.frequencies_hz[reduced.rigid_count :][: modes.shape[1]]
     vtkhdf.write_modes(out.file["VTKHDF"], body.name, data, modes, shown, out.safe.check)
-
-
-def _write_certificate(out: _Writer, group: str, its: Certificate) -> None:
-    """How wrong the body is."""
-    out.put(f"{group}/frequencies_hz", its.frequencies_hz, "where the errors were taken", "Hz")
-    out.put(f"{group}/full", its.full, "size of the transfer matrix of the full model", "m/N")
-    out.put(f"{group}/reduced", its.reduced, "size of that of the body", "m/N")
-    out.put(f"{group}/error", its.error, "size of the difference, relative to the full model")
-    out.put(f"{group}/bound", its.bound, "upper bound of the error, or an estimate: see bound_kind")
-    out.put(f"{group}/bound_kind", its.bound_kind)
-    out.put(f"{group}/block_error", its.block_error, "largest error of motion of interface i to load on interface j")
-    out.put(f"{group}/held_error", its.held_error, "error of what is left when interface i is held still")
-    out.put(f"{group}/static_error", its.static_error, "error at 0 Hz")
-    out.put(f"{group}/absolute_error", its.absolute_error, "largest difference over the largest size in the band")
-    out.put(f"{group}/reference_error", its.reference_error, "estimated error of the full response itself")
-    out.put(f"{group}/mode_frequencies_hz", its.mode_frequencies_hz, "of the full model in the band", "Hz")
-    out.put(f"{group}/mode_deviation", its.mode_deviation, "relative deviation of the body's frequencies")
-    out.put(f"{group}/mode_mac", its.mode_mac, "mass-weighted modal assurance criterion")
-    out.put(f"{group}/verified_below_hz", its.verified_below_hz, "a Sturm count found no mode missing", "Hz")
-    out.put(f"{group}/notes", "; ".join(its.notes) or " ")
 
 
 def read_body(path: str | Path) -> StoredBodies:

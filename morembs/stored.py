@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.floating_frame import FloatingFrame
+from morembs.stored_frame import read_frame
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -40,7 +42,8 @@ class StoredInterface:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredBody:
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
-    transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values.
+    transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
+    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric.
     """
 
     name: str
@@ -56,6 +59,7 @@ class StoredBody:
     recipe: dict[str, Any]
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
+    floating: FloatingFrame | None = None
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
@@ -173,6 +177,7 @@ def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, sl
         output_matrix=group["input_matrix"][()].T if output is None else output[()],
         certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
         read_basis=read_basis,
+        floating=read_frame(group["floating_frame"]) if "floating_frame" in group else None,
         **{matrix: group[matrix][()] for matrix in MATRICES},
     )
 
