@@ -16,7 +16,9 @@ from morembs.floating_frame import FloatingFrame, floating_frame, why_not_floati
 from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.problem import Problem
+from morembs.ranking import RankedTerm
 from morembs.reducers.base import ReducedModel
+from morembs.stress import Recovery
 from morembs.surface import outer_faces
 
 Floats = NDArray[np.float64]
@@ -62,7 +64,8 @@ class ElasticBody:
     ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
-    rotations needs, None for a body that is held or not symmetric.
+    rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
+    ``recovery`` gives stresses, where these were asked for.
     """
 
     part: Part
@@ -71,6 +74,8 @@ class ElasticBody:
     full_frequencies_hz: Floats | None = None
     certificate: Certificate | None = None
     floating: FloatingFrame | None = None
+    ranking: tuple[RankedTerm, ...] = ()
+    recovery: Recovery | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property

@@ -30,7 +30,8 @@ from morembs.stored import (
     stored_bodies,
 )  # fmt: skip
 from morembs.stored_certificate import write_certificate
-from morembs.stored_frame import write_frame
+from morembs.stored_frame import write_frame, write_ranking
+from morembs.stress import write_recovery
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -194,6 +195,10 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
         write_certificate(out.put, f"{group}/certificate", body.certificate)
     if body.floating is not None:
         write_frame(out.put, f"{group}/floating_frame", body.floating)
+        write_ranking(out.put, f"{group}/ranking", body.ranking)
+    if body.recovery is not None:
+        out.safe.doing = f"{group}/recovery"
+        write_recovery(out.file.create_group(f"{group}/recovery"), body.recovery, out.safe.check)
     rows, count = 3 * len(body.part.nodes), reduced.order
     chunks = (min(rows, CHUNK_ROWS), 1) if rows and count else None
     out.safe.doing = f"{group}/basis"

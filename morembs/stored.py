@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.floating_frame import FloatingFrame
-from morembs.stored_frame import read_frame
+from morembs.ranking import RankedTerm
+from morembs.stored_frame import read_frame, read_ranking
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,7 +44,8 @@ class StoredInterface:
 class StoredBody:
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
     transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
-    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric.
+    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric,
+    ``ranking`` says which of its terms matter; ``has_recovery`` says whether the file has stress shapes.
     """
 
     name: str
@@ -60,6 +62,8 @@ class StoredBody:
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
     floating: FloatingFrame | None = None
+    ranking: tuple[RankedTerm, ...] = ()
+    has_recovery: bool = False
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
@@ -178,6 +182,8 @@ def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, sl
         certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
         read_basis=read_basis,
         floating=read_frame(group["floating_frame"]) if "floating_frame" in group else None,
+        ranking=read_ranking(group["ranking"]) if "ranking" in group else (),
+        has_recovery="recovery" in group,
         **{matrix: group[matrix][()] for matrix in MATRICES},
     )
 

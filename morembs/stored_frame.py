@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from morembs.floating_frame import FloatingFrame, Marker
+from morembs.ranking import RankedTerm
 from morembs.shape_integrals import ShapeIntegrals
 from morembs.stiffening import Stiffening
 
@@ -53,6 +54,20 @@ def write_frame(put: Put, group: str, frame: FloatingFrame) -> None:
     put(f"{group}/notes", "; ".join(frame.notes) or " ")
     if frame.stiffening is not None:
         _write_stiffening(put, f"{group}/stiffening", frame.stiffening)
+
+
+def write_ranking(put: Put, group: str, terms: Sequence[RankedTerm]) -> None:
+    """Store which ``terms`` of the equations of motion matter, if that is known."""
+    if terms:
+        put(f"{group}/terms", [term.name for term in terms], "inertia terms, those that matter most first")
+        put(f"{group}/equations", [term.equation for term in terms], "where the term is largest")
+        put(f"{group}/share", np.array([term.share for term in terms]), "in all magnitudes of that equation")
+
+
+def read_ranking(group: Any) -> tuple[RankedTerm, ...]:
+    """What ``write_ranking`` wrote."""
+    rows = zip(_lines(group, "terms"), _lines(group, "equations"), group["share"][()].tolist(), strict=True)
+    return tuple(RankedTerm(name=name, equation=equation, share=share) for name, equation, share in rows)
 
 
 def _write_stiffening(put: Put, group: str, its: Stiffening) -> None:
