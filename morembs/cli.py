@@ -1,26 +1,20 @@
-"""The command line: verbs, exit codes, and where messages go."""
+"""The command line: its verbs on jobs, and the entry point; verbs on body files are in ``cli_bodies``."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from threading import Timer
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress as Bar
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs import __version__
 from morembs.check import check_job
-from morembs.errors import InputError, MorembsError
+from morembs.cli_bodies import app as bodies
+from morembs.errors import InputError
 from morembs.job import load_job
 from morembs.linalg.interruptible import calls_running
 from morembs.linalg.select import available_solvers
@@ -30,118 +24,17 @@ from morembs.report import (
     print_contenders,
     print_forecast,
     print_result,
-    print_stored,
     result_json,
-    stored_json,
     without_nan,
 )
 from morembs.run import run_job
-from morembs.storage import check_writable, read_body
-
-# Bad input, and the usual code of a process that Ctrl-C ends.
-BAD_INPUT, INTERRUPTED = 2, 130
-# Shorter work shows no progress.
-PATIENCE_SECONDS = 1.0
-PIPE_WIDTH = 160
-
-EPILOG = (
-    "Exit codes: 0 done; 1 a fault of this program; 2 input that cannot be used, a model that cannot be solved, or "
-    "a result that cannot be written (one message on standard error); 130 interrupted; 143 terminated. Of several "
-    "jobs one that fails does not stop the others; the exit code is then 2."
-)
+from morembs.storage import check_writable
+from morembs.terminal import BAD_INPUT, EPILOG, AsJson, Done, Jobs, console, each_job, print_json
 
 app = typer.Typer(
     name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
     help="Reduces finite-element models to small elastic bodies for multibody simulation.",
 )  # fmt: skip
-Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
-
-# Plain values for JSON, and what prints them for people.
-Done = tuple[dict[str, Any], Callable[[], None]]
-Work = Callable[[Path, Progress], Done]
-
-
-class TerminalProgress:
-    """A line on standard error that says what is going on, once that takes more than a second."""
-
-    def __init__(self, console: Console, visible: bool) -> None:
-        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-        self._bar = Bar(*columns, console=console, transient=True, disable=not visible)
-        self._task = self._bar.add_task("", total=None)
-        self._timer = Timer(PATIENCE_SECONDS, self._bar.start)
-        self._timer.daemon = True
-        self._stage = ""
-
-    def stage(self, name: str) -> None:
-        """A new stage begins."""
-        self._stage = name
-        self._bar.update(self._task, description=name)
-
-    def update(self, text: str) -> None:
-        """News within the stage."""
-        self._bar.update(self._task, description=f"{self._stage}: {text}" if self._stage else text)
-
-    @contextmanager
-    def shown(self) -> Iterator[Progress]:
-        """Show the line while work goes on, and take it away afterwards."""
-        self._timer.start()
-        try:
-            yield self
-        finally:
-            self._timer.cancel()
-            self._timer.join()
-            self._bar.stop()
-
-
-@contextmanager
-def _messages(failed: list[str], prefix: str = "") -> Iterator[None]:
-    """Turn errors that a user can meet into one message on standard error."""
-    try:
-        yield
-    except MorembsError as error:
-        message = str(error)
-    except MemoryError:
-        message = (
-            "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
-            'or see "morembs check" for a forecast'
-        )
-    except KeyboardInterrupt:
-        typer.echo("interrupted; no result was written by the running job", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    else:
-        return
-    failed.append(message)
-    typer.echo(f"error: {prefix}{message}", err=True)
-
-
-def _each_job(jobs: Sequence[Path], as_json: bool, work: Work) -> None:
-    """Do ``work`` for each job."""
-    documents: list[dict[str, Any]] = []
-    failed: list[str] = []
-    for path in jobs:
-        faults = len(failed)
-        with _messages(failed, f"{path}: " if len(jobs) > 1 else ""):
-            with TerminalProgress(Console(stderr=True), sys.stderr.isatty()).shown() as progress:
-                document, show = work(path, progress)
-            documents.append(document)
-            if not as_json:
-                show()
-        if len(failed) > faults:
-            documents.append({"job": str(path), "error": failed[-1]})
-    if as_json:
-        _print_json(documents if len(jobs) > 1 else documents[0])
-    if failed:
-        raise typer.Exit(BAD_INPUT)
-
-
-def _console() -> Console:
-    """Standard output; a pipe or a file has no width that tables must fit."""
-    return Console() if sys.stdout.isatty() else Console(width=PIPE_WIDTH)
-
-
-def _print_json(document: object) -> None:
-    typer.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 @app.command(epilog=EPILOG)
@@ -156,9 +49,9 @@ def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
         if other is not path:
             raise InputError(f"the output {job.output} is that of {other} too; give each job its own [output] path")
         result = run_job(job, progress)
-        return result_json(result), lambda: print_result(_console(), result)
+        return result_json(result), lambda: print_result(console(), result)
 
-    _each_job(jobs, as_json, work)
+    each_job(jobs, as_json, work)
 
 
 @app.command(epilog=EPILOG)
@@ -188,9 +81,9 @@ def compare(
             "job": str(path),
             "contenders": [{key: without_nan(value) for key, value in asdict(one).items()} for one in found],
         }
-        return document, lambda: print_contenders(_console(), str(path), found)
+        return document, lambda: print_contenders(console(), str(path), found)
 
-    _each_job([job], as_json, work)
+    each_job([job], as_json, work)
 
 
 @app.command(epilog=EPILOG)
@@ -199,26 +92,12 @@ def check(jobs: Jobs, as_json: AsJson = False) -> None:
 
     def work(path: Path, progress: Progress) -> Done:
         forecast = check_job(load_job(path), progress)
-        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(_console(), str(path), forecast)
+        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    _each_job(jobs, as_json, work)
+    each_job(jobs, as_json, work)
 
 
-@app.command(epilog=EPILOG)
-def info(
-    file: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)],
-    as_json: AsJson = False,
-) -> None:
-    """Show what a body file holds."""
-    failed: list[str] = []
-    with _messages(failed):
-        stored = read_body(file)
-        if as_json:
-            _print_json(stored_json(str(file), stored))
-        else:
-            print_stored(_console(), str(file), stored)
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+app.add_typer(bodies)
 
 
 @app.command(epilog=EPILOG)
@@ -226,7 +105,7 @@ def solvers(as_json: AsJson = False) -> None:
     """List the sparse solvers, the best first, and why some cannot run here."""
     found = available_solvers()
     if as_json:
-        _print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
+        print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
         return
     for name, reason in found.items():
         typer.echo(f"{name}: {reason or 'available'}")

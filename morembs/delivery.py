@@ -9,7 +9,6 @@ from morembs.body import ElasticBody, Part, elastic_body
 from morembs.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating_frame import FloatingFrame, check_frame, floating_frame, why_not_floating
-from morembs.model import FEModel
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.ranking import ranked_terms
@@ -29,14 +28,15 @@ class StressOptions:
     correction: bool = True
     length: float = 1.0
 
-    def operator(self, model: FEModel, progress: Progress) -> StressOperator:
+    def operator(self, problem: Problem, progress: Progress) -> StressOperator:
         """Stress at the chosen nodes; coordinates of a selection are in units of ``length`` m.
 
         Raises:
             InputError: a selection that cannot be read or has no nodes, or a model without elements.
         """
-        nodes = self.nodes if self.nodes in ("skin", "all") else select_nodes(model, self.nodes, length=self.length)
-        return stress_operator(model, nodes, progress=progress)
+        model, whole = problem.model, self.nodes in ("skin", "all")
+        nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
+        return stress_operator(model, nodes, budget=problem.budget, progress=progress)
 
 
 @dataclass(frozen=True, kw_only=True)
