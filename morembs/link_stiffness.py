@@ -22,8 +22,7 @@ Ints = NDArray[np.int64]
 class Links:
     """The couplings of all rigid and average interfaces of ``problem``.
 
-    ``inertial`` and ``wrench`` say what acts on the body: nodal forces M a are asked for at ``dofs``, those of the
-    nodes of rigid interfaces.
+    ``dofs`` (ns,) of the model are those of their nodes, interface by interface; ``M`` (ns, N) is the mass there.
     """
 
     def __init__(self, problem: Problem) -> None:

@@ -3,10 +3,12 @@
 Every unit load l (an acceleration, an angular rate, a force on an interface) is balanced by the reaction of the frame,
 f = (I - S'(R'S')^-1 R') f_l for the conditions S u = 0 and rigid motions R. The free body then has a stress, whatever
 its rigid motion, and G_l = sum_a Phi_a' kg_l Phi_a with the scalar geometric stiffness kg_l and the components Phi_a
-of the elastic shapes along x, y and z.
+of the elastic shapes along x, y and z, and the share of the couplings (see ``link_stiffness``).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
@@ -17,6 +19,7 @@ from morembs.errors import InputError, SolverError
 from morembs.floating_frame import FloatingFrame, frame_rows, why_not_floating
 from morembs.geometric_stiffness import StressedMesh
 from morembs.linalg.orthogonal import dot
+from morembs.link_stiffness import Links
 from morembs.model import FEModel
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
@@ -28,7 +31,7 @@ Floats = NDArray[np.float64]
 # A load that keeps less than this part of its size once the frame's reaction balances it causes no stress.
 BALANCED = 1e-10
 # Loads, and columns of the basis, that are handled at a time.
-LOADS, COLUMNS = 8, 16
+LOADS, COLUMNS = 6, 8
 # Part of the budget left that the matrices of one group of loads may take.
 SHARE_OF_BUDGET = 0.25
 
@@ -72,53 +75,76 @@ def stiffening(
             f"the floating frame belongs to a body of {len(frame.elastic)} coordinates, but {reduced.name!r} has "
             f"{reduced.order}; make the frame from the same reduction"
         )
-    F = _unit_loads(problem, frame.origin)
-    loaded = _balance(problem, frame, F)
+    links = Links(problem)
+    loads = _unit_loads(problem, links, frame.origin)
+    loaded = _balance(problem, frame, links, loads)
     progress.update("geometric stiffening: node graph")
     stressed = StressedMesh.of(mesh, problem.model.materials)
-    G = np.zeros((F.shape[1], frame.count, frame.count))
+    G = np.zeros((loads.F.shape[1], frame.count, frame.count))
     group = _group(problem, stressed.graph.nnz)
     for first in range(0, len(loaded), group):
         some = loaded[first : first + group]
-        U = problem.coupling.T @ problem.elastic.flexibility(F[:, some])
+        U = problem.coupling.T @ problem.elastic.flexibility(loads.F[:, some])
         kg = stressed.stiffness(U, problem.budget)
+        turning = links.turning(U, loads.inertial[:, some], loads.wrench[:, some])
         del U
         P = _projected(problem, reduced.V, kg)
-        for one, load in zip(P, some, strict=True):
-            value = frame.elastic.T @ one @ frame.elastic
+        for place, load in enumerate(some):
+            value = frame.elastic.T @ P[place] @ frame.elastic
+            for name, A in turning.items():
+                rotation = frame.markers[name].motion[3:]
+                value += rotation.T @ A[place] @ rotation
             G[load] = 0.5 * (value + value.T)
         progress.update(f"geometric stiffening: {first + len(some)} of {len(loaded)} loads")
     return _kept(problem, frame, G, envelope or Envelope(share=0.0))
 
 
-def _unit_loads(problem: Problem, origin: Floats) -> Floats:
-    """Loads (Nc, 12 + 6 k) in coupled dofs, in the order of ``Envelope.limits``."""
-    model, coupling, budget = problem.model, problem.coupling, problem.budget
-    x, eye = model.nodes.xyz - origin, np.eye(3)
-    turned = [np.cross(axis, x) for axis in eye]
-    F = budget.empty((coupling.T.shape[1], 12 + coupling.frames.shape[1]), order="F")
+@dataclass(frozen=True, eq=False)
+class _Loads:
+    """Loads ``F`` (Nc, 12 + 6 k) = -M a + wrenches, in the order of ``Envelope.limits``: M a at the nodes of interfaces
+    in ``inertial`` (ns, .), the wrenches on all interfaces in ``wrench`` (6 k, .)."""
 
-    def inertial(field: Floats) -> Floats:
-        return np.asarray(-(coupling.T.T @ (model.M @ field.ravel())))
+    F: Floats
+    inertial: Floats
+    wrench: Floats
+
+
+def _unit_loads(problem: Problem, links: Links, origin: Floats) -> _Loads:
+    model, coupling = problem.model, problem.coupling
+    x, eye, count = model.nodes.xyz - origin, np.eye(3), coupling.frames.shape[1]
+    turned = [np.cross(axis, x) for axis in eye]
+    F = problem.budget.empty((coupling.T.shape[1], 12 + count), order="F")
+    inertial, wrench = np.zeros((len(links.dofs), 12 + count)), np.zeros((count, 12 + count))
+
+    def accelerated(load: int, field: Floats) -> None:
+        force = model.M @ field.ravel()
+        F[:, load], inertial[:, load] = -(coupling.T.T @ force), force[links.dofs]
 
     for a in range(3):
-        F[:, a] = inertial(np.broadcast_to(eye[a], x.shape))
-        F[:, 3 + a] = inertial(turned[a])
+        accelerated(a, np.broadcast_to(eye[a], x.shape))
+        accelerated(3 + a, turned[a])
     for place, (a, b) in enumerate(PAIRS):
         once = np.cross(eye[a], turned[b])
-        F[:, 6 + place] = inertial(once if a == b else once + np.cross(eye[b], turned[a]))
-    F[:, 12:] = coupling.frames.toarray()
-    return np.asarray(F)
+        accelerated(6 + place, once if a == b else once + np.cross(eye[b], turned[a]))
+    F[:, 12:], wrench[:, 12:] = coupling.frames.toarray(), np.eye(count)
+    return _Loads(F, inertial, wrench)
 
 
-def _balance(problem: Problem, frame: FloatingFrame, F: Floats) -> list[int]:
-    """Adds the frame's reaction to the loads ``F`` in place; returns those that still load the body."""
+def _balance(problem: Problem, frame: FloatingFrame, links: Links, loads: _Loads) -> list[int]:
+    """Adds the frame's reaction to the ``loads`` in place; returns those that still load the body."""
     rows, R = frame_rows(problem, frame.kind, frame.interfaces), problem.coupling.R
-    before = np.linalg.norm(F, axis=0)
-    share = np.linalg.solve(R.T @ rows, R.T @ F)
-    for load in range(F.shape[1]):
-        F[:, load] -= rows @ share[:, load]
-    return [int(load) for load in np.flatnonzero(np.linalg.norm(F, axis=0) > BALANCED * before)]
+    before = np.linalg.norm(loads.F, axis=0)
+    share = np.linalg.solve(R.T @ rows, R.T @ loads.F)
+    for load in range(loads.F.shape[1]):
+        loads.F[:, load] -= rows @ share[:, load]
+    # Conditions are motions of interfaces or of the mass: rows = M R alpha + frames beta.
+    basis = sp.csc_array(sp.hstack([sp.csc_array(problem.M @ R), problem.coupling.frames]))
+    scale = 1.0 / np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0)).ravel())
+    gram = scale[:, None] * (basis.T @ basis).toarray() * scale
+    parts = scale[:, None] * np.linalg.lstsq(gram, scale[:, None] * (basis.T @ rows), rcond=1e-13)[0] @ share
+    loads.inertial[:] += links.M @ (problem.coupling.T @ R) @ parts[:6]
+    loads.wrench[:] -= parts[6:]
+    return [int(load) for load in np.flatnonzero(np.linalg.norm(loads.F, axis=0) > BALANCED * before)]
 
 
 def _group(problem: Problem, entries: int) -> int:
