@@ -36,17 +36,15 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
     grid = [np.linspace(low, high, points - points // 2), np.geomspace(first, high, points // 2)]
     modes = problem.elastic_modes(below=beyond(high))
     omega = np.sqrt(modes.eigenvalues)
-    damping = problem.damping
-    width = damping.modal * omega if damping.modal else 0.5 * (damping.alpha + damping.beta * omega**2)
+    width = 0.5 * problem.damping.at_resonance(modes.eigenvalues)
     if problem.D is not None:
         width = width + 0.5 * np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
     # At its top an undamped resonance is infinite.
-    damped = bool(damping.modal or damping.alpha or damping.beta or problem.D is not None)
+    damped = (width > 0) | (problem.D is not None)
     width = np.maximum(width, NEAR * omega)
     for flank in FLANKS:
-        if flank or damped:
-            found = (omega + flank * width) / (2 * np.pi)
-            grid.append(found[(found > low) & (found < high)])
+        found = (omega + flank * width) / (2 * np.pi)
+        grid.append(found[(found > low) & (found < high) & (damped | bool(flank))])
     return np.unique(np.concatenate(grid))
 
 
@@ -73,8 +71,8 @@ def uncertainty(problem: Problem, modes: Modes) -> Floats:
 def round_off(problem: Problem, modes: Modes, omega: Floats) -> Floats:
     """Error (nf,) of responses at ``omega`` that round-off in K causes as a rule, relative to their size."""
     damping, values = problem.damping, modes.eigenvalues
-    own = 2 * damping.modal * np.sqrt(values) if damping.modal else damping.alpha + damping.beta * values
-    a = np.abs(values + 1j * omega[:, None] * own - omega[:, None] ** 2)
+    stiff = values * (1 + 1j * damping.structural)
+    a = np.abs(stiff + 1j * omega[:, None] * damping.of_modes(values) - omega[:, None] ** 2)
     off = uncertainty(problem, modes) / np.maximum(a, np.finfo(float).tiny)
     return np.asarray(AS_A_RULE * off.max(axis=1, initial=0.0))
 

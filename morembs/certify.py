@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.reference import Reference, reference_model
-from morembs.residual import bound_of, residual_of, static_response
+from morembs.residual import bound_of, modal_damping, residual_of, static_response
 from morembs.response import reduced_response
 
 Floats = NDArray[np.float64]
@@ -76,10 +76,11 @@ def certify(
 
     The full response is that of ``reference_model``. The bound knows nothing of it: it takes the free-free modes up to
     ``band.BEYOND`` times the highest frequency, proven complete by a Sturm count, and one static solve for each
-    coordinate. For Rayleigh damping and none it is proven (in exact arithmetic); otherwise it is an estimate.
+    coordinate. For Rayleigh and structural damping and none it is proven (in exact arithmetic); otherwise it is an
+    estimate.
 
     Raises:
-        InputError: no interfaces.
+        InputError: no interfaces, or modal damping beside a damping matrix of the model.
         SolverError: the full response cannot be computed to ``REFERENCE``.
     """
     omega = 2 * np.pi * np.asarray(frequencies_hz, dtype=float)
@@ -106,12 +107,13 @@ def _certificate(
     if not reduced.is_projection:
         notes.append("no bound: positions and velocities have bases of their own")
     elif bound and V.shape[1]:
-        kind = "estimate" if problem.damping.modal or problem.D is not None else "bound"
+        kind = "estimate" if problem.damping.is_modal or problem.D is not None else "bound"
         if problem.D is not None:
             notes.append("the estimate neglects how the model's own damping couples modes in the band to those above")
         limit = _bounds(problem, reduced, V, modes, omega, reference) / norm
     statics = problem.B.T @ static_response(problem)
     deviation, mac = _compared_modes(problem, reduced, V, modes, omega[-1])
+    notes += _on_damping(problem, reduced, modes, deviation, reference)
     inside = modes.eigenvalues <= omega[-1] ** 2
     missing = modes.frequencies_hz[inside][mac < MISSING]
     if len(missing):
@@ -122,8 +124,8 @@ def _certificate(
         error=np.linalg.norm((H_r - H) * S, axis=(1, 2)) / norm, bound=limit, bound_kind=kind,
         block_error=_block_errors(problem, (H_r - H) * S, H * S),
         held_error=_held_errors(problem, H_r * S, H * S, omega),
-        static_error=float(np.linalg.norm((reduced_response(reduced, np.zeros(1))[0] - statics) * S)
-                           / np.linalg.norm(statics * S)),
+        static_error=float(np.linalg.norm((reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
+                                           - statics) * S) / np.linalg.norm(statics * S)),
         mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mode_mac=mac,
         verified_below_hz=float(np.sqrt(modes.verified_below) / (2 * np.pi)),
         reference_error=reference.error + round_off(problem, modes, omega),
@@ -157,12 +159,11 @@ def _bounds(
     primal = residual_of(problem, V, W, modes, reference).scaled(S)
     dual = primal if reduced.left is None else residual_of(problem, W, V, modes, reference).scaled(S)
     C_true = np.asarray(problem.B.T @ V)
-    alpha, beta = problem.damping.alpha, problem.damping.beta
     D_known, off_known = _damping_of_known(problem, modes), uncertainty(problem, modes)
     found = []
     for w in omega:
-        c, g = 1 + 1j * w * beta, 1j * w * alpha - w**2
-        A = K + 1j * w * D - w**2 * M
+        c, g = problem.damping.proportional(1j * w)
+        A = (1 + 1j * reduced.structural) * K + 1j * w * D - w**2 * M
         y = np.linalg.solve(A, (B * S).astype(complex))
         z = y if reduced.left is None else np.linalg.solve(A.T, (C.T * S).astype(complex))
         # What the reduced matrices differ from the projections of the full ones: often round-off, and it counts.
@@ -176,7 +177,34 @@ def _damping_of_known(problem: Problem, modes: Modes) -> Floats:
     """Damping other than Rayleigh's seen by the known modes, (k,) or (k, k)."""
     if problem.D is not None:
         return dot(modes.vectors, problem.D @ modes.vectors, problem.budget)
-    return np.asarray(2 * problem.damping.modal * np.sqrt(modes.eigenvalues))
+    return modal_damping(problem, modes.eigenvalues)
+
+
+def _on_damping(
+    problem: Problem, reduced: ReducedModel, modes: Modes, deviation: Floats, reference: Reference
+) -> list[str]:
+    """What damping makes of the comparison, in words."""
+    found = []
+    damping = problem.damping
+    if len(damping.jumps) and reference.error > REFERENCE:
+        found.append(
+            f"the full response is known to {reference.error:.1e} only: the modal damping table jumps beside modes "
+            "that are not resolved"
+        )
+    # Where the frequency of a body is off, the table may give its mode another ratio.
+    omega = np.sqrt(modes.eigenvalues[: len(deviation)])
+    moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(deviation)))
+    if moved.any():
+        listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
+        found.append(
+            f"the modal damping table jumps between the frequencies that {int(moved.sum())} modes have in the full "
+            f"model and in this body, which gives them different ratios: {listed} Hz"
+        )
+    if reduced.structural != damping.structural:
+        found.append(
+            f"the body has structural damping of {reduced.structural:g}, the full model {damping.structural:g}"
+        )
+    return found
 
 
 def _block_errors(problem: Problem, error: Complexes, H: Complexes) -> Floats:

@@ -11,7 +11,7 @@ import typer
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body, make_exporter
 from morembs.recovery import recover as recover_series
-from morembs.report import print_stored, stored_json
+from morembs.report_stored import print_stored, stored_json
 from morembs.storage import read_body
 from morembs.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
 

@@ -23,7 +23,7 @@ UNDAMPED = 1e-9
 def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
     """Elastic part (Nc, p) of A(s)^-1 F for loads ``F`` (Nc, p), dense or sparse, at complex ``s`` in 1/s, not zero.
 
-    Rayleigh damping needs no damping matrix: A(s) = c (K + f M) with c = 1 + beta s and f = (s^2 + alpha s) / c.
+    Rayleigh and structural damping need no damping matrix: A(s) = c K + g M = c (K + f M), see ``damping``.
     Factor and solution are real where A(s) is. Peak memory: 2 p columns and the factor.
 
     Raises:
@@ -31,14 +31,14 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
         SingularMatrixError: ``s`` is an eigenvalue.
     """
     damping, M, Z = problem.damping, problem.M, problem.rigid
-    if damping.modal:
+    if damping.is_modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
-    if problem.D is not None and (damping.alpha or damping.beta):
+    if problem.D is not None and damping.is_rayleigh:
         raise InputError(
             "Rayleigh damping beside a damping matrix of the model is not solved directly; add it to the matrix D"
         )
-    c = 1 + s * damping.beta
-    at = s if not (damping.alpha or damping.beta) else np.sqrt(complex((s * s + s * damping.alpha) / c))
+    c, g = damping.proportional(s)
+    at = s if not (damping.is_rayleigh or damping.structural) else np.sqrt(complex(g / c))
     if not complex(at).imag:
         at = complex(at).real
     try:
@@ -76,7 +76,9 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
     for j, w in enumerate(omega):
         progress.update(f"direct response: {j + 1} of {len(omega)}")
         if w == 0.0:
+            # Structural damping acts at the lower end of the frequencies too.
             H[j] = problem.B.T @ solved(problem.elastic.flexibility, problem.B, problem.budget)
+            H[j] /= 1 + 1j * problem.damping.structural
         else:
             H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)
     return H

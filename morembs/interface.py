@@ -2,9 +2,11 @@
 
 Three couplings of slave nodes s to a frame at the point c with motion z = (translation, rotation):
 
-* rigid (RBE2): u_s = R_s z; the slave dofs are eliminated, six dofs of the frame replace them;
+* rigid (RBE2): u_s = R_s z; the slave dofs (rotations too) are eliminated, six dofs of the frame replace them;
 * average (RBE3): z = T u, T = (R_s' W R_s)^-1 R_s' W; adds no stiffness, forces spread with the weights W;
-* direct: the displacement dofs of the nodes themselves.
+* direct: the dofs of the nodes themselves, displacements and, where there are any, rotations.
+
+Rigid elements that came with the model are eliminated here too.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.coupled_model import CoupledModel, Followers
 from morembs.errors import InputError, nearest
 from morembs.model import FEModel, frozen, rigid_motion, skew
 from morembs.surface import nodal_areas, outer_faces
@@ -62,21 +65,23 @@ def make_interface(
     Args:
         nodes: rows of ``model.nodes`` (see ``select_nodes``).
         point: in m.
-        components: exposed motions; by default all six, or the three displacements for "direct".
+        components: exposed motions; by default all six, or for "direct" all that every node has.
 
     Raises:
-        InputError: unknown coupling, no nodes, or collinear nodes under a rigid or average coupling.
+        InputError: unknown coupling, no nodes, components that a node lacks, or collinear nodes under a rigid or
+            average coupling.
     """
     if coupling not in COUPLINGS:
         raise InputError(f"interface {name!r}: coupling = {coupling!r} was given; {nearest(coupling, COUPLINGS)}")
     rows = np.unique(np.asarray(nodes, dtype=np.int64))
     if not len(rows):
         raise InputError(f"interface {name!r} has no nodes")
-    allowed = 3 if coupling == "direct" else 6
-    chosen = tuple(range(allowed)) if components is None else tuple(sorted(set(components)))
-    if not chosen or min(chosen) < 0 or max(chosen) >= allowed:
+    there = _common_components(model, name, rows) if coupling == "direct" else tuple(range(6))
+    chosen = there if components is None else tuple(sorted(set(components)))
+    if not chosen or not set(chosen) <= set(there):
+        known = f"0..{there[-1]}" if there == tuple(range(len(there))) else ", ".join(map(str, there))
         raise InputError(
-            f"interface {name!r}: components = {list(components or [])} was given; expected some of 0..{allowed - 1}"
+            f"interface {name!r}: components = {list(components or [])} was given; expected some of {known}"
         )
     weights, bare = _area_weights(model, rows)
     xyz = model.nodes.xyz[rows]
@@ -93,8 +98,18 @@ def make_interface(
         )
     interface = Interface(name=name, nodes=rows, coupling=coupling, point=origin, weights=weights, components=chosen)
     if coupling != "direct":
-        _refuse_collinear(interface, xyz)
+        refuse_collinear(interface, model)
     return interface
+
+
+def _common_components(model: FEModel, name: str, rows: Ints) -> tuple[int, ...]:
+    """Components that all nodes ``rows`` have."""
+    here = np.isin(model.dofs.node, rows)
+    count = np.bincount(model.dofs.component[here], minlength=6)
+    common = tuple(np.flatnonzero(count == len(rows)).tolist())
+    if not common:
+        raise InputError(f"interface {name!r}: its nodes have no dof in common; take other nodes")
+    return common
 
 
 def _area_weights(model: FEModel, rows: Ints) -> tuple[Floats, int]:
@@ -111,11 +126,24 @@ def _area_weights(model: FEModel, rows: Ints) -> tuple[Floats, int]:
     return np.ones(len(rows)), 0
 
 
-def _refuse_collinear(interface: Interface, xyz: Floats) -> None:
+def refuse_collinear(interface: Interface, model: FEModel) -> None:
+    """Refuse nodes that do not determine the rotations of their frame.
+
+    Raises:
+        InputError: as said.
+    """
+    xyz = model.nodes.xyz[interface.nodes]
     arms = xyz - xyz.mean(axis=0)
     length = np.linalg.norm(arms, axis=1).max()
     condition = np.inf
-    if length > 0:
+    turning = model.dofs.component[np.isin(model.dofs.node, interface.nodes)] > 2
+    if interface.coupling == "rigid" and turning.any():
+        # Nodes that turn with the frame determine it alone.
+        dofs = _all_dofs(model, interface)
+        at = np.searchsorted(interface.nodes, model.dofs.node[dofs])
+        R = rigid_motion(arms[at] / max(length, np.finfo(float).tiny), model.dofs.component[dofs])
+        condition = float(np.linalg.cond(R.T @ R / len(R)))
+    elif length > 0:
         # Rotations about the centroid, the arms scaled to one, weights as coupled.
         R = _frame_motion(arms / length, np.zeros(3))
         w = interface.weights if interface.coupling == "average" else np.ones(len(arms))
@@ -153,7 +181,7 @@ def averaging(interface: Interface, xyz: Floats) -> Floats:
 class Coupling:
     """All interfaces of a model as matrices.
 
-    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without rigid slaves, then six per rigid frame);
+    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without followers, then six per rigid frame);
     ``B`` (Nc, m) inputs, one column per exposed interface motion, and also outputs as ``B'``;
     ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
     that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
@@ -174,26 +202,35 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
     """Matrices of all interfaces.
 
     Raises:
-        InputError: two interfaces of one name, or rigid or direct interfaces that share nodes.
+        InputError: two interfaces of one name, rigid or direct interfaces that share nodes, or one on nodes that
+            follow a rigid element of the model.
     """
     _refuse_shared(model, interfaces)
+    followers = model.followers if isinstance(model, CoupledModel) else None
     rigid = [i for i in interfaces if i.coupling == "rigid"]
     slave = np.zeros(model.size, dtype=bool)
-    for interface in rigid:
-        slave[_displacement_dofs(model, interface)] = True
+    for interface in interfaces:
+        if followers is not None and interface.coupling != "average":
+            _refuse_followers(model, followers, interface)
+        if interface.coupling == "rigid":
+            slave[_all_dofs(model, interface)] = True
+    if followers is not None:
+        slave |= followers.owner >= 0
     kept = np.flatnonzero(~slave)
     size = len(kept) + 6 * len(rigid)
     rows, cols, values = [kept], [np.arange(len(kept))], [np.ones(len(kept))]
     masters: dict[str, int] = {}
     for number, interface in enumerate(rigid):
         masters[interface.name] = len(kept) + 6 * number
-        dofs = _displacement_dofs(model, interface)
-        motion = _frame_motion(model.nodes.xyz[interface.nodes], interface.point)
+        dofs = _all_dofs(model, interface)
+        motion = rigid_motion(model.nodes.xyz[model.dofs.node[dofs]] - interface.point, model.dofs.component[dofs])
         rows.append(np.repeat(dofs, 6))
         cols.append(np.tile(masters[interface.name] + np.arange(6), len(dofs)))
         values.append(motion.ravel())
     data = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
     T = sp.csr_array(sp.coo_array(data, shape=(model.size, size)))
+    if followers is not None:
+        T = sp.csr_array(followers.S @ T)
     T.eliminate_zeros()
     pole = model.nodes.xyz.mean(axis=0)
     R_fe = rigid_motion(model.nodes.xyz[model.dofs.node] - pole, model.dofs.component)
@@ -219,12 +256,12 @@ def _inputs(
             data = (np.ones(len(rows)), (rows, np.arange(len(rows))))
             block = sp.csc_array(data, shape=(T.shape[1], len(rows)))
         else:
-            dofs = _displacement_dofs(model, interface)
             if interface.coupling == "direct":
-                dofs = dofs.reshape(-1, 3)[:, wanted].ravel()
+                dofs = _direct_dofs(model, interface)
                 data = (np.ones(len(dofs)), (dofs, np.arange(len(dofs))))
                 on_fe = sp.csc_array(data, shape=(T.shape[0], len(dofs)))
             else:
+                dofs = _displacement_dofs(model, interface)
                 average = averaging(interface, model.nodes.xyz[interface.nodes])[wanted]
                 at_rows, at_cols = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
                 on_fe = sp.csc_array((average.ravel(), (at_rows, at_cols)), shape=(T.shape[0], len(wanted)))
@@ -245,6 +282,39 @@ def _displacement_dofs(model: FEModel, interface: Interface) -> Ints:
             "take other nodes"
         )
     return dofs.ravel()
+
+
+def _all_dofs(model: FEModel, interface: Interface) -> Ints:
+    """All dofs of the interface's nodes, rotations too; every node must have x, y and z."""
+    displacements = _displacement_dofs(model, interface)
+    if model.dofs.component.max(initial=0) < 3:
+        return displacements
+    return np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+
+
+def _direct_dofs(model: FEModel, interface: Interface) -> Ints:
+    """The dofs of the interface's components, node after node."""
+    table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
+    table[model.dofs.node, model.dofs.component] = np.arange(model.size)
+    dofs = table[interface.nodes][:, list(interface.components)]
+    if (dofs < 0).any():
+        node, component = np.argwhere(dofs < 0)[0]
+        raise InputError(
+            f"interface {interface.name!r}: node {model.nodes.ids[interface.nodes[node]]} has no dof for the component "
+            f"{interface.components[component]}; take other nodes or components"
+        )
+    return dofs.ravel()
+
+
+def _refuse_followers(model: FEModel, followers: Followers, interface: Interface) -> None:
+    dofs = np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+    bad = dofs[followers.owner[dofs] >= 0]
+    if len(bad):
+        name = followers.names[followers.owner[bad[0]]]
+        raise InputError(
+            f"interface {interface.name!r}: node {model.nodes.ids[model.dofs.node[bad[0]]]} follows the element "
+            f'{name!r} of the model; take nodes = "coupling:{name}", other nodes, or coupling = "average"'
+        )
 
 
 def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
+from morembs.damping import Damping as Damping
 from morembs.errors import InputError, MorembsError, SingularMatrixError
 from morembs.interface import Coupling, Interface, couple
 from morembs.linalg.congruence import congruence, max_norm
@@ -34,39 +34,6 @@ Shared = TypeVar("Shared")
 STRAIN_FREE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
-class Damping:
-    """Rayleigh damping ``alpha`` (1/s) M + ``beta`` (s) K, or one ``modal`` damping ratio for all modes.
-
-    ``alpha`` and ``modal`` act on the elastic motion only: rigid motion of a free body is not damped.
-    """
-
-    alpha: float = 0.0
-    beta: float = 0.0
-    modal: float = 0.0
-
-    def __post_init__(self) -> None:
-        if min(self.alpha, self.beta, self.modal) < 0:
-            raise InputError(f"damping must not be negative; got {self}")
-        if self.modal and (self.alpha or self.beta):
-            raise InputError("damping: give either rayleigh or modal, not both")
-
-    def matrix(self, M: Floats, K: Floats, rigid: Floats, symmetric: bool = True) -> Floats:
-        """D (n, n) of a reduced pencil whose M-orthonormal rigid motions are ``rigid`` (n, r)."""
-        Mr = M @ rigid
-        if self.modal and not symmetric:
-            found, X = sl.eig(K, M)
-            ratio = 2 * self.modal * np.sqrt(np.maximum(found.real, 0.0))
-            return np.asarray((M @ (X * ratio) @ np.linalg.inv(X)).real)
-        if self.modal:
-            values, Y = sl.eigh(K, M)
-            omega = np.sqrt(np.maximum(values, 0.0))
-            omega[: rigid.shape[1]] = 0.0
-            MY = M @ Y
-            return np.asarray((MY * (2 * self.modal * omega)) @ MY.T)
-        return self.alpha * (M - Mr @ Mr.T) + self.beta * K
-
-
 class Problem:
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
@@ -75,7 +42,8 @@ class Problem:
     analytic, never from an eigensolver.
 
     Raises:
-        InputError: interfaces that do not fit together, or unconnected parts.
+        InputError: interfaces that do not fit together, unconnected parts, or structural damping of a model that has
+            a damping matrix.
     """
 
     def __init__(
@@ -87,6 +55,11 @@ class Problem:
         self.solver = solver if solver is not None else select_solver()
         self.budget = budget if budget is not None else Budget(self.solver.memory, self.solver.scratch)
         self.damping = damping if damping is not None else Damping()
+        if self.damping.structural and model.D is not None:
+            raise InputError(
+                "structural damping beside a damping matrix of the model is not supported; leave one of them out, or "
+                "replace the structural damping by rayleigh damping added to the matrix"
+            )
         self.progress = progress
         self.coupling: Coupling = couple(model, self.interfaces)
         T = self.coupling.T

@@ -1,11 +1,11 @@
 """A reduced model so large that it stands for the full one, up to a frequency: what errors are measured against.
 
 It is the Galerkin projection on a block Krylov space V of the elastic flexibility G, started at the loads. With
-proportional damping A(s) = (1 + beta s)(K + f M), f = (s^2 + alpha s)/(1 + beta s), so one real space serves all
-frequencies. With rho = G (F - (K + f M) V y), which the Lanczos relation G M V = V T + W E' gives in small
-matrices, the error is dH = rho' K (K + f M)^-1 K rho, hence |dH| <= max_k |lam_k / (lam_k + f)| |rho|_K^2:
-quadratic in the residual. The space grows until this is below a tolerance everywhere; the maximum is taken over
-the Ritz values, which makes it an estimate.
+proportional damping A(s) = c (K + f M), c = 1 + i eta + beta s (eta the structural loss factor) and
+f = (s^2 + alpha s) / c, so one real space serves all frequencies. With rho = G (F - (K + f M) V y), which the Lanczos
+relation G M V = V T + W E' gives in small matrices, the error is dH = rho' K (K + f M)^-1 K rho, hence
+|dH| <= max_k |lam_k / (lam_k + f)| |rho|_K^2: quadratic in the residual. The space grows until this is below a
+tolerance everywhere; the maximum is taken over the Ritz values, which makes it an estimate.
 
 One factorisation and a few blocks of solves make it; frequency responses, Gramians, and the choice of shifts and
 orders are small dense problems in its coordinates afterwards. The space is kept with the problem and grows when
@@ -23,10 +23,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.damped_reference import DampedSpace
+from morembs.damping import Damping
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.orthogonal import combine, dot, remove
-from morembs.problem import Damping, Problem
+from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -36,6 +37,11 @@ MAX_ORDER = 2000
 FIRST_ORDER = 250
 # An inertia load that deforms the body by less than this part of what a rigid motion weighs does not deform it.
 RIGID = 1e-8
+# Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
+JUMPS = 1e-6
+JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
+# A frequency beside a jump, as part of it.
+SIDE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,16 +72,21 @@ class Reference:
         """Diagonal (k,) of the damping matrix; without ``D`` there is nothing else in it."""
         if self.D is not None:
             return np.asarray(np.diag(self.D))
-        if self.damping.modal:
-            return np.asarray(2 * self.damping.modal * np.sqrt(self.values))
-        return self.damping.alpha + self.damping.beta * self.values
+        return self.damping.of_modes(self.values)
+
+    def damping_at_resonance(self) -> Floats:
+        """``damping_of_modes`` (k,) with the viscous equivalent of structural damping: twice the decay of the modes."""
+        if self.D is not None:
+            return np.asarray(np.diag(self.D))
+        return self.damping.at_resonance(self.values)
 
     def states(self, s: NDArray[Any], F: Floats | None = None) -> Complexes:
         """(ns, k, p) modal coordinates of A(s)^-1 F at complex ``s`` (ns,); ``F`` (k, p), by default all loads."""
         F = self.F if F is None else F
         s = np.asarray(s, dtype=complex)
         if self.D is None:
-            diagonal = self.values + s[:, None] * self.damping_of_modes() + s[:, None] ** 2
+            stiffness = self.values * (1 + 1j * self.damping.structural)
+            diagonal = stiffness + s[:, None] * self.damping_of_modes() + s[:, None] ** 2
             return np.asarray(F / diagonal[:, :, None])
         K, eye = np.diag(self.values), np.eye(len(self.values))
         return np.array([np.linalg.solve(K + x * self.D + x * x * eye, F.astype(complex)) for x in s])
@@ -100,14 +111,15 @@ def reference_model(
 ) -> Reference:  # fmt: skip
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
-    Forces and moments are scaled to equal static energy for that. With modal damping the same ratio is given to
-    every Ritz mode. Peak memory: the Krylov space, up to some hundred columns of length N.
+    Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
+    its own frequency. Where a modal table jumps beside modes that are not resolved, the error may be up to ``JUMPS``:
+    ``Reference.error`` says what it is. Peak memory: the Krylov space, up to some hundred columns of length N.
 
     Args:
         inertia_loads: also follow the inertia loads of the moving frame, as ``inertia_loads`` gives them.
 
     Raises:
-        InputError: no interfaces.
+        InputError: no interfaces, or modal damping beside a damping matrix of the model.
         SolverError: the error does not fall below ``tolerance``.
     """
     if not problem.B.shape[1]:
@@ -123,9 +135,16 @@ def _damped(
     problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool, progress: Progress
 ) -> Reference:
     """Reference of a model with a damping matrix of its own."""
+    if problem.damping.is_modal:
+        raise InputError(
+            "modal damping beside a damping matrix of the model has no frequency response; replace it by rayleigh "
+            "damping added to the matrix, or leave one of them out"
+        )
     F = _loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, seen, error = space.until(omega, tolerance, progress)
+    # Only models that are taken whole come here with Rayleigh damping beside their matrix.
+    seen = seen + np.diag(problem.damping.of_modes(values))
     return Reference(
         values=values, D=seen, damping=problem.damping, F=Y.T @ dot(V, F, problem.budget), inputs=problem.B.shape[1],
         V=V, Y=Y, error=error, problem=problem,
@@ -193,22 +212,24 @@ class _Growth:
                 values=values, D=None, damping=self.problem.damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
                 error=np.inf, problem=self.problem,
             )  # fmt: skip
-            error = self._error(made, g, omega)
-            if self.problem.damping.modal:
+            error, jumps = self._error(made, g, omega), 0.0
+            if self.problem.damping.is_modal:
                 # Every mode has a damping of its own, of which the residual on this space knows nothing.
-                error = max(error, self._change(made, g, omega))
-            progress.update(f"frequency response: order {lanczos.size}, error {error:.1e}")
-            if error <= tolerance or not lanczos.pending.shape[1]:
-                return replace(made, F=F * self.scale, error=error)
+                error, jumps = max(error, self._change(made, g, omega)), self._jumps(made, omega)
+            worst = max(error, jumps)
+            progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
+            good = error <= tolerance and jumps <= max(tolerance, JUMPS)
+            if good or not lanczos.pending.shape[1]:
+                return replace(made, F=F * self.scale, error=worst)
             self._clean()
             if not lanczos.pending.shape[1]:
-                return replace(made, F=F * self.scale, error=error)
+                return replace(made, F=F * self.scale, error=worst)
             if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
                 lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
             if lanczos.full():
                 raise SolverError(
-                    f"the full response reached an error of only {error:.1e} with {lanczos.size} vectors; lower the "
-                    "upper frequency, or raise the tolerance"
+                    f"the full response reached an error of only {worst:.1e} with {lanczos.size} vectors; lower the "
+                    "upper frequency, or raise the tolerance" + (JUMPY if jumps > tolerance else "")
                 )
             lanczos.expand()
             self._border()
@@ -246,6 +267,34 @@ class _Growth:
         H, old = (one.F.T @ one.states(1j * omega) for one in (made, before))
         return float((np.abs(H - old).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))).max())
 
+    def _jumps(self, made: Reference, omega: Floats) -> float:
+        """What H would change by if modes that may lie on either side of a jump of the modal table changed sides.
+
+        With G M V y = V T y + W E'y, an eigenvalue of G M lies within |T y - y / theta| + |W E'y| of 1 / theta (in the
+        norm of M; Weinstein 1934). Relative to the largest entry of H at each frequency.
+        """
+        lanczos, values, Y, jumps = self.lanczos, made.values, made.Y, self.problem.damping.jumps
+        if not len(jumps):
+            return 0.0
+        T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
+        outside = np.einsum("ij,ik,kj->j", last, lanczos.rest, last)
+        off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
+        stiffness = values * (1 + 1j * self.problem.damping.structural)
+        H = np.abs(made.F.T @ made.states(1j * omega)).max(axis=(1, 2))
+        change = np.zeros(len(omega))
+        for jump in jumps:
+            unsure = np.abs(1 / values - 1 / jump**2) <= off
+            if not unsure.any():
+                continue
+            omega_k, F = np.sqrt(values[unsure]), np.abs(made.F[unsure])
+            ratios = self.problem.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
+            one, other = (
+                1 / (stiffness[unsure] - omega[:, None] ** 2 + 2j * ratio * omega[:, None] * omega_k)
+                for ratio in ratios
+            )
+            change += np.einsum("ki,fk,kj->fij", F, np.abs(one - other), F).max(axis=(1, 2)) / H
+        return float(change.max(initial=0.0))
+
     def _error(self, made: Reference, g: Floats, omega: Floats) -> float:
         """Largest estimated error of H, relative to its largest entry at each frequency."""
         lanczos, values, Y = self.lanczos, made.values, made.Y
@@ -255,10 +304,10 @@ class _Growth:
         energy = np.block([[self.stiffness, cross], [cross.T, W.T @ KW]])
         worst = 0.0
         for w in omega:
-            row = 1.0 / (values + 1j * w * made.damping_of_modes() - w**2)
+            # K carries c; the rest of A is f M, and f y follows from the modal equation.
+            c, _ = made.damping.proportional(1j * w)
+            row = 1.0 / (values * (1 + 1j * made.damping.structural) + 1j * w * made.damping_of_modes() - w**2)
             H = made.F.T @ (row[:, None] * made.F)
-            # K carries c = 1 + i omega beta; the rest of A is f M, and f y follows from the modal equation.
-            c = 1 + 1j * w * self.problem.damping.beta
             y = Y @ (row[:, None] * made.F)
             fy = Y @ ((1.0 - c * row * values)[:, None] * made.F)
             rho = np.vstack([g - c * y - T @ fy, -fy[lanczos.last]])

@@ -16,7 +16,17 @@ from morembs.certify import Certificate
 from morembs.forecast import JobForecast
 from morembs.pareto import Contender
 from morembs.run import JobResult
-from morembs.storage import StoredBodies
+from morembs.tables import (
+    bytes_words,
+    frame_words,
+    listed,
+    mass_table,
+    percent,
+    plain_table,
+    ranking_words,
+    titled,
+    words,
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10
@@ -41,7 +51,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
         "center_of_mass": part.center_of_mass.tolist(),
         "inertia": part.inertia.tolist(),
         "frequencies_hz": first.frequencies_hz.tolist(),
-        "full_frequencies_hz": _listed(first.full_frequencies_hz),
+        "full_frequencies_hz": listed(first.full_frequencies_hz),
         "bodies": {
             body.name: {
                 "order": body.reduced.order,
@@ -49,6 +59,8 @@ def result_json(result: JobResult) -> dict[str, Any]:
                 "frequencies_hz": body.frequencies_hz.tolist(),
                 "mode_kind": list(body.reduced.mode_kind),
                 "recipe": dict(body.recipe),
+                "frame": None if body.floating is None else body.floating.kind,
+                "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
                 "largest_response_error": None if response is None else float(response.error[body.name].max()),
                 "certificate": None if body.certificate is None else _certificate_json(body.certificate),
             }
@@ -72,51 +84,6 @@ def without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
-    """A body file as plain values, SI units."""
-    first = next(iter(stored.bodies.values()))
-    origin = stored.provenance
-    return {
-        "output": path,
-        "format_version": stored.format_version,
-        "source": stored.recipe.get("source"),
-        "solver": origin.get("solver"),
-        "factor": origin.get("factor"),
-        "dofs": stored.recipe.get("dofs"),
-        "stored_nodes": len(stored.node_ids),
-        "mass": stored.mass,
-        "center_of_mass": stored.center_of_mass.tolist(),
-        "inertia": stored.inertia.tolist(),
-        "frequencies_hz": first.frequencies_hz.tolist(),
-        "full_frequencies_hz": _listed(first.full_frequencies_hz),
-        "interfaces": {
-            name: {
-                "coupling": one.coupling,
-                "components": list(one.components),
-                "point": one.point.tolist(),
-                "nodes": len(one.node_ids),
-            }
-            for name, one in stored.interfaces.items()
-        },
-        "bodies": {
-            name: {
-                "order": len(body.stiffness_matrix),
-                "rigid_count": body.rigid_count,
-                "frequencies_hz": body.frequencies_hz.tolist(),
-                "mode_kind": list(body.mode_kind),
-                "recipe": body.recipe,
-            }
-            for name, body in stored.bodies.items()
-        },
-        "seconds": dict(origin.get("seconds") or {}),
-        "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
-    }
-
-
-def _listed(values: Floats | None) -> list[float] | None:
-    return None if values is None else values.tolist()
-
-
 def print_result(console: Console, result: JobResult) -> None:
     """Frequencies, mass and cost of a finished job."""
     part = result.bodies[0].part
@@ -128,14 +95,18 @@ def print_result(console: Console, result: JobResult) -> None:
     if result.choice:
         console.print(f"  solver: {result.choice}", highlight=False, soft_wrap=True)
     for body in result.bodies:
-        console.print(f"  {body.name}: {_words(body.reduced.mode_kind)}", highlight=False)
+        console.print(f"  {body.name}: {words(body.reduced.mode_kind)}", highlight=False)
+        if body.floating is not None and (body.floating.kind != "mean-axes" or body.floating.stiffening is not None):
+            console.print(f"    {frame_words(body.floating)}", highlight=False, soft_wrap=True)
+        if body.ranking:
+            console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
     # Side by side as far as 80 columns hold them.
     for first in range(0, len(result.bodies), BODIES_PER_TABLE):
         table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
-        _titled(console, "free-free frequencies, rigid-body modes left out", table)
-    _titled(console, "mass properties", _mass(part.mass, part.center_of_mass, part.inertia))
+        titled(console, "free-free frequencies, rigid-body modes left out", table)
+    titled(console, "mass properties", mass_table(part.mass, part.center_of_mass, part.inertia))
     _print_certificates(console, result.bodies)
-    _titled(console, "cost", _cost(result))
+    titled(console, "cost", _cost(result))
     console.print()
     if result.response is not None and not any(body.certificate for body in result.bodies):
         band = result.response.frequencies_hz
@@ -156,7 +127,7 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
     if not known:
         return
     hz = known[0][1].frequencies_hz
-    table = _table(
+    table = plain_table(
         "body", "order", "error, max", "mean", "bound, max", "", "block, max", "static", "modes off by", "MAC"
     )
     for body, its in known:
@@ -166,7 +137,7 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
             its.bound_kind.replace("none", ""), f"{its.block_error.max(initial=0.0):.1e}", f"{its.static_error:.1e}",
             f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mode_mac.min(initial=1.0):.4f}",
         )  # fmt: skip
-    _titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
+    titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
     console.print(
         "  max, mean: over the band; block: motions of one interface under loads at another; static: at 0 Hz; "
         "only the kind \"bound\" is proven",
@@ -179,35 +150,9 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
             console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
 
 
-def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
-    """What a body file holds."""
-    values = stored_json(path, stored)
-    console.print(
-        f"[bold]{path}[/]: {values['source'] or 'model'}, "
-        + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
-        + f"{values['stored_nodes']:,} nodes stored",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
-    for name, one in values["interfaces"].items():
-        console.print(f"  interface {name}: {one['coupling']}, {one['nodes']:,} nodes", highlight=False)
-    for name, body in stored.bodies.items():
-        console.print(f"  {name}: {_words(body.mode_kind)}", highlight=False)
-        elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
-        listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
-        console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
-        if body.certificate is not None:
-            hz, error, bound = (body.certificate[key] for key in ("frequencies_hz", "error", "bound"))
-            known = f", {body.certificate['bound_kind']} {bound.max():.1e}" if np.isfinite(bound).all() else ""
-            console.print(
-                f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
-                highlight=False, soft_wrap=True,
-            )  # fmt: skip
-    _titled(console, "mass properties", _mass(stored.mass, stored.center_of_mass, stored.inertia))
-
-
 def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
     """A checked job and what it will need."""
-    table = _table("", "")
+    table = plain_table("", "")
     for key, value in forecast.as_json().items():
         if key in ("warnings", "choice"):
             continue
@@ -215,14 +160,14 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
         elif key == "extent":
             value = " x ".join(f"{length:.4g}" for length in value) + " m"
-        if key.endswith("_bytes"):
-            shown = _bytes(value)
+        if key.endswith("bytes_words"):
+            shown = bytes_words(value)
         elif isinstance(value, int):
             shown = f"{value:,}"
         else:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-        table.add_row(key.removesuffix("_bytes").replace("_", " "), shown)
-    _titled(console, f"{job} is sound", table)
+        table.add_row(key.removesuffix("bytes_words").replace("_", " "), shown)
+    titled(console, f"{job} is sound", table)
     if forecast.choice:
         console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
     for text in forecast.warnings:
@@ -232,39 +177,19 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
 def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
     heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak so far")
-    table = _table("body", *heads)
+    table = plain_table("body", *heads)
     for one in found:
         table.add_row(
             ("* " if one.best else "  ") + one.name, str(one.order), f"{one.error:.1e}", f"{one.mean_error:.1e}",
             *("-" if value is None else f"{value:.1e}" for value in (one.bound, one.static_error, one.held_error)),
-            f"{one.seconds:.2f}", _bytes(one.peak_memory_bytes),
+            f"{one.seconds:.2f}", bytes_words(one.peak_memory_bytes),
         )  # fmt: skip
-    _titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
+    titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     console.print(
         "held: with one interface held still, median over the band, worst interface; seconds: what reductions share "
         "(modes, the reference model) counts for the first that needs it; peak so far: of the whole process",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-
-
-def _titled(console: Console, title: str, table: Table) -> None:
-    console.print(f"\n[bold]{title}[/]", highlight=False, soft_wrap=True)
-    console.print(table)
-
-
-def _words(kinds: Sequence[str]) -> str:
-    """``12 constraint + 30 fixed-interface = 42 coordinates``."""
-    counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-    return " + ".join(f"{count} {kind}" for kind, count in counts.items()) + f" = {len(kinds)} coordinates"
-
-
-def _table(*columns: str) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column(columns[0])
-    for column in columns[1:]:
-        table.add_column(column, justify="right")
-    table.show_header = any(columns)
-    return table
 
 
 def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
@@ -275,7 +200,7 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     for body in bodies:
         held = ", held" if body.reduced.rigid_count < rigid else ""
         columns += [f"{body.name} Hz{held}"] + ["off by %"] * (full is not None)
-    table = _table(*columns)
+    table = plain_table(*columns)
     elastic = None if full is None else full[rigid:]
     rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
     for number in range(rows):
@@ -289,40 +214,14 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
                 kinds = body.reduced.mode_kind
                 kept = kinds.count("elastic") if "rigid" in kinds else len(own)
                 fits = known and number < kept and body.reduced.rigid_count == rigid
-                row.append(_percent(own[number] / elastic[number] - 1) if fits else "-")
+                row.append(percent(own[number] / elastic[number] - 1) if fits else "-")
         table.add_row(*row)
     return table
 
 
-def _percent(ratio: float) -> str:
-    return "0" if abs(ratio) < 1e-11 else f"{100 * ratio:.2g}"
-
-
-def _mass(mass: float, center: Floats, inertia: Floats) -> Table:
-    table = _table("", "")
-    table.add_row("mass", f"{mass:.6g} kg")
-    table.add_row("centre of mass", ", ".join(f"{v:.6g}" for v in _clean(center)) + " m")
-    for label, row in zip(("inertia about it", "", ""), _clean(inertia), strict=True):
-        table.add_row(label, "  ".join(f"{v:12.5e}" for v in row) + " kg m2")
-    return table
-
-
-def _clean(values: Floats) -> Floats:
-    """What lies below the digits shown, against the largest entry, becomes zero."""
-    return np.where(np.abs(values) < 1e-7 * np.abs(values).max(initial=0.0), 0.0, values)
-
-
 def _cost(result: JobResult) -> Table:
-    table = _table("stage", "seconds", "peak memory")
+    table = plain_table("stage", "seconds", "peak memory")
     for stage in result.stages:
-        table.add_row(stage.name, f"{stage.seconds:.2f}", _bytes(stage.peak_memory_bytes))
+        table.add_row(stage.name, f"{stage.seconds:.2f}", bytes_words(stage.peak_memory_bytes))
     table.add_row("all", f"{sum(stage.seconds for stage in result.stages):.2f}", "")
     return table
-
-
-def _bytes(count: float) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} GB"

@@ -11,9 +11,10 @@ gamma = lam_c / (lam_c - omega^2), the inverse of the inf-sup constant of A on t
 This is the residual bound of Rozza, Huynh and Patera 2008 in its primal-dual form, with the known modes deflated,
 which keeps it sharp at resonances. It takes one static solve for each reduced coordinate and no factorisation.
 
-It holds for undamped models and for D = alpha M + beta K, to the accuracy of the known modes. For other damping it
-is an estimate: gamma then neglects what damping couples the unknown modes to the known ones, and the force of modal
-damping on a basis is seen through the reference model.
+It holds for undamped models, for D = alpha M + beta K and for structural damping, (1 + i eta) K, to the accuracy of
+the known modes: in all of them a_k = c lam_k + g with Re(c + g / lam_k) = 1 - omega^2 / lam_k, which is 1 / gamma at
+lam_c and grows with lam_k. For other damping it is an estimate: gamma then neglects what damping couples the unknown
+modes to the known ones, and the force of modal damping on a basis is seen through the reference model.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ def bound_of(
     else:
         a = c * values + g + 1j * omega * D
         size = np.maximum(np.abs(a), np.finfo(float).tiny)
-        states = P / (a / size * np.maximum(size - off, np.finfo(float).tiny))[:, None]
+        states = P / (a / size * np.maximum(size - abs(c) * off, np.finfo(float).tiny))[:, None]
     gamma = 1.0 / (1.0 - omega**2 / modes.verified_below)
     spectral, _ = primal[0].tail(P, rho, values)
     _, frobenius = dual[0].tail(P_du, rho_du, values)
@@ -138,8 +139,9 @@ def residual_of(problem: Problem, V: Floats, W: Floats, modes: Modes, reference:
     K, M, budget = problem.K, problem.M, problem.budget
     n = V.shape[1]
     modes_M = _between(modes.vectors, M, V, budget)
-    ratio = 2 * problem.damping.modal * np.sqrt(modes.eigenvalues)[:, None]
-    modes_D = ratio * modes_M if problem.D is None else _between(modes.vectors, problem.D, V, budget)
+    modes_D = modal_damping(problem, modes.eigenvalues)[:, None] * modes_M
+    if problem.D is not None:
+        modes_D = _between(modes.vectors, problem.D, V, budget)
     gram = projected(V, K, budget)
     L = np.linalg.cholesky(gram)
     Vk = combine(V, sl.solve_triangular(L, np.eye(n), lower=True).T, budget.empty(V.shape, order="F"), budget)
@@ -218,16 +220,23 @@ def _damping_forces(
 
     Modal damping of the known modes is known; what they leave of V is seen through the modes of the reference.
     """
-    width, ratio = problem.budget.columns(len(V), copies=10), 2 * problem.damping.modal
+    width = problem.budget.columns(len(V), copies=10)
+    # G_e D of a mode is d_k / lam_k of it.
+    on_known, on_rest = (modal_damping(problem, v)[:, None] / v[:, None] for v in (modes.eigenvalues, reference.values))
     for at in range(0, V.shape[1], width):
         some = slice(at, at + width)
         if problem.D is not None:
             yield problem.elastic.flexibility(problem.D @ V[:, some])
-        elif ratio:
+        elif problem.damping.is_modal:
             rest = V[:, some] - modes.vectors @ modes_M[:, some]
             C = reference.coordinates(rest)
-            known = modes.vectors @ (ratio / np.sqrt(modes.eigenvalues)[:, None] * modes_M[:, some])
-            yield known + reference.vectors(ratio / np.sqrt(reference.values)[:, None] * C)
+            known = modes.vectors @ (on_known * modes_M[:, some])
+            yield known + reference.vectors(on_rest * C)
+
+
+def modal_damping(problem: Problem, values: Floats) -> Floats:
+    """Modal damping (k,) in 1/s of modes with eigenvalues ``values`` (k,) in (rad/s)2; zero for Rayleigh damping."""
+    return problem.damping.of_modes(values) if problem.damping.is_modal else np.zeros(len(values))
 
 
 def _between(W: Floats, A: sp.csr_array, V: Floats, budget: Budget) -> Floats:

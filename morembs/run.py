@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.band import POINTS, band_frequencies
-from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.body import ElasticBody, make_part
 from morembs.budget import Budget
 from morembs.certify import Certificate, certify
 from morembs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
+from morembs.delivery import Delivery, StressOptions, deliver
 from morembs.errors import InputError, SolverError
 from morembs.fem import assemble
 from morembs.importers import read_mesh
@@ -28,8 +29,10 @@ from morembs.picture import draw
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal
+from morembs.reducers.base import ReducedModel
 from morembs.schema import MaterialTable
 from morembs.selection import select_nodes
+from morembs.stiffening import Envelope
 from morembs.storage import check_writable, write_body
 from morembs.units import Units, parse_units
 
@@ -87,8 +90,10 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
+        wanted = delivery_of(job)
+        wanted.check(problem)
     with problem:
-        bodies = _reduce(job, problem, watch)
+        bodies = _reduce(job, problem, wanted, watch)
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (response is None and job.picture is not None and interfaces):
             with watch.stage("response"):
@@ -109,7 +114,7 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
     )  # fmt: skip
 
 
-def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, ...]:
+def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> tuple[ElasticBody, ...]:
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
     refuse_reductions_that_do_not_fit(job, size, problem.B.shape[1])
@@ -139,8 +144,21 @@ def _reduce(job: Job, problem: Problem, watch: Stopwatch) -> tuple[ElasticBody, 
             certificates = certify(
                 problem, reduced, frequencies, bound=given is None or given.bound, progress=watch.progress
             )
-    part = make_part(problem, job.tables.output.nodes)
-    return tuple(elastic_body(problem, one, part, its) for one, its in zip(reduced, certificates, strict=True))
+    return _delivered(job, problem, reduced, certificates, wanted, watch)
+
+
+def _delivered(
+    job: Job, problem: Problem, reduced: Sequence[ReducedModel], certificates: Sequence[Certificate | None],
+    wanted: Delivery, watch: Stopwatch,
+) -> tuple[ElasticBody, ...]:  # fmt: skip
+    """The bodies with all that goes into their file."""
+    part, progress = make_part(problem, job.tables.output.nodes), watch.progress
+    with watch.stage("deliver"):
+        operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
+        return tuple(
+            deliver(problem, one, part, wanted, certificate=its, operator=operator, progress=progress)
+            for one, its in zip(reduced, certificates, strict=True)
+        )
 
 
 def _certified_band(job: Job) -> Sequence[float] | None:
@@ -204,11 +222,40 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
 
 
 def damping_of(job: Job) -> Damping:
-    """The damping with alpha in 1/s and beta in s."""
+    """The damping with alpha in 1/s and beta in s; the frequencies of a table are in Hz whatever the unit of time."""
     given, time = job.tables.damping, units_of(job).time
+    structural = given.structural or 0.0
     if given.rayleigh is not None:
-        return Damping(alpha=given.rayleigh.alpha / time, beta=given.rayleigh.beta * time)
-    return Damping(modal=given.modal or 0.0)
+        alpha, beta = given.rayleigh.alpha / time, given.rayleigh.beta * time
+        return Damping(alpha=alpha, beta=beta, structural=structural)
+    if isinstance(given.modal, str | list):
+        return Damping(modal_table=given.modal, structural=structural)
+    return Damping(modal=given.modal or 0.0, structural=structural)
+
+
+def delivery_of(job: Job) -> Delivery:
+    """What every body of the job carries, in SI units."""
+    units, tables = units_of(job), job.tables
+    given, origin = tables.envelope, tables.frame.origin
+    envelope = None
+    if given is not None:
+        force = units.mass * units.length / units.time**2
+        scale = {
+            "acceleration": units.length / units.time**2, "angular_acceleration": units.time**-2,
+            "speed": 1 / units.time, "force": force, "moment": force * units.length,
+        }  # fmt: skip
+        values = given.model_dump(exclude_none=True)
+        envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
+    stiffened = tables.stiffening
+    stress = tables.stress
+    return Delivery(
+        kind=tables.frame.kind, interfaces=tuple(tables.frame.interfaces), envelope=envelope,
+        origin=None if origin == "center-of-mass" else [units.length * float(x) for x in origin or (0, 0, 0)],
+        stiffening=None if stiffened is None else replace(envelope or Envelope(), share=stiffened.share),
+        stress=None if stress is None else StressOptions(
+            nodes=stress.nodes, single=stress.single, correction=stress.correction, length=units.length
+        ),
+    )  # fmt: skip
 
 
 def solver_of(job: Job) -> LinearSolver:

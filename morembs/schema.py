@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from morembs.damping import Damping, modal_steps
 from morembs.reducers import REDUCERS
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -80,10 +81,26 @@ class RayleighTable(Table):
 
 
 class DampingTable(Table):
-    """``[damping]``: Rayleigh or modal damping."""
+    """``[damping]``: Rayleigh or modal damping, structural damping with either."""
 
     rayleigh: RayleighTable | None = Field(default=None, description="a table { alpha = ..., beta = ... }")
-    modal: float | None = Field(default=None, ge=0, lt=1, description="a damping ratio from 0 to below 1")
+    modal: float | str | list[list[float]] | None = Field(
+        default=None,
+        description="a part of critical damping from 0 to 1, or a table [[0, ratio], [frequency_hz, ratio], ...], or "
+        'the name of one such as "adams"',
+    )
+    structural: float | None = Field(
+        default=None, ge=0, description="a loss factor, zero or more, for the frequency domain only"
+    )
+
+    @field_validator("modal")
+    @classmethod
+    def _ratios(cls, given: float | str | list[list[float]] | None) -> float | str | list[list[float]] | None:
+        if isinstance(given, str | list):
+            modal_steps(given)
+        elif given is not None:
+            Damping(modal=given)
+        return given
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -153,6 +170,44 @@ class CertifyTable(Table):
         return self
 
 
+class FrameTable(Table):
+    """``[frame]``: how the body frame follows the body."""
+
+    kind: Literal["mean-axes", "center-of-mass", "tangent", "chord"] = Field(
+        default="mean-axes", description='"mean-axes", "center-of-mass", "tangent" or "chord"'
+    )
+    interfaces: list[str] = Field(default_factory=list, description="names of the interfaces that the frame follows")
+    origin: Three | Literal["center-of-mass"] | None = Field(
+        default=None, description='the origin of the frame, [x, y, z] or "center-of-mass"'
+    )
+
+
+class EnvelopeTable(Table):
+    """``[envelope]``: the largest loads in use, in the declared units (rad for angles)."""
+
+    acceleration: float | None = Field(default=None, ge=0, description="a number, zero or more (length/time2)")
+    angular_acceleration: float | None = Field(default=None, ge=0, description="a number, zero or more (rad/time2)")
+    speed: float | None = Field(default=None, ge=0, description="a number, zero or more (rad/time)")
+    force: float | None = Field(default=None, ge=0, description="a number, zero or more")
+    moment: float | None = Field(default=None, ge=0, description="a number, zero or more")
+
+
+class StiffeningTable(Table):
+    """``[stiffening]``: geometric stiffening of every body."""
+
+    share: float = Field(
+        default=0.01, ge=0, lt=1, description="the part of the stiffness below which a term is left out, from 0 to 1"
+    )
+
+
+class StressTable(Table):
+    """``[stress]``: stress shapes of every body."""
+
+    nodes: str = Field(default="skin", description='"skin", "all" or a selection such as "set:FILLET"')
+    single: bool = Field(default=True, description="true or false")
+    correction: bool = Field(default=True, description="true or false")
+
+
 class CheckTable(Table):
     """``[check]``: what the reduced bodies are compared with."""
 
@@ -173,4 +228,8 @@ class JobTables(Table):
     output: OutputTable = Field(description="a table [output]")
     response: ResponseTable | None = Field(default=None, description="a table [response]")
     certify: CertifyTable | None = Field(default=None, description="a table [certify]")
+    frame: FrameTable = Field(default_factory=FrameTable, description="a table [frame]")
+    envelope: EnvelopeTable | None = Field(default=None, description="a table [envelope]")
+    stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
+    stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")

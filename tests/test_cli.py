@@ -61,7 +61,7 @@ def test_reduce_json(tmp_path: Path) -> None:
     assert (full <= more * (1 + 1e-9)).all() and (more <= fewer * (1 + 1e-9)).all()
     assert more == pytest.approx(full, rel=0.02)
     assert 0 < cb["largest_response_error"] < guyan["largest_response_error"]
-    stages = {"read", "assemble", "couple", "factorise", "solve modes", "response", "write"}
+    stages = {"read", "assemble", "couple", "factorise", "solve modes", "response", "deliver", "write"}
     stages |= {"reduce cb", "reduce guyan"}
     assert set(done["seconds"]) == stages == set(done["peak_memory_bytes"])
     assert all(seconds >= 0 for seconds in done["seconds"].values())

@@ -32,6 +32,8 @@ from morembs.reference import Reference, reference_model
 Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
 BETTER, FINE, FINEST = 1e-3, 1e-10, 1e-14
+# With jumps in a modal table it is better by this factor at least.
+BETTER_JUMPS = 0.1
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # Directions whose share of the leading one is below this are round-off.
 NOISE = 1e-13
@@ -45,9 +47,9 @@ class Automatic(Reducer):
     """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
 
     ``tolerance`` bounds the Frobenius norm of the error relative to that of the full model, at every frequency
-    of the band and beside its resonances; for undamped models and Rayleigh damping by the residual bound, otherwise as
-    measured. ``static_exact`` keeps the static responses to interface loads, ``inertia_loads`` those to the
-    inertia of a moving frame (of a model that is held somewhere they are followed in any case).
+    of the band and beside its resonances; for undamped models, Rayleigh and structural damping by the residual bound,
+    otherwise as measured. ``static_exact`` keeps the static responses to interface loads, ``inertia_loads`` those to
+    the inertia of a moving frame (of a model that is held somewhere they are followed in any case).
     """
 
     method: ClassVar[str] = "auto"
@@ -71,6 +73,12 @@ class Automatic(Reducer):
             reference = reference_model(problem, omega, tolerance=fine, inertia_loads=inertia, progress=progress)
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
+        if len(problem.damping.jumps) and reference.error > BETTER_JUMPS * self.tolerance:
+            raise SolverError(
+                f"tolerance = {self.tolerance:g} cannot be certified: the full response is known to "
+                f"{reference.error:.1e} only, as the modal damping table jumps beside modes that are not resolved; "
+                "raise the tolerance, or let the ratio jump elsewhere"
+            )
         election = _Election(problem, reference, omega, self.static_exact)
         found, best, reached = None, "", np.inf
         orders: dict[str, object] = {}
@@ -135,8 +143,8 @@ class _Election:
         self.counted = (reference.inputs, self.F.shape[1])
         self.sizes = self._norms(full)
         self.size = self.sizes[:, 1]
-        # Only undamped models and Rayleigh damping have a bound; for others the errors are measured.
-        self.full = full if reference.damping.modal or reference.D is not None else None
+        # Only undamped models, Rayleigh and structural damping have a bound; for others the errors are measured.
+        self.full = full if reference.damping.is_modal or reference.D is not None else None
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []
         self.greedy: Floats | None = None
@@ -178,7 +186,8 @@ class _Election:
         if not C.shape[1]:
             return np.ones(len(self.omega))
         V, states = self._reduced(C)
-        a = values + 1j * self.omega[:, None] * reference.damping_of_modes() - self.omega[:, None] ** 2
+        a = values * (1 + 1j * reference.damping.structural) - self.omega[:, None] ** 2
+        a = a + 1j * self.omega[:, None] * reference.damping_of_modes()
         found = np.empty((len(self.omega), 2))
         for j, (w, y) in enumerate(zip(self.omega, states, strict=True)):
             if self.full is not None:
@@ -216,9 +225,9 @@ class _Election:
         V = C @ Y
         B, w = V.T @ self.F, self.omega[:, None]
         damping = reference.damping
-        own = 2 * damping.modal * np.sqrt(theta) if damping.modal else damping.alpha + damping.beta * theta
         if reference.D is None:
-            return V, B / (theta + 1j * w * own - w**2)[:, :, None]
+            stiffness = theta * (1 + 1j * damping.structural)
+            return V, B / (stiffness + 1j * w * damping.of_modes(theta) - w**2)[:, :, None]
         D = V.T @ reference.D @ V
         A = np.array([np.diag(theta - x**2) + 1j * x * D for x in self.omega])
         return V, np.linalg.solve(A, np.broadcast_to(B.astype(complex), (len(A), *B.shape)))

@@ -156,24 +156,33 @@ class Balanced(Reducer):
 
     def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
         damping = problem.damping
-        damped = bool(damping.alpha or damping.beta or damping.modal)
         if self.band_hz is not None:
             if problem.D is not None:
                 raise InputError(
                     "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
                 )
-            return _over_band(problem, (self.band_hz[0], self.band_hz[1]), damped, progress)
-        if problem.D is None and not damped:
+            return _over_band(problem, (self.band_hz[0], self.band_hz[1]), progress)
+        if damping.structural:
+            raise InputError(
+                f'method "{self.method}" over all frequencies needs viscous damping, and structural damping has no '
+                "matrix; give band_hz = [lower, upper], or replace it by rayleigh or modal damping"
+            )
+        if damping.is_modal and not all(ratio for _, ratio in damping.steps):
+            raise InputError(
+                f'method "{self.method}" integrates over all resonances, and the modal damping table leaves some '
+                "undamped; give band_hz = [lower, upper], or no ratio of zero"
+            )
+        if problem.D is None and not damping.is_viscous:
             raise InputError(
                 f'method "{self.method}" integrates over all resonances, which are infinite without damping; add '
                 '[damping], or give band_hz = [lower, upper], or take method = "gramian"'
             )
-        if damping.modal and problem.D is not None:
+        if damping.is_modal and problem.D is not None:
             raise InputError(
                 f'method "{self.method}" takes a damping matrix of the model or modal damping, not both; replace the '
                 "modal damping by alpha and beta"
             )
-        if damping.modal:
+        if damping.is_modal:
             return self._with_modal_damping(problem, progress)
         return self._over_all(problem, progress)
 
@@ -238,16 +247,16 @@ def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
         ) from error
 
 
-def _over_band(problem: Problem, band_hz: tuple[float, float], damped: bool, progress: Progress) -> _Gramian:
+def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progress) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
     omega = np.linspace(low, high, SAMPLES)
     made = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
     loads = made.B * problem.motion_scale
-    delta = 0.0 if damped else BESIDE * high
-    Zp, Zv = band_factor(
-        lambda s: made.states(s, loads), made.values, made.damping_of_modes(), (low, high), delta
-    )  # fmt: skip
+    decay = made.damping_at_resonance()
+    # Modes of a table may be damped in part.
+    delta = 0.0 if (decay > 0).all() else BESIDE * high
+    Zp, Zv = band_factor(lambda s: made.states(s, loads), made.values, decay, (low, high), delta)
     notes: dict[str, object] = {
         "gramian": f"quadrature over {band_hz[0]:g} to {band_hz[1]:g} Hz of a reference model of order "
         f"{len(made.values)}"
@@ -259,7 +268,8 @@ def _over_band(problem: Problem, band_hz: tuple[float, float], damped: bool, pro
 
 
 def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
-    D = made.damping_of_modes()[:, None]
+    # The pairing of positions and velocities takes structural damping at its equivalent at each resonance.
+    D = made.damping_at_resonance()[:, None]
     return Products.of(Zp.T @ Zp, Zp.T @ Zv, Zv.T @ Zv, Zp.T @ (D * Zp), Zp.T @ (D * Zv))
 
 

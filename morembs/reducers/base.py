@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
+from morembs.damping import STRUCTURAL
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
@@ -57,6 +58,7 @@ class ReducedModel:
     kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span. A Galerkin
     projection has symmetric matrices and C = B'; in others (``left`` (Nc, n) is what the equations were tested
     with, ``is_projection`` says whether one V expands all of M, D and K) the rigid-body modes come first.
+    ``structural`` is a loss factor: in the frequency domain the stiffness is (1 + i structural) K; D has none of it.
     """
 
     name: str
@@ -71,6 +73,7 @@ class ReducedModel:
     C: Floats
     left: Floats | None = None
     is_projection: bool = True
+    structural: float = 0.0
 
     @property
     def order(self) -> int:
@@ -133,10 +136,12 @@ class Reducer(ABC):
         if problem.D is not None:
             D = D + projected(V if basis.inertial is None else basis.inertial, problem.D, budget, basis.left)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        structural = problem.damping.structural
+        recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
         return ReducedModel(
             name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
-            rigid_count=basis.rigid.shape[1], recipe={"method": self.method, **options, **basis.notes},
-            left=basis.left, is_projection=basis.inertial is None,
+            rigid_count=basis.rigid.shape[1], recipe=recipe, left=basis.left, is_projection=basis.inertial is None,
+            structural=structural,
         )  # fmt: skip
 
 

@@ -127,7 +127,7 @@ class Gramian(Reducer):
         X = sp.diags_array(values + mu).tocsr()
         self._refuse_statics(reference.states(np.array([1j * high]), F)[0], F / values[:, None], X)
         delta = _shift(reference, low, high)
-        poles = modal_poles(values, reference.damping_of_modes()) + 1j * delta
+        poles = modal_poles(values, reference.damping_at_resonance()) + 1j * delta
         edges = resonant_panels(low, high, poles) if self.points is None else np.array([low, high])
         omega, weights = gauss(edges, self.points or PANEL_POINTS)
         # Blocks four times as wide as long: few decompositions, little memory.
@@ -149,13 +149,13 @@ class Gramian(Reducer):
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
         M, budget = problem.M, problem.budget
         damping = problem.damping
-        if damping.modal:
+        if damping.is_modal:
             raise InputError('method "gramian": modal damping is known mode by mode only; take direct = false')
         F = _loads(problem, self.inertia_loads)
         G = solved(problem.elastic.flexibility, F, budget)
         _scale(F, G, problem, G)
         X = sp.csr_array(problem.K + mu * M)
-        damped = problem.D is not None or damping.alpha > 0 or damping.beta > 0
+        damped = problem.D is not None or damping.is_rayleigh or damping.structural > 0
         delta = 0.0 if damped else SHIFT * high
         omega, weights = gauss(np.array([low, high]), self.points or DIRECT_POINTS)
 
@@ -238,8 +238,6 @@ def _scale(F: Floats, G: Floats, problem: Problem, *others: Floats) -> None:
 
 
 def _shift(reference: Reference, low: float, high: float) -> float:
-    """Real part of the path in 1/s: zero unless the model is undamped and resonant in the band."""
-    if reference.damping_of_modes().any():
-        return 0.0
-    at = np.sqrt(reference.values)
-    return SHIFT * high if ((at > low - EDGE * high) & (at < high + EDGE * high)).any() else 0.0
+    """Real part of the path in 1/s: zero unless a mode that resonates in the band is undamped."""
+    at, undamped = np.sqrt(reference.values), reference.damping_at_resonance() <= 0
+    return SHIFT * high if (undamped & (at > low - EDGE * high) & (at < high + EDGE * high)).any() else 0.0

@@ -70,6 +70,11 @@ class Irka(Reducer):
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         require_interfaces(problem, self.method)
+        if problem.damping.structural:
+            raise InputError(
+                f'method "{self.method}" follows poles of viscous damping, which structural damping has not; replace '
+                'it by rayleigh or modal damping, or take method = "gramian" or "krylov"'
+            )
         low, high = (2 * np.pi * f for f in self.band_hz)
         reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE, progress=progress)
         if self.order > len(reference.values):

@@ -2,8 +2,8 @@
 
 V = span of A(s_k)^-1 F and further blocks. One block makes H and, for loads and motions of the same interfaces,
 dH/df exact at the point; J blocks match J moments for any outputs and 2J for those of the loads themselves.
-With Rayleigh or modal damping the undamped matrices are factorised and the basis is real (Beattie and Gugercin
-2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points.
+With Rayleigh, modal or structural damping the undamped matrices are factorised and the basis is real (Beattie and
+Gugercin 2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Krylov(Reducer):
             notes["deflated"] = lost
         if moved:
             notes["moved_shifts"] = moved
-        if problem.D is not None and problem.damping.alpha + problem.damping.beta + problem.damping.modal > 0:
+        if problem.D is not None and problem.damping.is_viscous:
             notes["damping"] = (
                 "the expansion is that of the model's own damping matrix, without the damping added to it"
             )

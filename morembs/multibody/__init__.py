@@ -1,0 +1,64 @@
+"""A small reference simulator for systems of rigid and elastic bodies; it proves reduced bodies.
+
+system = System(gravity=(0, 0, -9.81))
+rod = system.add(RigidBody(2.0, (0.1, 0.1, 0.01), position=(0, 0, 1), markers={"end": (0, 0, 0.5)}))
+joint = system.add(RevoluteJoint(ground.marker_at((0, 0, 1.5)), rod.marker("end"), axis=(0, 1, 0)))
+result = simulate(system, end=0.5, step=1e-3)
+result.position(rod.marker("end")), result.reaction(joint), result.energy().total
+"""
+
+from morembs.multibody.bodies import BodyMarker, FlexibleBody, FloatingBody, RigidBody
+from morembs.multibody.component import Component, Ground, Marker, Place, VectorComponent
+from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
+from morembs.multibody.integrate import State
+from morembs.multibody.joints import (
+    Constraint,
+    DrivenAngle,
+    DrivenPosition,
+    FixedJoint,
+    Motion,
+    PrismaticJoint,
+    RevoluteJoint,
+    SphericalJoint,
+)
+from morembs.multibody.result import Energy, Result, Segment
+from morembs.multibody.rotations import rotation
+from morembs.multibody.run import Restart, Switch, simulate
+from morembs.multibody.system import Assembly, System
+
+ground = Ground()
+
+__all__ = [
+    "Assembly",
+    "BodyMarker",
+    "Component",
+    "Constraint",
+    "DrivenAngle",
+    "DrivenPosition",
+    "Energy",
+    "FixedJoint",
+    "FlexibleBody",
+    "FloatingBody",
+    "Force",
+    "Ground",
+    "Marker",
+    "Motion",
+    "Place",
+    "PointLoad",
+    "PrismaticJoint",
+    "Restart",
+    "Result",
+    "RevoluteJoint",
+    "RigidBody",
+    "Segment",
+    "SphericalJoint",
+    "SpringDamper",
+    "State",
+    "Switch",
+    "System",
+    "TorsionSpring",
+    "VectorComponent",
+    "ground",
+    "rotation",
+    "simulate",
+]

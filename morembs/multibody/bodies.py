@@ -1,0 +1,263 @@
+"""Rigid bodies and elastic bodies in a floating frame.
+
+A point of a body is r = r0 + R (x + phi q). Configuration: r0 (3), R (9, by rows), q (n); velocity: dr0/dt along the
+inertial axes (3), angular velocity along the axes of the body (3), dq/dt (n).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.floating_frame import FloatingFrame
+from morembs.multibody.component import Component, Marker, Place, checked_rotation, numbers, vector
+from morembs.multibody.inertia import Foreshortening, Inertia
+from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent
+
+Floats = NDArray[np.float64]
+
+
+class FloatingBody(Component):
+    """What rigid and elastic bodies share; ``Ke``, ``De`` (n, n), named ``markers``."""
+
+    def __init__(
+        self, *, name: str, inertia: Inertia, Ke: Floats, De: Floats, configuration: Floats, velocity: Floats
+    ) -> None:
+        self.name, self.size, self.configuration_size = name, 6 + inertia.n, 12 + inertia.n
+        self.inertia, self.Ke, self.De = inertia, Ke, De
+        self.markers: dict[str, BodyMarker] = {}
+        self._start = configuration, velocity
+        self._check()
+
+    def _check(self) -> None:
+        _, q, w, rate = self._parts(*self._start)
+        mass = self.inertia.evaluate(w, q, rate)[0]
+        scale = np.sqrt(np.maximum(np.diag(mass), 0.0))
+        if not (scale > 0).all() or np.linalg.eigvalsh(mass / np.outer(scale, scale))[0] < 1e-13:
+            raise InputError(
+                f"body {self.name!r}: its mass matrix is not positive definite; expected a positive mass, an inertia "
+                "with three positive principal moments and elastic shapes that are no rigid motion"
+            )
+        for what, matrix in (("Ke", self.Ke), ("De", self.De)):
+            if np.abs(matrix - matrix.T).max(initial=0.0) > 1e-8 * np.abs(matrix).max(initial=0.0):
+                raise InputError(f"body {self.name!r}: {what} is not symmetric")
+
+    def start(self) -> tuple[Floats, Floats]:
+        return self._start
+
+    def moved(self, x: Floats, step: Floats) -> Floats:
+        moved = np.empty(self.configuration_size)
+        moved[:3] = x[:3] + step[:3]
+        moved[3:12] = orthonormal(x[3:12].reshape(3, 3) @ exponential(step[3:6])).ravel()
+        moved[12:] = x[12:] + step[6:]
+        return moved
+
+    def tangent(self, step: Floats) -> Floats | None:
+        T = np.eye(self.size)
+        T[3:6, 3:6] = tangent(step[3:6])
+        return T
+
+    def bracket(self, a: Floats, b: Floats) -> Floats:
+        value = np.zeros(self.size)
+        value[3:6] = cross(a[3:6], b[3:6])
+        return value
+
+    @staticmethod
+    def _parts(x: Floats, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        return x[3:12].reshape(3, 3), x[12:], v[3:6], v[6:]
+
+    def dynamics(self, t: float, x: Floats, v: Floats, gravity: Floats) -> tuple[Floats, Floats]:
+        R, q, w, rate = self._parts(x, v)
+        M, force = self.inertia.evaluate(w, q, rate)
+        # Gravity acts like an acceleration of the frame.
+        force -= M[:, :3] @ (gravity @ R)
+        force[6:] += self.Ke @ q + self.De @ rate
+        force[:3] = R @ force[:3]
+        M[3:, :3] = M[3:, :3] @ R.T
+        M[:3, 3:] = M[3:, :3].T
+        return M, force
+
+    def energy(self, x: Floats, v: Floats, gravity: Floats) -> tuple[float, float]:
+        R, q, w, rate = self._parts(x, v)
+        M, _ = self.inertia.evaluate(w, q, rate)
+        inner = np.concatenate((v[:3] @ R, v[3:]))
+        height = self.inertia.mass * (gravity @ x[:3]) + gravity @ R @ self.inertia.first_moment(q)
+        return 0.5 * float(inner @ M @ inner), float(0.5 * q @ self.Ke @ q - height)
+
+    def power(self, x: Floats, v: Floats) -> float:
+        return -float(v[6:] @ self.De @ v[6:])
+
+    def marker(self, name: str) -> Marker:
+        if name not in self.markers:
+            raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}")
+        return self.markers[name]
+
+    def _add_marker(
+        self, name: str, point: Floats, motion: Floats, short: Floats | None = None, axes: Floats | None = None
+    ) -> Marker:
+        marker = BodyMarker(self, name, point, motion, np.eye(3) if axes is None else axes, short)
+        if name:
+            if name in self.markers:
+                raise InputError(f"body {self.name!r} has a marker {name!r} already; take another name")
+            self.markers[name] = marker
+        return marker
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMarker(Marker):
+    """A frame on a body: undeformed ``point`` (3,), ``motion`` (6, n) of displacement and rotation per elastic
+    coordinate, ``axes`` (3, 3) in the body, ``short`` (6, n, n) second-order motion -q' short q / 2."""
+
+    component: FloatingBody
+    name: str
+    point: Floats
+    motion: Floats
+    axes: Floats
+    short: Floats | None
+
+    def place(self, x: Floats) -> Place:
+        R, q, n = x[3:12].reshape(3, 3), x[12:], len(x) - 12
+        jacobian = np.zeros((6, 6 + n))
+        jacobian[:3, :3] = np.eye(3)
+        if n == 0:
+            arm = R @ self.point
+            jacobian[:3, 3:6] = -hat(arm) @ R
+            jacobian[3:, 3:6] = R
+            return Place(position=x[:3] + arm, axes=R @ self.axes, jacobian=jacobian)
+        motion = self.motion
+        small = motion @ q
+        if self.short is not None:
+            second = self.short @ q
+            small, motion = small - 0.5 * (second @ q), motion - second
+        arm = self.point + small[:3]
+        jacobian[:3, 3:6] = -R @ hat(arm)
+        jacobian[3:, 3:6] = R
+        jacobian[:3, 6:] = R @ motion[:3]
+        jacobian[3:, 6:] = (R @ tangent(small[3:]).T) @ motion[3:]
+        return Place(position=x[:3] + R @ arm, axes=R @ exponential(small[3:]) @ self.axes, jacobian=jacobian)
+
+
+def _placed(
+    label: str,
+    position: ArrayLike,
+    turn: ArrayLike | None,
+    velocity: ArrayLike,
+    spin: ArrayLike,
+    q: Floats,
+    rate: Floats,
+) -> tuple[Floats, Floats]:
+    """Configuration and velocity at the start."""
+    R = checked_rotation(f"{label}: rotation", turn)
+    x = np.concatenate((vector(f"{label}: position", position), R.ravel(), q))
+    v = np.concatenate((vector(f"{label}: velocity", velocity), vector(f"{label}: angular_velocity", spin), rate))
+    return x, v
+
+
+class RigidBody(FloatingBody):
+    """A rigid body.
+
+    Args:
+        mass: kg, positive.
+        inertia: (3, 3) kg m2 about the centre of mass along the axes of the body, or its three principal moments.
+        center_of_mass: (3,) m from the origin of the body.
+        position, rotation: origin (3,) m and axes (3, 3) of the body at the start.
+        velocity, angular_velocity: of the origin along the inertial axes, of the body along its own axes, at the start.
+        markers: names and points (3,) m along the axes of the body.
+
+    Raises:
+        InputError: a mass or inertia that is not positive, wrong shapes.
+    """
+
+    def __init__(
+        self, mass: float, inertia: ArrayLike, *, center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
+        position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        markers: Mapping[str, ArrayLike] | None = None, name: str = "body",
+    ) -> None:  # fmt: skip
+        label = f"body {name!r}"
+        mass = float(numbers(f"{label}: mass", mass, ()))
+        if mass <= 0:
+            raise InputError(f"{label}: mass = {mass:g} kg was given; expected a positive mass")
+        square = np.diag(inertia) if np.ndim(inertia) == 1 else inertia
+        J = numbers(f"{label}: inertia", square, (3, 3))
+        if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:
+            raise InputError(f"{label}: the inertia given is not symmetric with three positive principal moments")
+        c = vector(f"{label}: center_of_mass", center_of_mass)
+        about_origin = J + mass * (c @ c * np.eye(3) - np.outer(c, c))
+        none = np.zeros((0, 0))
+        integrals = Inertia(
+            mass=mass, first=mass * c, inertia=about_origin, Ct=np.zeros((0, 3)), Cr=np.zeros((0, 3)), Me=none,
+            x_phi=np.zeros((3, 3, 0)), phi_phi=np.zeros((3, 3, 0, 0)),
+        )  # fmt: skip
+        x, v = _placed(label, position, rotation, velocity, angular_velocity, np.zeros(0), np.zeros(0))
+        super().__init__(name=name, inertia=integrals, Ke=none, De=none, configuration=x, velocity=v)
+        for key, point in (markers or {}).items():
+            self.marker_at(point, name=key)
+
+    def marker_at(self, point: ArrayLike, *, axes: ArrayLike | None = None, name: str = "") -> Marker:
+        """Marker at ``point`` (3,) m of the body, with ``axes`` (3, 3) as columns, those of the body unless told."""
+        label = f"body {self.name!r}: marker {name!r}"
+        where, turn = vector(f"{label}: point", point), checked_rotation(f"{label}: axes", axes)
+        return self._add_marker(name, where, np.zeros((6, 0)), axes=turn)
+
+
+class FlexibleBody(FloatingBody):
+    """An elastic body in the floating frame, with all inertia terms of second order in q.
+
+    Args:
+        frame: integrals, Ke, De and markers of the body.
+        position, rotation, velocity, angular_velocity: of the frame, as for a rigid body.
+        elastic, elastic_rate: (n,) elastic coordinates and their rates at the start.
+        stiffening: take the geometric stiffening of the frame. Its second-order displacements then act on inertia
+            forces, gravity and interface motions alike, so that energy is kept.
+
+    Raises:
+        InputError: a singular mass matrix, wrong shapes, stiffening that the frame does not have.
+    """
+
+    def __init__(
+        self, frame: FloatingFrame, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        elastic: ArrayLike | None = None, elastic_rate: ArrayLike | None = None, stiffening: bool = False,
+        name: str = "body",
+    ) -> None:  # fmt: skip
+        n, label, terms = len(frame.Ke), f"body {name!r}", None
+        if stiffening:
+            terms = frame.stiffening
+            if terms is None:
+                raise InputError(f"{label}: its frame has no stiffening; compute it first, or take stiffening=False")
+        parts = frame.integrals
+        integrals = Inertia(
+            mass=parts.mass, first=parts.first, inertia=parts.inertia, Ct=parts.Ct, Cr=parts.Cr, Me=parts.Me,
+            x_phi=parts.x_phi, phi_phi=parts.phi_phi,
+            foreshortening=None if terms is None else Foreshortening(
+                linear=terms.acceleration, angular=terms.angular_acceleration, centrifugal=terms.rotation
+            ),
+        )  # fmt: skip
+        q = np.zeros(n) if elastic is None else vector(f"{label}: elastic", elastic, n)
+        rate = np.zeros(n) if elastic_rate is None else vector(f"{label}: elastic_rate", elastic_rate, n)
+        x, v = _placed(label, position, rotation, velocity, angular_velocity, q, rate)
+        super().__init__(name=name, inertia=integrals, Ke=frame.Ke, De=frame.De, configuration=x, velocity=v)
+        self.frame = frame
+        for key, marker in frame.markers.items():
+            short = None if terms is None else terms.wrench.get(key)
+            self._add_marker(key, marker.point, marker.motion, short)
+
+    def marker_at(
+        self, point: ArrayLike, motion: ArrayLike, *, axes: ArrayLike | None = None, name: str = ""
+    ) -> Marker:
+        """Marker at an arbitrary node.
+
+        ``point`` (3,) m undeformed position from the origin of the frame; ``motion`` (6, n) displacement and small
+        rotation per elastic coordinate, or (3, n) where no rotation is needed; ``axes`` (3, 3) as columns.
+        """
+        label, n = f"body {self.name!r}: marker {name!r}", self.inertia.n
+        where, turn = vector(f"{label}: point", point), checked_rotation(f"{label}: axes", axes)
+        rows = np.asarray(motion, dtype=float)
+        if rows.shape == (3, n):
+            rows = np.vstack((rows, np.zeros((3, n))))
+        return self._add_marker(name, where, numbers(f"{label}: motion", rows, (6, n)), axes=turn)

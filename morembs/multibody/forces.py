@@ -1,0 +1,180 @@
+"""Loads and springs between markers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from morembs.errors import InputError
+from morembs.multibody.component import Marker, Place, direction, vector
+from morembs.multibody.joints import frame_about, turn_angle
+
+Floats = NDArray[np.float64]
+Load = ArrayLike | Callable[[float], ArrayLike]
+
+
+class Force(ABC):
+    """A law that gives a wrench (force, moment along the inertial axes) on each of its ``markers``."""
+
+    markers: tuple[Marker, ...]
+    name: str
+
+    @abstractmethod
+    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+        """One wrench (6,) per marker; a twist (6,) is the velocity and angular velocity of a marker."""
+
+    @abstractmethod
+    def stored(self, places: Sequence[Place]) -> float:
+        """Potential energy, J."""
+
+    @abstractmethod
+    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+        """Power put into the system that is not taken from ``stored``, W."""
+
+
+def _load(what: str, value: Load) -> Callable[[float], Floats]:
+    if callable(value):
+        law = value
+        vector(f"{what} at t = 0", law(0.0))
+        return lambda t: np.asarray(law(t), dtype=float)
+    constant = vector(what, value)
+    return lambda t: constant
+
+
+@dataclass(frozen=True, eq=False)
+class PointLoad(Force):
+    """Force (3,) N and moment (3,) Nm at a marker, constant or functions of time.
+
+    Along the inertial axes, or along those of the marker where ``follows``.
+    """
+
+    marker: Marker
+    _: KW_ONLY
+    force: Load = (0.0, 0.0, 0.0)
+    moment: Load = (0.0, 0.0, 0.0)
+    follows: bool = False
+    name: str = "load"
+    markers: tuple[Marker, ...] = field(init=False)
+    _laws: tuple[Callable[[float], Floats], Callable[[float], Floats]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "markers", (self.marker,))
+        laws = _load(f"force of {self.name!r}", self.force), _load(f"moment of {self.name!r}", self.moment)
+        object.__setattr__(self, "_laws", laws)
+
+    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+        force, moment = self._laws[0](t), self._laws[1](t)
+        if self.follows:
+            force, moment = places[0].axes @ force, places[0].axes @ moment
+        return (np.concatenate((force, moment)),)
+
+    def stored(self, places: Sequence[Place]) -> float:
+        return 0.0
+
+    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+        return float(self.wrenches(t, places, twists)[0] @ twists[0])
+
+
+def _not_negative(what: str, **values: float) -> None:
+    for key, value in values.items():
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{what}: {key} = {value} was given; expected a number that is not negative")
+
+
+@dataclass(frozen=True, eq=False)
+class SpringDamper(Force):
+    """Spring and damper between two points.
+
+    ``stiffness`` N/m, ``damping`` Ns/m, ``length`` m without force (None: the distance at the start). Force and
+    damping act along the line of the markers; with length zero along all directions.
+    """
+
+    first: Marker
+    second: Marker
+    _: KW_ONLY
+    stiffness: float
+    damping: float = 0.0
+    length: float | None = None
+    name: str = "spring"
+    markers: tuple[Marker, ...] = field(init=False)
+    rest: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        what = f"spring {self.name!r}"
+        _not_negative(what, stiffness=self.stiffness, damping=self.damping)
+        a, b = (m.place(m.component.start()[0]).position for m in (self.first, self.second))
+        distance = float(np.linalg.norm(b - a))
+        rest = distance if self.length is None else self.length
+        _not_negative(what, length=rest)
+        if rest > 0 and distance == 0:
+            raise InputError(f"{what}: its markers coincide at the start; expected a line between them, or length=0")
+        object.__setattr__(self, "rest", rest)
+        object.__setattr__(self, "markers", (self.first, self.second))
+
+    def _pull(self, places: Sequence[Place], twists: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Vectors of the elongation and of its rate."""
+        gap, rate = places[1].position - places[0].position, twists[1][:3] - twists[0][:3]
+        if self.rest == 0:
+            return gap, rate
+        length = float(np.linalg.norm(gap))
+        line = gap / length
+        return (length - self.rest) * line, (line @ rate) * line
+
+    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+        stretch, rate = self._pull(places, twists)
+        wrench = np.concatenate((self.stiffness * stretch + self.damping * rate, np.zeros(3)))
+        return wrench, -wrench
+
+    def stored(self, places: Sequence[Place]) -> float:
+        length = float(np.linalg.norm(places[1].position - places[0].position))
+        return 0.5 * self.stiffness * (length - self.rest) ** 2
+
+    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+        _, rate = self._pull(places, twists)
+        return -self.damping * float(rate @ rate)
+
+
+@dataclass(frozen=True, eq=False)
+class TorsionSpring(Force):
+    """Rotational spring and damper about an axis of the first marker, for turns within half a turn.
+
+    ``stiffness`` Nm/rad, ``damping`` Nms/rad, ``angle`` rad without moment, measured from the start.
+    """
+
+    first: Marker
+    second: Marker
+    _: KW_ONLY
+    axis: ArrayLike
+    stiffness: float
+    damping: float = 0.0
+    angle: float = 0.0
+    name: str = "torsion spring"
+    markers: tuple[Marker, ...] = field(init=False)
+    _frames: tuple[Floats, Floats] = field(init=False)
+
+    def __post_init__(self) -> None:
+        what = f"spring {self.name!r}"
+        _not_negative(what, stiffness=self.stiffness, damping=self.damping)
+        a, b = (m.place(m.component.start()[0]) for m in (self.first, self.second))
+        on_a = frame_about(direction(f"axis of {what}", self.axis))
+        object.__setattr__(self, "_frames", (on_a, b.axes.T @ a.axes @ on_a))
+        object.__setattr__(self, "markers", (self.first, self.second))
+
+    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+        angle, gradient = turn_angle(places[0], places[1], *self._frames)
+        rate = gradient @ (twists[1][3:] - twists[0][3:])
+        moment = (self.stiffness * (angle - self.angle) + self.damping * rate) * gradient
+        wrench = np.concatenate((np.zeros(3), moment))
+        return wrench, -wrench
+
+    def stored(self, places: Sequence[Place]) -> float:
+        angle, _ = turn_angle(places[0], places[1], *self._frames)
+        return 0.5 * self.stiffness * (angle - self.angle) ** 2
+
+    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+        _, gradient = turn_angle(places[0], places[1], *self._frames)
+        return -self.damping * float(gradient @ (twists[1][3:] - twists[0][3:])) ** 2

@@ -1,0 +1,125 @@
+"""Inertia forces of a floating-frame body from its integrals, with all terms of second order (Wallrapp 1994).
+
+With s = x + phi q the body point in the frame, everything follows from two contractions:
+P(q)[a, b, l] = int s_a phi_b,l dm and the change of the moments G(q)[a, b] = int s_a s_b dm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.multibody.rotations import cross, hat
+
+Floats = NDArray[np.float64]
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Foreshortening:
+    """Second-order displacement by its integrals, from geometric stiffness matrices of unit inertia loads.
+
+    ``linear`` (3, n, n): W_a = int w_a dm = q' linear[a] q / 2; ``angular`` (3, n, n): int x cross w dm in the
+    same way; ``centrifugal`` (6, n, n) per product of angular velocities in the order xx, yy, zz, xy, yz, zx.
+    """
+
+    linear: Floats
+    angular: Floats
+    centrifugal: Floats
+
+
+class Inertia:
+    """Mass matrix and velocity forces of one body; axes of the frame throughout.
+
+    Velocity coordinates: velocity of the origin (3), angular velocity (3), elastic rates (n).
+    """
+
+    def __init__(
+        self, *, mass: float, first: Floats, inertia: Floats, Ct: Floats, Cr: Floats, Me: Floats, x_phi: Floats,
+        phi_phi: Floats, foreshortening: Foreshortening | None = None,
+    ) -> None:  # fmt: skip
+        n = len(Me)
+        self.n, self.mass, self.first, self.inertia = n, mass, first, inertia
+        self.C1, self.Cr = np.ascontiguousarray(Ct.T), np.ascontiguousarray(Cr.T)
+        self.Me = Me
+        self._x_phi = np.ascontiguousarray(x_phi.reshape(9, n))
+        self._phi_phi = np.ascontiguousarray(phi_phi.transpose(0, 1, 3, 2).reshape(9 * n, n))
+        self._short = foreshortening
+
+    def first_moment(self, q: Floats) -> Floats:
+        """int s dm (3,), with the second-order displacement where there is stiffening."""
+        moment = self.first + self.C1 @ q
+        if self._short is not None:
+            moment = moment + 0.5 * (self._short.linear @ q) @ q
+        return np.asarray(moment)
+
+    def evaluate(self, w: Floats, q: Floats, rate: Floats) -> tuple[Floats, Floats]:
+        """Mass matrix (6 + n, 6 + n) and velocity forces (6 + n,) for angular velocity w, elastic q and dq/dt.
+
+        Forces: those of the translation row, the rotation row and the elastic rows, in axes of the frame.
+        """
+        n, eye = self.n, np.eye(3)
+        both = self._phi_phi @ np.stack((q, rate), axis=1)
+        at_q, at_rate = both[:, 0].reshape(9, n), both[:, 1].reshape(9, n)
+        P = self._x_phi + at_q
+        mixed = (self._x_phi @ q).reshape(3, 3)
+        G = mixed + mixed.T + (at_q @ q).reshape(3, 3)
+        J = self.inertia + np.trace(G) * eye - G
+        Cr = self.Cr + _turned(at_q)
+        moment = self.first + self.C1 @ q
+        flow = self.C1 @ rate
+        N = (P @ rate).reshape(3, 3)
+        spin = np.outer(w, w) - (w @ w) * eye
+        M = np.empty((6 + n, 6 + n))
+        force = np.empty(6 + n)
+        force[:3] = 2 * cross(w, flow) + spin @ moment
+        force[3:6] = 2 * (np.trace(N) * w - w @ N) + cross(w, J @ w)
+        force[6:] = 2 * (w @ _turned(at_rate)) + spin.ravel() @ P
+        C1 = self.C1
+        if self._short is not None:
+            moment, C1, Cr, J = self._second_order(self._short, w, q, rate, force, moment, Cr, J)
+        M[:3, :3] = self.mass * eye
+        M[:3, 3:6] = -hat(moment)
+        M[3:6, :3] = -M[:3, 3:6]
+        M[:3, 6:], M[6:, :3] = C1, C1.T
+        M[3:6, 3:6] = J
+        M[3:6, 6:], M[6:, 3:6] = Cr, Cr.T
+        M[6:, 6:] = self.Me
+        return M, force
+
+    @staticmethod
+    def _inner(matrices: Floats, q: Floats, rate: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """q'Gq/2, its first derivative in time, q'' free second derivative, and Gq per matrix."""
+        gq = matrices @ q
+        return 0.5 * gq @ q, gq @ rate, (matrices @ rate) @ rate, gq
+
+    def _second_order(
+        self, short: Foreshortening, w: Floats, q: Floats, rate: Floats, force: Floats, moment: Floats, Cr: Floats,
+        J: Floats,
+    ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+        """Adds the forces of the second-order displacement; returns the corrected moment, C1, Cr and J.
+
+        All follow from the kinetic energy v.(w x W + dW/dt) + w.H + w'Jw/2, so that energy is kept.
+        """
+        W, W1, W2, linear = self._inner(short.linear, q, rate)
+        _, H, H1, angular = self._inner(short.angular, q, rate)
+        _, _, _, centrifugal = self._inner(short.centrifugal, q, rate)
+        extra, change = _symmetric(centrifugal @ q), _symmetric(2 * centrifugal @ rate)
+        force[:3] += W2 + 2 * cross(w, W1) + cross(w, cross(w, W))
+        force[3:6] += H1 + cross(w, H) - change @ w - cross(w, extra @ w)
+        products = np.array([w[a] * w[b] for a, b in _PAIRS])
+        force[6:] += products @ centrifugal
+        return moment + W, self.C1 + linear, Cr + angular, J - extra
+
+
+def _turned(P: Floats) -> Floats:
+    """(3, n): int s x phi_l dm from P (9, n)."""
+    return np.stack((P[5] - P[7], P[6] - P[2], P[1] - P[3]))
+
+
+def _symmetric(six: Floats) -> Floats:
+    """(3, 3) S with w'Sw = sum of six times the products of w."""
+    xx, yy, zz, xy, yz, zx = six.tolist()
+    return np.array([[xx, xy / 2, zx / 2], [xy / 2, yy, yz / 2], [zx / 2, yz / 2, zz]])

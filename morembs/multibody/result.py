@@ -1,0 +1,170 @@
+"""Histories of a run: motions of markers, elastic coordinates, energies, forces of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.multibody.bodies import FloatingBody
+from morembs.multibody.component import Component, Marker, Place
+from morembs.multibody.integrate import State
+from morembs.multibody.joints import Constraint
+from morembs.multibody.system import Assembly
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment:
+    """A run between two restarts: times (s,), x (s, .), v (s, k), accelerations (s, k), multipliers (s, m)."""
+
+    assembly: Assembly
+    time: Floats
+    x: Floats
+    v: Floats
+    acceleration: Floats
+    multipliers: Floats
+
+    @classmethod
+    def of(cls, states: Sequence[State]) -> Segment:
+        """The segment of states of one assembly."""
+        return cls(
+            assembly=states[0].assembly,
+            time=np.array([s.time for s in states]),
+            x=np.array([s.x for s in states]),
+            v=np.array([s.v for s in states]),
+            acceleration=np.array([s.acceleration for s in states]),
+            multipliers=np.array([s.multipliers for s in states]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Energy:
+    """Histories (s,) in J: kinetic, potential (gravity, strain, springs), and the work put in since the begin.
+
+    ``work`` is that of loads, dampers and prescribed motions (negative where they take energy), by the trapezoidal
+    rule; ``total - work`` stays as it was but for errors of the integration.
+    """
+
+    kinetic: Floats
+    potential: Floats
+    work: Floats
+
+    @property
+    def total(self) -> Floats:
+        """Kinetic and potential energy."""
+        return self.kinetic + self.potential
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """A run as its segments; a time at which it was restarted occurs twice, before and after the switch."""
+
+    segments: tuple[Segment, ...]
+
+    @cached_property
+    def time(self) -> Floats:
+        """Times (s,), s."""
+        return np.concatenate([s.time for s in self.segments])
+
+    def _markers(self, marker: Marker, value: Callable[[Place, Floats], Floats]) -> Floats:
+        rows = []
+        for segment in self.segments:
+            one, assembly = _same(marker, segment.assembly), segment.assembly
+            for x, v in zip(segment.x, segment.v, strict=True):
+                place = assembly.place(one, x)
+                rows.append(value(place, assembly.twist(one, place, v)))
+        return np.array(rows)
+
+    def position(self, marker: Marker) -> Floats:
+        """(s, 3) m."""
+        return self._markers(marker, lambda place, _: place.position)
+
+    def axes(self, marker: Marker) -> Floats:
+        """(s, 3, 3): axes of the marker as columns."""
+        return self._markers(marker, lambda place, _: place.axes)
+
+    def velocity(self, marker: Marker) -> Floats:
+        """(s, 3) m/s along the inertial axes."""
+        return self._markers(marker, lambda _, twist: twist[:3])
+
+    def angular_velocity(self, marker: Marker) -> Floats:
+        """(s, 3) rad/s along the inertial axes."""
+        return self._markers(marker, lambda _, twist: twist[3:])
+
+    def _coordinates(self, component: Component, pick: Callable[[Segment], Floats], in_x: bool) -> Floats:
+        parts = []
+        for segment in self.segments:
+            i = segment.assembly.index(_of_name(component, segment.assembly))
+            if i is not None:
+                parts.append(pick(segment)[:, (segment.assembly.in_x if in_x else segment.assembly.in_v)[i]])
+        if len({p.shape[1] for p in parts}) > 1:
+            raise InputError(f"{component.name!r} changes its coordinates during the run; read them from segments")
+        return np.concatenate(parts)
+
+    def configuration(self, component: Component) -> Floats:
+        """(s, .): configuration of a component, as it defines it."""
+        return self._coordinates(component, lambda segment: segment.x, True)
+
+    def speeds(self, component: Component) -> Floats:
+        """(s, k): velocities of a component, as it defines them."""
+        return self._coordinates(component, lambda segment: segment.v, False)
+
+    def elastic(self, body: FloatingBody) -> Floats:
+        """(s, n): elastic coordinates of a body."""
+        return self.configuration(body)[:, 12:]
+
+    def multipliers(self, joint: Constraint) -> Floats:
+        """(s, m): multipliers of a joint, one per row of its constraints."""
+        return np.concatenate([s.multipliers[:, s.assembly.in_rows[_number(joint, s.assembly)]] for s in self.segments])
+
+    def reaction(self, joint: Constraint) -> Floats:
+        """(s, 6): force N and moment Nm of the joint on its second marker, at that marker, along the inertial axes."""
+        rows = []
+        for segment in self.segments:
+            assembly = segment.assembly
+            r = assembly.in_rows[_number(joint, assembly)]
+            for x, multipliers in zip(segment.x, segment.multipliers, strict=True):
+                _, _, G = joint.rows(assembly.place(joint.first, x), assembly.place(joint.second, x))
+                rows.append(-multipliers[r] @ G)
+        return np.array(rows)
+
+    def energy(self) -> Energy:
+        """Kinetic and potential energy and work over time."""
+        kinetic, potential, work, done = [], [], [], 0.0
+        for segment in self.segments:
+            assembly, last = segment.assembly, None
+            for t, x, v, multipliers in zip(segment.time, segment.x, segment.v, segment.multipliers, strict=True):
+                T, V = assembly.energy(x, v)
+                power = assembly.power(float(t), x, v, multipliers)
+                if last is not None:
+                    done += 0.5 * (power + last[1]) * (float(t) - last[0])
+                last = float(t), power
+                kinetic.append(T)
+                potential.append(V)
+                work.append(done)
+        return Energy(kinetic=np.array(kinetic), potential=np.array(potential), work=np.array(work))
+
+
+def _of_name(component: Component, assembly: Assembly) -> Component:
+    if component.size == 0 or assembly.index(component) is not None:
+        return component
+    return assembly.system.component(component.name)
+
+
+def _same(marker: Marker, assembly: Assembly) -> Marker:
+    """The marker itself, or the one of its name where a switch replaced its body."""
+    component = _of_name(marker.component, assembly)
+    return marker if component is marker.component else component.marker(marker.name)
+
+
+def _number(joint: Constraint, assembly: Assembly) -> int:
+    for number, one in enumerate(assembly.joints):
+        if one is joint or (joint.name and one.name == joint.name):
+            return number
+    raise InputError(f"{joint.label} is not in the system during the whole run; name joints that a switch replaces")
