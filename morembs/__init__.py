@@ -13,13 +13,17 @@ from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.certify import Certificate, certify
 from morembs.direct import direct_response
 from morembs.errors import InputError, MorembsError
+from morembs.exporters import export_body
 from morembs.fem import assemble
+from morembs.floating_frame import FloatingFrame, floating_frame
 from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
 from morembs.linalg.select import available_solvers, select_solver
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh, Nodes
 from morembs.problem import Damping, Problem
+from morembs.ranking import ranked_terms
+from morembs.recovery import expand, recover
 from morembs.reducers import (
     REDUCERS,
     Automatic,
@@ -35,7 +39,11 @@ from morembs.reducers import (
 )
 from morembs.response import full_response, reduced_response
 from morembs.selection import select_nodes
+from morembs.stiffening import Envelope
+from morembs.stiffening_terms import stiffening
 from morembs.storage import read_body, write_body
+from morembs.stress import recovery
+from morembs.trajectory import Trajectory, read_trajectory
 from morembs.units import parse_units
 
 __version__ = "0.1.0"
@@ -48,7 +56,9 @@ __all__ = [
     "CraigBampton",
     "Damping",
     "ElasticBody",
+    "Envelope",
     "FEModel",
+    "FloatingFrame",
     "FreeInterface",
     "Gramian",
     "Guyan",
@@ -63,22 +73,31 @@ __all__ = [
     "Nodes",
     "Problem",
     "ReducedModel",
+    "Trajectory",
     "assemble",
     "available_solvers",
     "band_frequencies",
     "certify",
     "direct_response",
     "elastic_body",
+    "expand",
+    "export_body",
+    "floating_frame",
     "full_response",
     "isotropic",
     "make_interface",
     "make_part",
     "orthotropic",
     "parse_units",
+    "ranked_terms",
     "read_body",
     "read_mesh",
+    "read_trajectory",
+    "recover",
+    "recovery",
     "reduced_response",
     "select_nodes",
     "select_solver",
+    "stiffening",
     "write_body",
 ]

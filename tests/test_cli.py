@@ -18,7 +18,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import morembs
-from morembs import cli
+from morembs import cli, terminal
 from morembs.importers import read_mesh
 from morembs.job import load_job
 from morembs.linalg.solver import Analysis
@@ -239,12 +239,12 @@ def test_usage() -> None:
     assert RUNNER.invoke(cli.app, ["redduce"]).exit_code == 2
     assert RUNNER.invoke(cli.app, ["reduce"]).exit_code == 2
     assert RUNNER.invoke(cli.app, ["--version"]).stdout == f"morembs {morembs.__version__}\n"
-    for verb in ([], ["reduce"], ["check"], ["info"], ["solvers"]):
+    for verb in ([], ["reduce"], ["check"], ["info"], ["solvers"], ["export"], ["recover"]):
         assert "130 interrupted" in " ".join(RUNNER.invoke(cli.app, [*verb, "--help"]).stdout.split())
 
 
 def test_quiet_without_a_terminal(tmp_path: Path) -> None:
-    code = "import sys; from morembs import cli; cli.PATIENCE_SECONDS = 0.0; cli.main()"
+    code = "from morembs import cli, terminal; terminal.PATIENCE_SECONDS = 0.0; cli.main()"
     command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert done.stderr == ""
@@ -253,9 +253,9 @@ def test_quiet_without_a_terminal(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("visible", [True, False])
 def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) -> None:
-    monkeypatch.setattr(cli, "PATIENCE_SECONDS", 0.0)
+    monkeypatch.setattr(terminal, "PATIENCE_SECONDS", 0.0)
     screen = io.StringIO()
-    with cli.TerminalProgress(Console(file=screen, force_terminal=True), visible).shown() as progress:
+    with terminal.TerminalProgress(Console(file=screen, force_terminal=True), visible).shown() as progress:
         progress.stage("factorise")
         progress.update("half")
         time.sleep(0.4)

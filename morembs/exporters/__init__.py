@@ -1,0 +1,111 @@
+"""Files for other programs; the table below is the contents page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from morembs.errors import InputError, nearest
+from morembs.exporters.abaqus_matrices import AbaqusExporter
+from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.dmig import DmigExporter
+from morembs.exporters.exudyn import Exudyn
+from morembs.exporters.matrix_market import MatrixMarketExporter
+from morembs.exporters.mbdyn import MBDynExporter
+from morembs.exporters.op4 import OP4Exporter
+from morembs.exporters.sid import SidFem
+from morembs.exporters.simscape import Simscape
+from morembs.storage import read_body
+from morembs.stored import StoredBodies, StoredBody
+
+# One line for each target.
+_ALL: tuple[type[Exporter], ...] = (
+    Exudyn,
+    SidFem,
+    Simscape,
+    MBDynExporter,
+    OP4Exporter,
+    DmigExporter,
+    AbaqusExporter,
+    MatrixMarketExporter,
+)
+EXPORTERS: dict[str, type[Exporter]] = {exporter.name: exporter for exporter in _ALL}
+# Ends of body files that do not belong to their names.
+_BODY_ENDINGS = (".h5", ".hdf5", ".hdf", ".vtkhdf", ".morembs")
+
+
+def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Exporter:
+    """Exporter ``to`` with its options.
+
+    Raises:
+        InputError: unknown target or option, or an option of the wrong type.
+    """
+    if to not in EXPORTERS:
+        raise InputError(f"there is no export to {to!r}; {nearest(to, EXPORTERS)}")
+    kind = EXPORTERS[to]
+    known, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
+    for key, value in (options or {}).items():
+        if key not in known:
+            advice = nearest(key, known) if known else "it has no options"
+            raise InputError(f"export to {to!r} has no option {key!r}; {advice}")
+        try:
+            TypeAdapter(hints[key]).validate_python(value, strict=True)
+        except ValidationError as error:
+            expected = " or ".join(dict.fromkeys(e["msg"].removeprefix("Input should be ") for e in error.errors()))
+            raise InputError(f"export to {to!r}: {key} = {value!r} was given; expected {expected}") from error
+    return kind(**dict(options or {}))
+
+
+def export_body(
+    source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
+    options: Mapping[str, object] | None = None,
+) -> Exported:  # fmt: skip
+    """Write one body of a body file in the format of another program.
+
+    Args:
+        to: a name of ``EXPORTERS``.
+        path: the output; by default beside the source, named after it (and the body, if there are several).
+        body: its name; may be left out where the file holds one.
+        options: fields of the exporter.
+
+    Raises:
+        InputError: unknown target, option or body, or a body that cannot be expressed in the target.
+        OutputError: the file cannot be written.
+    """
+    exporter = make_exporter(to, options)
+    place = Path(source)
+    bodies = read_body(place)
+    chosen = choose_body(bodies, body, place)
+    target = default_path(place, exporter, chosen.name, several=len(bodies.bodies) > 1) if path is None else Path(path)
+    return exporter.export(bodies, chosen, target, place)
+
+
+def choose_body(bodies: StoredBodies, name: str | None, place: Path) -> StoredBody:
+    """The body ``name``, or the only one.
+
+    Raises:
+        InputError: no such body, or several and no name.
+    """
+    if name is None:
+        if len(bodies.bodies) != 1:
+            known = ", ".join(bodies.bodies) or "none"
+            raise InputError(f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export")
+        return next(iter(bodies.bodies.values()))
+    if name not in bodies.bodies:
+        raise InputError(f"{place} has no body {name!r}; {nearest(name, bodies.bodies)}")
+    return bodies.bodies[name]
+
+
+def default_path(place: Path, exporter: Exporter, body: str, *, several: bool) -> Path:
+    """``conrod.SID_FEM`` beside ``conrod.h5``; ``conrod_cb30.SID_FEM`` where the file holds several bodies."""
+    stem = place.name
+    for ending in _BODY_ENDINGS:
+        stem = stem.removesuffix(ending) or stem
+    return place.with_name(f"{stem}_{body}{exporter.suffix}" if several else f"{stem}{exporter.suffix}")
+
+
+__all__ = ["EXPORTERS", "Exported", "Exporter", "Task", "choose_body", "default_path", "export_body", "make_exporter"]

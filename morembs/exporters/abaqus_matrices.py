@@ -1,0 +1,113 @@
+"""Abaqus *MATRIX INPUT: reduced matrices on interface nodes and one more node for each other coordinate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
+from morembs.exporters.reduced import on_interfaces
+from morembs.safefile import replacing
+
+Ints = NDArray[np.int64]
+Layout = Literal["matrix input", "labels", "coordinate"]
+# Abaqus takes labels below a billion.
+_LARGEST = 999_999_999
+_ROWS = 1 << 16
+
+
+def write_abaqus_matrix(
+    path: str | Path, matrix: sp.csr_array | NDArray[np.float64], node: Ints | None = None, dof: Ints | None = None,
+    layout: Layout = "matrix input",
+) -> None:  # fmt: skip
+    """Write a matrix (N, N) with ``node`` label and ``dof`` (N,) of each row, in a format of *MATRIX OUTPUT.
+
+    "matrix input" holds the lower triangle of a symmetric matrix, the others all entries; "coordinate" has row
+    numbers instead of labels. Numbers have 16 digits, as those of Abaqus.
+
+    Raises:
+        InputError: shapes, labels or numbers that the file cannot hold.
+        OutputError: the file cannot be written.
+    """
+    A = sp.csr_array(matrix, dtype=float)
+    size = A.shape[0]
+    if A.shape[1] != size or not A.nnz:
+        raise InputError(f"a matrix of the shape {A.shape} with {A.nnz} entries was given; expected a square one")
+    symmetric = not (A != A.T).nnz
+    half = symmetric and layout == "matrix input"
+    if layout == "coordinate":
+        names = np.array([str(i + 1) for i in range(size)])
+        between = " "
+    else:
+        names = _labels(node, dof, size)
+        between = ", "
+    entries = sp.coo_array(sp.tril(A) if half else A)
+    entries.eliminate_zeros()
+    in_two_digits("a matrix", entries.data, "Abaqus")
+    with replacing(Path(path)) as file:
+        if not symmetric:
+            # A triangle alone would be taken for half of a symmetric matrix.
+            file.write(b"*MATRIX INPUT, NAME=UNSYMMETRIC, TYPE=UNSYMMETRIC\n")
+        for at in range(0, entries.nnz, _ROWS):
+            part = slice(at, at + _ROWS)
+            rows, columns = (names[c[part]].tolist() for c in entries.coords)
+            lines = zip(rows, columns, entries.data[part].tolist(), strict=True)
+            file.write("".join(f"{r}{between}{c}{between}{v:.15e}\n" for r, c, v in lines).encode("ascii"))
+
+
+def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
+    if node is None or dof is None or len(node) != size or len(dof) != size:
+        raise InputError(f"a matrix of {size} rows needs as many node labels and dofs; or take layout = 'coordinate'")
+    pairs = list(zip(node.tolist(), dof.tolist(), strict=True))
+    if len(set(pairs)) < size or any(abs(n) > _LARGEST or n == 0 or not 1 <= d < 64 for n, d in pairs):
+        raise InputError(
+            f"node labels or dofs repeat or lie outside 1 to {_LARGEST} and 1 to 63; give each row its own"
+        )
+    return np.array([f"{n}, {d}" for n, d in pairs])
+
+
+@dataclass(frozen=True, kw_only=True)
+class AbaqusExporter(Exporter):
+    """An input deck with nodes, and a .mtx file each for M, K and D beside it.
+
+    The coordinates are changed so that the motions of the interfaces are among them (exactly, all coordinates are
+    kept); each other coordinate is dof 1 of a node of its own. ``first_label`` is the label of the first interface
+    node; by default behind the labels of the model.
+    """
+
+    name: ClassVar[str] = "abaqus"
+    suffix: ClassVar[str] = ".inp"
+    about: ClassVar[str] = "Abaqus *MATRIX INPUT: reduced matrices on interface nodes"
+    lossless: ClassVar[bool] = False
+    needs_frame: ClassVar[bool] = False
+
+    first_label: int | None = None
+
+    def _write(self, task: Task) -> Exported:
+        body = on_interfaces(task, self.first_label, component_of_rest=1)
+        stem = task.path.name.removesuffix(task.path.suffix)
+        paths = {key: task.path.with_name(f"{stem}_{key}.mtx") for key in body.matrices}
+        if any(not name.isascii() or "," in name for name in (stem,)):
+            raise InputError(f"the file name {stem!r} does not fit an Abaqus deck; expected ASCII without commas")
+        for key, path in paths.items():
+            write_abaqus_matrix(path, body.matrices[key], body.node, body.dof)
+        lines = ["** Elastic body in SI units", "*NODE"]
+        lines += [f"{label}, " + ", ".join(f"{x:.15e}" for x in point) for label, _, point in body.grids]
+        lines += [f"{label}, 0., 0., 0." for label in body.rest]
+        for label, name, _ in body.grids:
+            lines.append(f"** node {label}: interface {name.encode('ascii', 'replace').decode()}")
+        lines += [f"*MATRIX INPUT, NAME={key}, INPUT={path.name}" for key, path in paths.items()]
+        damping = ", VISCOUS DAMPING=D" if "D" in paths else ""
+        lines.append(f"*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M{damping}")
+        with replacing(task.path) as file:
+            file.write(("\n".join(lines) + "\n").encode("ascii"))
+        return Exported(
+            paths=(task.path, *paths.values()),
+            notes=("numbers have 16 digits", *body.notes, *task.lost("stiffening", "stress", "certificate")),
+        )  # fmt: skip

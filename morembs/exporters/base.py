@@ -1,0 +1,209 @@
+"""What every exporter is: options that turn a stored body into the file of another program."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.damping import frequency_domain_only
+from morembs.errors import InputError
+from morembs.stored import StoredBodies, StoredBody
+
+if TYPE_CHECKING:
+    from morembs.floating_frame import FloatingFrame, Marker
+
+Floats = NDArray[np.float64]
+# Columns of a basis that are in memory at a time.
+BLOCK_BYTES = 16 * 2**20
+# Numbers with exponents of two digits.
+LARGEST, SMALLEST = 9.99999999e99, 1e-99
+# Share of the largest number of an array below which a number is round-off.
+ROUND_OFF = 1e-18
+# What a body may have that a target cannot hold -> words for it.
+LOSSES = {
+    "damping": "its damping matrix",
+    "stiffening": "its geometric stiffening",
+    "stress": "its stress shapes",
+    "certificate": "its certificate",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """Files that were written, and what a user of them has to know."""
+
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """One body on its way to the file ``path``; ``file`` is the body file it comes from, if it has one."""
+
+    source: StoredBodies
+    body: StoredBody
+    path: Path
+    file: Path | None = None
+
+    @property
+    def frame(self) -> FloatingFrame:
+        """Floating frame of the body.
+
+        Raises:
+            InputError: it has none, or no elastic coordinate in it.
+        """
+        floating = self.body.floating
+        if floating is None:
+            raise InputError(
+                f"body {self.body.name!r} has no floating frame (it is held to the ground, or its reduction is "
+                "two-sided); export a body of a free model with a one-sided reduction"
+            )
+        if not floating.elastic.shape[1]:
+            raise InputError(f"body {self.body.name!r} has no elastic coordinate; keep at least one mode")
+        return floating
+
+    @property
+    def coordinates(self) -> Floats:
+        """Positions (n, 3) of the stored nodes in m, from the origin of the floating frame along its axes."""
+        return np.asarray(self.source.coordinates - self.frame.origin)
+
+    def shapes(self, columns: slice = slice(None)) -> Floats:
+        """Displacements (3 n, k) of the stored nodes for some elastic coordinates; allocates these and one block."""
+        to_reduced = self.frame.elastic[:, columns]
+        rows = 3 * len(self.source.coordinates)
+        result = np.zeros((rows, to_reduced.shape[1]), order="F")
+        step = max(1, BLOCK_BYTES // (8 * max(1, rows)))
+        for start in range(0, len(to_reduced), step):
+            block = slice(start, min(start + step, len(to_reduced)))
+            result += self.body.basis(block) @ to_reduced[block]
+        return result
+
+    def markers(self, target: str) -> dict[str, Marker]:
+        """Interface frames by name, all six motions of each, in the order of the file.
+
+        Raises:
+            InputError: no interface of the body has a frame that turns.
+        """
+        found = {name: self.frame.markers[name] for name in self.source.interfaces if name in self.frame.markers}
+        if not found:
+            raise InputError(
+                f"{target} needs interface frames with rotations; body {self.body.name!r} has none "
+                '(direct interfaces have no frame), take coupling = "rigid" or "average"'
+            )
+        return found
+
+    def lost(self, *what: str) -> tuple[str, ...]:
+        """Notes on parts the target cannot hold (keys of LOSSES), those that this body has."""
+        floating, body = self.body.floating, self.body
+        has = {
+            "damping": bool(np.any(body.damping_matrix if floating is None else floating.De)),
+            "stiffening": floating is not None and floating.stiffening is not None,
+            "stress": body.has_recovery,
+            "certificate": body.certificate is not None,
+        }
+        return tuple(f"the file cannot hold {LOSSES[one]}; it stays behind" for one in what if has[one])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exporter(ABC):
+    """Options of a target; its fields are the keys a user may give.
+
+    ``name`` is what the user types, ``suffix`` the end of the file name, ``about`` one line for people;
+    ``lossless`` says whether numbers pass in full double precision; ``needs_frame`` whether the target
+    describes a body in a floating frame.
+    """
+
+    name: ClassVar[str]
+    suffix: ClassVar[str]
+    about: ClassVar[str]
+    lossless: ClassVar[bool]
+    needs_frame: ClassVar[bool] = True
+
+    @abstractmethod
+    def _write(self, task: Task) -> Exported:
+        """Write the file or files; the input has been checked. Files appear whole or not at all."""
+
+    @final
+    def export(self, source: StoredBodies, body: StoredBody, path: str | Path, file: Path | None = None) -> Exported:
+        """Write ``body`` of ``source`` to ``path``; ``file`` is where the body comes from, if it is a file.
+
+        Raises:
+            InputError: the body cannot be expressed in the target, or the output is the input.
+            OutputError: the file cannot be written.
+        """
+        task = Task(source=source, body=body, path=Path(path), file=file)
+        if file is not None and _same(task.path, file):
+            raise InputError(f"{path} is the body file itself; give another name for the output")
+        if not len(body.mass_matrix):
+            raise InputError(f"body {body.name!r} has no coordinates; keep at least one mode")
+        for name in ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix", "output_matrix"):
+            if not np.isfinite(getattr(body, name)).all():
+                raise InputError(f"{name} of body {body.name!r} has entries that are no numbers; reduce it again")
+        if self.needs_frame:
+            _refuse_rigid(task)
+        written = self._write(task)
+        reason = frequency_domain_only(body.recipe)
+        return replace(written, notes=(*written.notes, reason)) if reason else written
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:
+        return False
+
+
+def _refuse_rigid(task: Task) -> None:
+    """The floating frame carries rigid motion; elastic coordinates must not contain it."""
+    frame = task.frame
+    stiffness = np.linalg.eigvalsh(_scaled(frame.Ke, frame.integrals.Me))
+    if stiffness[0] <= 1e-10 * stiffness[-1]:
+        raise InputError(
+            f"elastic coordinates of body {task.body.name!r} contain rigid-body motion (a combination of them has no "
+            "stiffness); the floating frame carries that motion, reduce the model again"
+        )
+
+
+def _scaled(K: Floats, M: Floats) -> Floats:
+    """K in units of the diagonal of K; the scale of single coordinates says nothing about rigid motion."""
+    d = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), np.diag(M)))
+    return np.asarray(K / np.outer(d, d))
+
+
+def in_two_digits(what: str, values: Floats, target: str) -> Floats:
+    """``values`` as a format with exponents of two digits can hold them; round-off below 1e-99 becomes zero.
+
+    Raises:
+        InputError: numbers too large, not finite, or so small that the format would lose them.
+    """
+    values = np.asarray(values, dtype=float)
+    size = np.abs(values)
+    largest = float(size.max(initial=0.0))
+    if not largest <= LARGEST:
+        raise InputError(f"{what} has the value {largest:.3g}; {target} holds up to 9.9e99; check the units")
+    small = (size > 0) & (size < SMALLEST)
+    if (small & (size > ROUND_OFF * largest)).any():
+        raise InputError(
+            f"{what} has the value {size[small].max():.3g}; {target} would write it as zero; check the units"
+        )
+    return np.where(small, 0.0, values)
+
+
+def names_without_blanks(names: Iterable[str], longest: int, target: str) -> None:
+    """Check names that a text format separates by blanks.
+
+    Raises:
+        InputError: a name that is too long, or has blanks or letters beyond ASCII.
+    """
+    for name in names:
+        if len(name) > longest or not name.isascii() or not name.isprintable() or not name or " " in name:
+            raise InputError(
+                f"the name {name!r} does not fit {target}; expected up to {longest} ASCII characters without blanks, "
+                "rename it in the job"
+            )

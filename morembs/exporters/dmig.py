@@ -1,0 +1,145 @@
+"""Nastran DMIG: reduced matrices on grids at the interfaces and scalar points for the rest."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from morembs.errors import InputError
+from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
+from morembs.exporters.reduced import on_interfaces
+from morembs.importers.dmig import DmigMatrix
+from morembs.safefile import replacing
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
+_LARGEST = 99999999
+# Digits that a field of 16 characters holds, at worst.
+DIGITS = 1e-10
+
+
+def write_dmig(path: str | Path, matrices: Mapping[str, DmigMatrix], before: str = "") -> None:
+    """Write DMIG entries in large fields, ``before`` in front of them.
+
+    A field has 16 characters, so that numbers keep 11 or 12 digits. Of a symmetric matrix one triangle is written.
+
+    Raises:
+        InputError: a name, label or number that the fields cannot hold.
+        OutputError: the file cannot be written.
+    """
+    for name, one in matrices.items():
+        _check(name, one)
+    with replacing(Path(path)) as file:
+        file.write(before.encode("ascii"))
+        for name, one in matrices.items():
+            file.doing = f"matrix {name}"
+            for text in _cards(name.upper(), one):
+                file.write(text.encode("ascii"))
+
+
+def _check(name: str, one: DmigMatrix) -> None:
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"the matrix name {name!r} does not fit DMIG; expected a letter, then up to 7 letters or digits"
+        )
+    if one.matrix.shape != (len(one.rows), len(one.columns)):
+        raise InputError(
+            f"matrix {name!r} has the shape {one.matrix.shape} but {len(one.rows)} and {len(one.columns)} labels"
+        )
+    if one.form not in (1, 2, 6, 9) or (one.form in (1, 6) and not np.array_equal(one.rows, one.columns)):
+        raise InputError(f"matrix {name!r} has form {one.form}; expected 1 or 6 with rows labelled as columns, 2 or 9")
+    if one.form == 6 and (one.matrix != one.matrix.T).nnz:
+        raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1")
+    labels = np.concatenate([one.rows, one.columns])
+    if len(labels) and (
+        labels[:, 0].min() < 1 or labels[:, 0].max() > _LARGEST or not np.isin(labels[:, 1], range(7)).all()
+    ):
+        raise InputError(f"matrix {name!r} has labels outside 1 to {_LARGEST} or components outside 0 to 6")
+    if not one.matrix.nnz:
+        raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out")
+    in_two_digits(f"matrix {name!r}", np.abs(one.matrix.data), "DMIG")
+
+
+def _cards(name: str, one: DmigMatrix) -> Iterator[str]:
+    complex_ = one.matrix.dtype.kind == "c"
+    kind = one.type if (one.type > 2) == complex_ else 4 if complex_ else 2
+    count = one.matrix.shape[1] if one.form == 9 else ""
+    yield f"{'DMIG*':8}{name:16}{0:16}{one.form:16}{kind:16}\n{'*':8}{kind:16}{0:16}{'':16}{count:>16}\n"
+    # The lower triangle in columns.
+    A = sp.csc_array(sp.tril(one.matrix) if one.form == 6 else one.matrix)
+    A.sort_indices()
+    for j in range(A.shape[1]):
+        part = slice(A.indptr[j], A.indptr[j + 1])
+        if part.start == part.stop:
+            continue
+        grid, component = one.columns[j]
+        lines = [f"{'DMIG*':8}{name:16}{grid:16}{component:16}\n"]
+        for i, value in zip(A.indices[part], A.data[part], strict=True):
+            row = f"{'*':8}{one.rows[i, 0]:16}{one.rows[i, 1]:16}{sixteen(value.real)}"
+            lines.append(row + (f"{sixteen(value.imag)}\n" if complex_ else "\n"))
+        yield "".join(lines)
+
+
+def sixteen(value: float) -> str:
+    """``value`` in 16 characters with as many digits as fit; the E is left out, as Nastran allows."""
+    for digits in (12, 11, 10):
+        mantissa, exponent = f"{value:.{digits}e}".split("e")
+        text = f"{mantissa}{int(exponent):+d}"
+        if len(text) <= 16:
+            return f"{text:>16}"
+    return f"{value:16.9e}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DmigExporter(Exporter):
+    """Reduced matrices MAAX, KAAX, BAAX on GRIDs of the interfaces and SPOINTs of the other coordinates.
+
+    The coordinates are changed so that the motions of the interfaces are among them (exactly, all coordinates are
+    kept). ``first_label`` is the label of the first GRID; by default behind the labels of the model.
+    """
+
+    name: ClassVar[str] = "dmig"
+    suffix: ClassVar[str] = ".dmig.bdf"
+    about: ClassVar[str] = "Nastran DMIG: reduced matrices on interface grids and scalar points"
+    lossless: ClassVar[bool] = False
+    needs_frame: ClassVar[bool] = False
+
+    first_label: int | None = None
+
+    def _write(self, task: Task) -> Exported:
+        body = on_interfaces(task, self.first_label, component_of_rest=0)
+        labels = np.stack([body.node, body.dof], axis=1)
+        order = np.lexsort((labels[:, 1], labels[:, 0]))
+        lines = [
+            f"$ Elastic body {_ascii(task.body.name)} in SI units, {len(labels)} coordinates.",
+            "$ Case control: M2GG = MAAX, K2GG = KAAX" + (", B2GG = BAAX" if "D" in body.matrices else ""),
+        ]
+        for label, name, point in body.grids:
+            lines.append(f"$ interface {_ascii(name)}")
+            fields = "".join(sixteen(x) for x in point)
+            lines.append(f"{'GRID*':8}{label:16}{'':16}{fields[:32]}\n{'*':8}{fields[32:]}")
+        if body.rest:
+            lines.append(f"{'SPOINT':8}{body.rest[0]:8}{'THRU':>8}{body.rest[-1]:8}" if len(body.rest) > 1
+                         else f"{'SPOINT':8}{body.rest[0]:8}")  # fmt: skip
+        names = {"M": "MAAX", "K": "KAAX", "D": "BAAX"}
+        matrices = {
+            names[key]: DmigMatrix(
+                matrix=sp.csr_array(A[np.ix_(order, order)]), rows=labels[order], columns=labels[order], form=6
+            )
+            for key, A in body.matrices.items()
+        }
+        write_dmig(task.path, matrices, "\n".join(lines) + "\n")
+        return Exported(
+            paths=(task.path,),
+            notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes,
+                   *task.lost("stiffening", "stress", "certificate")),
+        )  # fmt: skip
+
+
+def _ascii(name: str) -> str:
+    return name.encode("ascii", "replace").decode("ascii")

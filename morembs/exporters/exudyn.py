@@ -1,0 +1,211 @@
+"""Exudyn (Gerstmayr 2023): the reduced file that ObjectFFRFreducedOrderInterface().LoadFromFile reads.
+
+Names and signs are those of Zwoelfer and Gerstmayr (2020), with ~ the skew matrix of a vector. Read with Exudyn 1.13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.elements import FACES, TYPES
+from morembs.errors import InputError, nearest
+from morembs.exporters.base import Exported, Exporter, Task
+from morembs.model import ElementBlock, Mesh, Nodes, skew
+from morembs.safefile import replacing
+from morembs.shape_integrals import ShapeIntegrals
+from morembs.stored import StoredBodies
+from morembs.surface import outer_faces
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Coordinates of the frame: three of position, four Euler parameters.
+RIGID_COORDINATES = 7
+# Columns of the mode basis are made in blocks of this size; each block reads the whole basis once.
+PASS_BYTES = 256 * 2**20
+
+
+class MarkerNodes(NamedTuple):
+    """Arguments of Exudyn's MarkerSuperElementRigid: ``numbers`` (ns,) meshNodeNumbers from 0, ``weights`` (ns,)
+    weightingFactors with the sum 1, ``offset`` (3,) m from their mean to the point of the interface."""
+
+    numbers: Ints
+    weights: Floats
+    offset: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exudyn(Exporter):
+    """File ``.exudyn.hdf5`` with the shapes at all stored nodes; ``triangles`` puts the skin in it to be drawn."""
+
+    name: ClassVar[str] = "exudyn"
+    suffix: ClassVar[str] = ".exudyn.hdf5"
+    about: ClassVar[str] = "Exudyn, ObjectFFRFreducedOrder (.hdf5)"
+    lossless: ClassVar[bool] = True
+
+    triangles: bool = True
+
+    def _write(self, task: Task) -> Exported:
+        if task.path.suffix != ".hdf5":
+            raise InputError(f"{task.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
+        if not len(task.source.coordinates):
+            raise InputError(f"{task.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
+        faces = _triangles(task.file) if self.triangles and task.file is not None else np.zeros((0, 3), dtype=np.int64)
+        with (
+            replacing(task.path) as safe,
+            h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file,
+        ):
+            for name, value in _values(task, faces).items():
+                safe.doing = name
+                _put(file, name, value)
+                safe.check()
+            safe.doing = "modeBasis"
+            _put_shapes(file, task)
+            safe.check()
+        return Exported(paths=(task.path,), notes=_notes(task, drawn=bool(len(faces)) or not self.triangles))
+
+
+def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
+    """Nodes, weights and offset that make Exudyn follow the interface ``name``.
+
+    Exudyn takes the weighted mean of the nodes, as an average interface does; a rigid one has equal weights.
+
+    Raises:
+        InputError: no such interface, or nodes that the file does not hold.
+    """
+    if name not in source.interfaces:
+        raise InputError(f"there is no interface {name!r}; {nearest(name, source.interfaces)}")
+    interface = source.interfaces[name]
+    row = {label: at for at, label in enumerate(source.node_ids.tolist())}
+    missing = [label for label in interface.node_ids.tolist() if label not in row]
+    if missing:
+        raise InputError(f"the file lacks node {missing[0]} of the interface {name!r}; write it again")
+    numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
+    weights = interface.weights if interface.coupling == "average" else np.ones(len(numbers))
+    used = weights != 0
+    numbers, weights = numbers[used], weights[used] / weights.sum()
+    return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])
+
+
+def _values(task: Task, faces: Ints) -> Mapping[str, Any]:
+    """All but the mode basis, by Exudyn's names."""
+    frame = task.frame
+    terms = _terms(frame.integrals)
+    m, n = frame.count, len(task.source.coordinates)
+    return {
+        "fileVersion": 1,
+        "type": "ObjectFFRFreducedOrderInterface",
+        "rigidBodyNodeType": "NodeType.RotationEulerParameters",
+        "infoList": np.array([m, n, 3, 4, RIGID_COORDINATES, RIGID_COORDINATES + m], dtype=np.int64),
+        "xRef": task.coordinates.ravel(),
+        "trigList": faces if len(faces) else [],
+        "postProcessingModes": {},
+        "massMatrixReduced": frame.integrals.Me,
+        "stiffnessMatrixReduced": frame.Ke,
+        **terms,
+    }
+
+
+def _terms(its: ShapeIntegrals) -> dict[str, float | Floats]:
+    """Integrals (psi for the shapes, x for the positions), one column or row for each shape and axis."""
+    n = its.count
+    return {
+        "totalMass": float(its.mass),
+        "Mtt": its.mass * np.eye(3),
+        "chiU": its.center,
+        "chiUtilde": skew(its.center),
+        "inertiaLocal": its.inertia,
+        "mPhitTPsi": its.Ct.T,
+        "mPhitTPsiTilde": np.hstack(list(skew(its.Ct))),
+        "mXRefTildePsi": -its.Cr.T,
+        "mXRefTildePsiTilde": -np.hstack(list(its.C4)),
+        "mPsiTildePsi": -its.Cr1.transpose(1, 2, 0).reshape(3 * n, n),
+        "mPsiTildePsiTilde": -its.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n),
+    }
+
+
+def _put(file: Any, name: str, value: Any) -> None:
+    """One object with the attribute ``datatype`` that Exudyn wants of each."""
+    if isinstance(value, np.ndarray):
+        item, kind = file.create_dataset(name, data=np.ascontiguousarray(value)), "ndarray"
+    elif isinstance(value, list | dict):
+        item, kind = file.create_group(name), type(value).__name__
+    else:
+        item, kind = file.create_dataset(name, data=value), type(value).__name__
+    item.attrs["datatype"] = kind
+
+
+def _put_shapes(file: Any, task: Task) -> None:
+    rows, count = 3 * len(task.source.coordinates), task.frame.count
+    data = file.create_dataset("modeBasis", (rows, count), np.float64)
+    data.attrs["datatype"] = "ndarray"
+    step = max(1, PASS_BYTES // (8 * rows))
+    for start in range(0, count, step):
+        block = slice(start, min(start + step, count))
+        data[:, block] = task.shapes(block)
+
+
+def _triangles(path: Path) -> Ints:
+    """Outer faces (t, 3) of the mesh in the body file, rows of its nodes; faces with mid-nodes are split at them."""
+    with h5py.File(path, "r") as file:
+        if "VTKHDF/Types" not in file:
+            return np.zeros((0, 3), dtype=np.int64)
+        grid = file["VTKHDF"]
+        types, offsets, links = (grid[name][()] for name in ("Types", "Offsets", "Connectivity"))
+        count = len(grid["Points"])
+    cells = {int(vtk): _cells(types == vtk, offsets, links) for vtk in np.unique(types)}
+    flat = {kind: cells[face.vtk] for kind, face in FACES.items() if face.vtk in cells}
+    blocks = tuple(
+        ElementBlock(type=kind, nodes=cells[solid.vtk], ids=np.arange(1, len(cells[solid.vtk]) + 1))
+        for kind, solid in TYPES.items()
+        if solid.vtk in cells
+    )
+    found = list(flat.items())
+    if blocks:
+        nodes = Nodes(ids=np.arange(1, count + 1), xyz=np.zeros((count, 3)))
+        found += list(outer_faces(Mesh(nodes=nodes, blocks=blocks)).items())
+    split = [faces[:, _SPLIT[kind]].reshape(-1, 3) for kind, faces in found if len(faces)]
+    return np.concatenate([np.zeros((0, 3), dtype=np.int64), *split])
+
+
+# Triangles of each face, in its local nodes; corners first, then mid-nodes, then the centre.
+_SPLIT = {
+    "tri3": [(0, 1, 2)],
+    "tri6": [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
+    "quad4": [(0, 1, 2), (0, 2, 3)],
+    "quad8": [(0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 6), (4, 6, 7)],
+    "quad9": [(a, b, 8) for a, b in ((0, 4), (4, 1), (1, 5), (5, 2), (2, 6), (6, 3), (3, 7), (7, 0))],
+}
+
+
+def _cells(chosen: NDArray[np.bool_], offsets: Ints, links: Ints) -> Ints:
+    """Connectivity (nc, k) of the chosen cells, which are of one type."""
+    first = offsets[:-1][chosen]
+    size = int(offsets[1:][chosen][0] - first[0])
+    return np.asarray(links[first[:, None] + np.arange(size)])
+
+
+def _notes(task: Task, *, drawn: bool) -> tuple[str, ...]:
+    frame, notes = task.frame, list(task.lost("stiffening", "stress", "certificate"))
+    if np.any(frame.De):
+        notes.append(
+            "the file cannot hold its damping matrix; after AddObjectFFRFreducedOrder set "
+            "body.floating.De with mbs.SetObjectParameter(object, 'dampingMatrixReduced', MatrixContainer)"
+        )
+    if not drawn:
+        notes.append("the stored nodes have no faces between them, so the body cannot be drawn")
+    if frame.origin.any():
+        place = ", ".join(f"{value:.9g}" for value in frame.origin)
+        notes.append(f"node positions count from the origin of the floating frame, ({place}) m in the model")
+    if task.source.interfaces:
+        notes.append("nodes, weights and offset of the markers of interfaces: morembs.exporters.exudyn.exudyn_marker")
+    return (*notes, *frame.notes)
+
+
+__all__ = ["Exudyn", "MarkerNodes", "exudyn_marker"]

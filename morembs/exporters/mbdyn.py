@@ -1,0 +1,117 @@
+"""MBDyn: the .fem file of a modal joint.
+
+Record groups as in the MBDyn input manual (appendix "modal element data format"): sizes (1), node labels (2),
+initial modal coordinates (3, 4), node positions (5, 6, 7), mode shapes (8), generalised mass (9), stiffness (10),
+rigid-body inertia (12), damping (13); MBDyn from 2019 on also reads the inertia couplings (14 to 18), so that only
+the nodes at the interfaces are needed and no lumped masses (11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.exporters.base import Exported, Exporter, Task, in_two_digits, names_without_blanks
+from morembs.floating_frame import FloatingFrame, Marker
+from morembs.safefile import replacing
+
+Floats = NDArray[np.float64]
+_LONGEST_NAME = 255
+_REVISION = "REV0"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MBDynExporter(Exporter):
+    """Modal joint on the interface frames, in the floating frame; the inertia couplings are in groups 14 to 18.
+
+    Node labels are the names of the interfaces; connect each with a line "NAME, NODE, position, null" in the joint.
+    The frame's origin is the modal node. Geometric stiffening (group 19) is not written.
+    """
+
+    name: ClassVar[str] = "mbdyn"
+    suffix: ClassVar[str] = ".fem"
+    about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
+    lossless: ClassVar[bool] = True
+
+    def _write(self, task: Task) -> Exported:
+        markers = task.markers("MBDyn")
+        names_without_blanks(markers, _LONGEST_NAME, "an MBDyn node label")
+        groups = list(_groups(task.body.name, task.frame, markers))
+        with replacing(task.path) as file:
+            for text in groups:
+                file.write(text.encode("ascii"))
+        notes = (
+            "needs an MBDyn that reads record groups 14 to 18 (2019 or later); an older one leaves the couplings out",
+            *task.lost("stiffening", "stress", "certificate"),
+        )
+        return Exported(paths=(task.path,), notes=notes)
+
+
+def _groups(name: str, frame: FloatingFrame, markers: dict[str, Marker]) -> Iterator[str]:
+    integrals, n = frame.integrals, frame.count
+    points = np.array([marker.point for marker in markers.values()])
+    motions = np.array([marker.motion for marker in markers.values()])
+    yield "** MBDyn modal FEM data of an elastic body, SI units\n"
+    title = name.encode("ascii", "replace").decode("ascii").replace("\n", " ")
+    yield f"** RECORD GROUP 1, HEADER\n** {title}\n    {_REVISION} {len(points)} {n} 0 0 0\n"
+    yield _group(2, "FINITE ELEMENT NODE LIST", ["".join(f"{one}\n" for one in markers)])
+    yield _group(3, "INITIAL MODAL DISPLACEMENTS", [_line(np.zeros(n))])
+    yield _group(4, "INITIAL MODAL VELOCITIES", [_line(np.zeros(n))])
+    for axis in range(3):
+        words = f"NODAL {'XYZ'[axis]} COORDINATES"
+        yield _group(5 + axis, words, [_line(points[k, axis : axis + 1], words) for k in range(len(points))])
+    modes = [f"**    NORMAL MODE SHAPE # {i + 1}\n" + _rows(motions[:, :, i], "mode shapes") for i in range(n)]
+    yield _group(8, "MODE SHAPES", modes)
+    yield _group(9, "MODAL MASS MATRIX", [_rows(_symmetric(integrals.Me), "modal mass")])
+    yield _group(10, "MODAL STIFFNESS MATRIX", [_rows(_symmetric(frame.Ke), "modal stiffness")])
+    yield _group(12, "GLOBAL INERTIA", _inertia(frame))
+    if np.any(frame.De):
+        yield _group(13, "MODAL DAMPING MATRIX", [_rows(frame.De, "modal damping")])
+    for number, words, rows in _invariants(frame):
+        yield _group(number, words, [_rows(rows, words.lower())])
+    yield "** END OF FILE\n"
+
+
+def _inertia(frame: FloatingFrame) -> list[str]:
+    """Mass, centre of mass from the frame's origin, inertia about it."""
+    integrals = frame.integrals
+    center = integrals.center
+    about_center = integrals.about(center).inertia
+    return [
+        _line(np.array([integrals.mass]), "the mass"), _line(center, "the centre of mass"),
+        _rows(_symmetric(about_center), "the inertia"),
+    ]  # fmt: skip
+
+
+def _invariants(frame: FloatingFrame) -> Iterator[tuple[int, str, Floats]]:
+    """Groups 14 to 18: three rows each; columns run over components, then the first mode, then the second."""
+    one, n = frame.integrals, frame.count
+    yield 14, "INVARIANT 3", np.asarray(one.Ct.T)
+    yield 15, "INVARIANT 4", np.asarray(one.Cr.T)
+    # [a, l, b] of -int x~ phi_l~.
+    yield 16, "INVARIANT 8", -one.C4.transpose(1, 0, 2).reshape(3, 3 * n)
+    # [a, j, k] of int phi_j x phi_k, where Cr1[k, j] = int phi_j x phi_k.
+    yield 17, "INVARIANT 5", one.Cr1.transpose(2, 1, 0).reshape(3, n * n)
+    # [a, j, k, b] of int phi_j~ phi_k~.
+    yield 18, "INVARIANT 9", one.C6.transpose(2, 0, 1, 3).reshape(3, 3 * n * n)
+
+
+def _symmetric(A: Floats) -> Floats:
+    return 0.5 * (A + A.T)
+
+
+def _group(number: int, words: str, parts: list[str]) -> str:
+    return f"**\n** RECORD GROUP {number}, {words}\n" + "".join(parts)
+
+
+def _rows(matrix: Floats, what: str = "the body") -> str:
+    checked = in_two_digits(what, matrix, "the .fem file")
+    return "".join(" ".join(f"{x:.16e}" for x in row) + "\n" for row in checked.tolist())
+
+
+def _line(values: Floats, what: str = "the body") -> str:
+    return _rows(values[None, :], what)

@@ -1,0 +1,137 @@
+"""The reduced matrices of a body: by the letters of the papers, and with interface motions among the coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.base import Task
+from morembs.stored import StoredBodies, StoredBody
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Ratio of singular values of C, rows scaled to one, below which interface motions depend on each other.
+_INDEPENDENT = 1e-9
+# Ratio of eigenvalues below which the held body still has rigid-body modes.
+_HELD = 1e-10
+_ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "op4" or "matrix-market"'
+
+
+def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
+    """M, K, D (n, n) and B (n, m); C (m, n) too where it is not B'. Without D or B where there are none."""
+    found = {"M": body.mass_matrix, "K": body.stiffness_matrix}
+    if body.damping_matrix.any():
+        found["D"] = body.damping_matrix
+    if body.input_matrix.size:
+        found["B"] = body.input_matrix
+        if not np.array_equal(body.output_matrix, body.input_matrix.T):
+            found["C"] = body.output_matrix
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InterfaceBody:
+    """Reduced ``matrices`` M, K, D (n, n) in coordinates of which the first m are the interface motions.
+
+    ``node`` label and ``dof`` (n,) of each; dofs 1 to 6 of the ``grids`` (label, interface, point (3,) in m), then
+    one of each point of ``rest``.
+    """
+
+    matrices: dict[str, Floats]
+    node: Ints
+    dof: Ints
+    grids: tuple[tuple[int, str, Floats], ...]
+    rest: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int) -> InterfaceBody:
+    """The body with interface motions as coordinates, all others beside them.
+
+    Raises:
+        InputError: the body is not symmetric, or its interface motions depend on each other.
+    """
+    body, source = task.body, task.source
+    if not np.array_equal(body.output_matrix, body.input_matrix.T):
+        raise InputError(
+            f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
+            'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
+        )
+    T, notes = _to_interfaces(body)
+    wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
+    matrices = {key: _symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
+    grids, node = _grids(source, first_label)
+    m = len(node)
+    start = max((label for label, _, _ in grids), default=(first_label or 1) - 1) + 1
+    rest = tuple(range(start, start + len(T) - m))
+    return InterfaceBody(
+        matrices=matrices, grids=grids, rest=rest, notes=notes,
+        node=np.concatenate([node, np.array(rest, dtype=np.int64)]),
+        dof=np.concatenate([source.input_component + 1, np.full(len(rest), component_of_rest, dtype=np.int64)]),
+    )  # fmt: skip
+
+
+def _symmetric(A: Floats) -> Floats:
+    return 0.5 * (A + A.T)
+
+
+def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
+    """T (n, n): reduced coordinates = T @ [interface motions; others], and what was done."""
+    C = body.output_matrix
+    m, n = C.shape
+    if not m:
+        return np.eye(n), ()
+    # The motions may already be coordinates, each one of them.
+    entry = np.argmax(np.abs(C), axis=1)
+    unit = np.zeros_like(C)
+    unit[np.arange(m), entry] = 1.0
+    if np.array_equal(C, unit) and len(set(entry.tolist())) == m:
+        order = np.concatenate([entry, np.setdiff1d(np.arange(n), entry)])
+        return np.eye(n)[:, order], ()
+    size = np.linalg.norm(C, axis=1)
+    values = np.linalg.svd(C / np.where(size > 0, size, 1.0)[:, None], compute_uv=False)
+    if m > n or values[-1] <= _INDEPENDENT * values[0]:
+        raise InputError(
+            f"the {m} interface motions of body {body.name!r} are not independent in its {n} coordinates, so they "
+            f"cannot be coordinates themselves; {_ADVICE}"
+        )
+    boundary = np.linalg.pinv(C / size[:, None]) / size
+    if m == n:
+        return boundary, ("coordinates were changed to the interface motions",)
+    N = sl.null_space(C / size[:, None], rcond=_INDEPENDENT)
+    eigenvalues, Y = sl.eigh(_symmetric(N.T @ body.stiffness_matrix @ N), _symmetric(N.T @ body.mass_matrix @ N))
+    N = N @ Y
+    if eigenvalues[0] > _HELD * eigenvalues[-1]:
+        # With the interfaces held nothing moves freely, so unit motions can be static: K couples nothing then.
+        boundary = boundary - N @ ((N.T @ body.stiffness_matrix @ boundary) / eigenvalues[:, None])
+    note = "coordinates were changed: interface motions, then modes of the body with interfaces held; none was dropped"
+    return np.hstack([boundary, N]), (note,)
+
+
+def _grids(source: StoredBodies, first_label: int | None) -> tuple[tuple[tuple[int, str, Floats], ...], Ints]:
+    """Label, interface and point of each grid, and the label for each interface motion."""
+    names = list(source.interfaces)
+    known = [source.node_ids, *(interface.node_ids for interface in source.interfaces.values())]
+    largest = max((int(ids.max()) for ids in known if len(ids)), default=0)
+    label = largest + 1 if first_label is None else first_label
+    taken = {int(i) for i in source.input_node_id if i >= 0}
+    if label < 1 or any(i >= label for i in taken):
+        raise InputError(f"first_label = {label} was given; expected a label above those of the model ({largest})")
+    xyz = dict(zip(source.node_ids.tolist(), source.coordinates, strict=True))
+    frames: dict[int, int] = {}
+    grids: dict[int, tuple[str, Floats]] = {}
+    node = []
+    for index, own in zip(source.input_interface.tolist(), source.input_node_id.tolist(), strict=True):
+        if own < 0:
+            own = frames.setdefault(index, label + len(frames))
+            grids[own] = names[index], source.interfaces[names[index]].point
+        elif own in xyz:
+            grids[own] = names[index], xyz[own]
+        else:
+            raise InputError(f"the file lacks node {own} of the interface {names[index]!r}; write it again")
+        node.append(own)
+    return tuple((key, *grids[key]) for key in sorted(grids)), np.array(node, dtype=np.int64)

@@ -1,0 +1,175 @@
+"""MATLAB .mat file for the block Reduced Order Flexible Solid of Simscape Multibody.
+
+The block wants a free body: motions of the interface frames first, six each (translations x, y, z, rotations x, y,
+z), then the coordinates of modes that leave the frames at rest, all in one reference frame, that of the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from typing import ClassVar
+
+import numpy as np
+import scipy.io as sio
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.base import Exported, Exporter, Task
+from morembs.safefile import replacing
+from morembs.stored import StoredBody
+
+Floats = NDArray[np.float64]
+# Text at the start of a .mat file, always the same.
+HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
+HEADER_BYTES = 116
+RIGID_MOTIONS = 6
+# Smallest singular value of the interface motions, scaled, relative to the largest.
+INDEPENDENT = 1e-10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simscape(Exporter):
+    """Variables K, M, D, interface_origins (k, 3), interface_quaternions (k, 4), interface_names and some more."""
+
+    name: ClassVar[str] = "simscape"
+    suffix: ClassVar[str] = ".mat"
+    about: ClassVar[str] = "MATLAB file for the Simscape block Reduced Order Flexible Solid"
+    lossless: ClassVar[bool] = True
+    needs_frame: ClassVar[bool] = False
+
+    def _write(self, task: Task) -> Exported:
+        source, body = task.source, task.body
+        _refuse_unfit(body)
+        names, rows = _interfaces(task)
+        K, M, D = _interfaces_first(body, rows)
+        framed = [source.interfaces[name] for name in names]
+        inside = slice(len(rows), None)
+        modes = sl.eigh(K[inside, inside], M[inside, inside], eigvals_only=True) if len(K) > len(rows) else np.zeros(0)
+        values = {
+            "K": K,
+            "M": M,
+            "D": D,
+            "interface_names": np.array(names, dtype=object)[:, None],
+            "interface_origins": np.array([one.point for one in framed]),
+            "interface_quaternions": np.array([_quaternion(one.axes.T) for one in framed]),
+            "fixed_interface_frequencies_hz": np.sqrt(np.maximum(modes, 0.0)) / (2 * np.pi),
+            "mass": source.mass,
+            "center_of_mass": source.center_of_mass,
+            "inertia_about_center_of_mass": source.inertia,
+            "dof_order": "Tx Ty Tz Rx Ry Rz of each interface in the order of interface_names, then modes",
+            "unit_system": "SI (m, kg, s, N, rad)",
+        }
+        stream = BytesIO()
+        sio.savemat(stream, values, do_compression=True, oned_as="row")
+        with replacing(task.path) as file:
+            # scipy puts the time of day there.
+            file.write(HEADER.ljust(HEADER_BYTES))
+            file.write(stream.getvalue()[HEADER_BYTES:])
+            file.check()
+        return Exported(paths=(task.path,), notes=_notes(task, names))
+
+
+def _refuse_unfit(body: StoredBody) -> None:
+    matrices = (body.stiffness_matrix, body.mass_matrix, body.damping_matrix)
+    if any(np.abs(A - A.T).max() > 1e-9 * np.abs(A).max() for A in matrices):
+        raise InputError(
+            f"body {body.name!r} has matrices that are not symmetric; the Simscape block needs symmetric ones, take a "
+            "one-sided reduction"
+        )
+    if body.rigid_count != RIGID_MOTIONS:
+        raise InputError(
+            f"body {body.name!r} has {body.rigid_count} rigid-body motions; the Simscape block needs a free body with "
+            "six, leave supports to the simulator"
+        )
+
+
+def _interfaces(task: Task) -> tuple[list[str], NDArray[np.int64]]:
+    """Interfaces with six motions, and their rows of the output matrix."""
+    source, names = task.source, []
+    rows: list[int] = []
+    for number, (name, interface) in enumerate(source.interfaces.items()):
+        if interface.coupling == "direct":
+            continue
+        if tuple(interface.components) != tuple(range(6)):
+            given = ", ".join(str(c) for c in interface.components)
+            raise InputError(
+                f"interface {name!r} exposes the motions {given}; the Simscape block needs all six, leave components "
+                "out in the job"
+            )
+        names.append(name)
+        at = np.flatnonzero(source.input_interface == number)
+        rows += at[np.argsort(source.input_component[at], kind="stable")].tolist()
+    if not names:
+        raise InputError(
+            "the Simscape block needs at least one interface with a frame; the file has none "
+            '(direct interfaces have no frame), take coupling = "rigid" or "average"'
+        )
+    return names, np.array(rows, dtype=np.int64)
+
+
+def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+    """K, M, D of the coordinates [interface motions; modes with the interfaces at rest], of the same body.
+
+    Both are K-orthogonal, so that rigid motion is that of the interfaces, without any mode.
+    """
+    K, M, D = body.stiffness_matrix, body.mass_matrix, body.damping_matrix
+    C = body.output_matrix[rows]
+    count, n = C.shape
+    if np.array_equal(C, np.eye(count, n)) and not K[:count, count:].any():
+        return _symmetric(K), _symmetric(M), _symmetric(D)
+    # Coordinates of unit modal mass; rotations beside translations by the size of their rows.
+    scale = 1 / np.sqrt(np.diag(M))
+    scaled = C * scale
+    size = np.linalg.norm(scaled, axis=1)
+    _, values, Vt = sl.svd(scaled / np.where(size > 0, size, 1.0)[:, None])
+    if n < count or not size.all() or values[-1] <= INDEPENDENT * values[0]:
+        raise InputError(
+            f"body {body.name!r} with {n} coordinates cannot move its {count // 6} interfaces in all {count} ways "
+            "independently, as the Simscape block needs; take method = craig-bampton, or more modes"
+        )
+    N = scale[:, None] * Vt[count:].T
+    X = scale[:, None] * sl.lstsq(scaled, np.eye(count))[0]
+    if N.shape[1]:
+        X = X - N @ sl.solve(N.T @ K @ N, N.T @ (K @ X), assume_a="pos")
+        N = N @ sl.eigh(_symmetric(N.T @ K @ N), _symmetric(N.T @ M @ N))[1]
+        N = N * np.where(N[np.argmax(np.abs(N), axis=0), np.arange(N.shape[1])] < 0, -1.0, 1.0)
+    T = np.hstack([X, N])
+    K, M, D = (_symmetric(T.T @ A @ T) for A in (K, M, D))
+    K[:count, count:] = K[count:, :count] = 0.0
+    return K, M, D
+
+
+def _symmetric(A: Floats) -> Floats:
+    return np.asarray(0.5 * (A + A.T))
+
+
+def _quaternion(R: Floats) -> Floats:
+    """(w, x, y, z) of a rotation matrix, w not negative (Shepperd 1978)."""
+    trace = float(np.trace(R))
+    squares = np.array([trace, *np.diag(R)])
+    largest = int(np.argmax(squares))
+    w = np.array([1 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    if largest:
+        a, b, c = largest - 1, largest % 3, (largest + 1) % 3
+        w = np.empty(4)
+        w[0] = R[c, b] - R[b, c]
+        w[1 + a] = 1 + R[a, a] - R[b, b] - R[c, c]
+        w[1 + b], w[1 + c] = R[a, b] + R[b, a], R[a, c] + R[c, a]
+    q = w / np.linalg.norm(w)
+    return np.asarray(-q if q[0] < 0 else q)
+
+
+def _notes(task: Task, names: list[str]) -> tuple[str, ...]:
+    notes = list(task.lost("stiffening", "stress", "certificate"))
+    notes.append("interfaces in this order: " + ", ".join(names))
+    direct = [name for name in task.source.interfaces if name not in names]
+    if direct:
+        notes.append(f"direct interfaces have no frame and were left out: {', '.join(direct)}")
+    if np.any(task.body.damping_matrix):
+        notes.append("the damping matrix is in the variable D; use it only where the block takes a matrix")
+    return tuple(notes)
+
+
+__all__ = ["Simscape"]

@@ -1,0 +1,157 @@
+"""Nastran DMIG entries of bulk data: matrices by name, with grid and component of each row and column.
+
+Grammar: MSC Nastran Quick Reference Guide, DMIG; small field (8 characters), large field (16) and free field.
+A file may hold other entries, which are passed over. Large-field text, as Nastran punches it, is read by arrays;
+the other two line by line, at a few MB/s.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.dmig_cards import Column, columns_of, dmig_blocks
+from morembs.importers.triplets import Numbering, Renumbered, Spool, assembled, completed, unique
+
+Ints = NDArray[np.int64]
+
+SQUARE, SYMMETRIC, RECTANGULAR = 1, 6, (2, 9)
+COMPONENTS = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DmigMatrix:
+    """A matrix, real or complex, and (grid, component) of its ``rows`` (N, 2) and ``columns`` (k, 2), ascending.
+
+    Component 0 is a scalar point. Columns of the forms 2 and 9 that Nastran counts are (number, 0) for 9. ``form``
+    1 square, 2 or 9 rectangular, 6 symmetric, whose both triangles are filled. ``type`` as in ``OP4Matrix``.
+    """
+
+    matrix: sp.csr_array
+    rows: Ints
+    columns: Ints
+    form: int
+    type: int = 2
+
+
+@dataclass
+class _Named:
+    """What is known of one matrix while the file is read."""
+
+    header: tuple[int, int, bool, int]
+    real: Spool
+    imaginary: Spool
+    entries: int = 0
+    labels: list[Ints] = field(default_factory=list)
+
+
+def read_dmig(path: str | Path) -> dict[str, DmigMatrix]:
+    """DMIG matrices of a file by name, in its order.
+
+    Memory is that of the matrices (CSR) and blocks of text.
+
+    Raises:
+        InputError: no DMIG entries, or entries that are cut off, given twice, or contradict their header.
+    """
+    path = Path(path)
+    with ExitStack() as stack:
+        named: dict[str, _Named] = {}
+        for block in dmig_blocks(path):
+            for column in columns_of(block, path.name):
+                _take(path.name, named, column, stack)
+        if not named:
+            raise InputError(f"{path.name} has no DMIG entries; expected Nastran bulk data with DMIG")
+        return {name: _matrix(path.name, name, one) for name, one in named.items()}
+
+
+def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack) -> None:
+    if column.header is not None:
+        if column.name in named:
+            raise InputError(f"{file} has two headers of the DMIG {column.name}; expected one")
+        spools = [stack.enter_context(Spool(file)) for _ in range(2)]
+        named[column.name] = _Named(_header(file, column), spools[0], spools[1])
+        return
+    if column.name not in named:
+        raise InputError(f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)")
+    one = named[column.name]
+    form, kind, polar, _ = one.header
+    a, b = column.a, column.b
+    if kind < 3 and b.any():
+        raise InputError(f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it")
+    if polar:
+        a, b = a * np.cos(np.deg2rad(b)), a * np.sin(np.deg2rad(b))
+    rows = column.grid * COMPONENTS + column.component
+    columns = column.column_grid * COMPONENTS + (0 if form == 9 else column.column_component)
+    one.entries += len(rows)
+    one.labels.append(np.unique(np.concatenate([rows, columns]) if form not in RECTANGULAR else rows))
+    one.real.add(rows, columns, a)
+    if b.any():
+        one.imaginary.add(rows, columns, b)
+
+
+def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
+    """Form, type, whether polar, and number of columns."""
+    fields = [*(column.header or []), "", "", "", "", "", "", "", ""][2:8]
+    try:
+        form, kind, _, polar = (int(f or "0") for f in fields[:4])
+        count = int(fields[5] or "0")
+    except ValueError:
+        raise InputError(f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers") from None
+    if form not in (SQUARE, SYMMETRIC, *RECTANGULAR) or kind not in (1, 2, 3, 4):
+        raise InputError(
+            f"{file}: the DMIG {column.name} has form {form} and type {kind}; expected form 1, 2, 6 or 9, type 1 to 4"
+        )
+    return form, kind, polar == 1, count
+
+
+def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
+    form, kind, _, count = one.header
+    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *one.labels]))
+    if not len(codes):
+        raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off")
+    rows = Numbering(codes)
+    columns = rows
+    if form in RECTANGULAR:
+        columns = Numbering(_column_codes(file, name, one, form, count))
+    parts = []
+    for spool in (one.real, one.imaginary):
+        placed = Renumbered(spool=spool, rows=rows, columns=columns)
+        parts.append(_assembled(file, name, placed, (len(rows), len(columns)), form))
+    matrix = sp.csr_array(parts[0] + 1j * parts[1]) if kind > 2 else parts[0]
+    labels = [np.stack([c.codes // COMPONENTS, c.codes % COMPONENTS], axis=1) for c in (rows, columns)]
+    return DmigMatrix(matrix=matrix, rows=labels[0], columns=labels[1], form=form, type=kind)
+
+
+def _column_codes(file: str, name: str, one: _Named, form: int, count: int) -> Ints:
+    codes = unique((columns, columns, values) for s in (one.real, one.imaginary) for _, columns, values in s)
+    if form == 9:
+        largest = int(codes.max(initial=0)) // COMPONENTS
+        if largest > count or (len(codes) and codes.min() < COMPONENTS):
+            raise InputError(f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns")
+        return np.arange(1, count + 1) * COMPONENTS
+    return codes
+
+
+def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int], form: int) -> sp.csr_array:
+    entries = sum(len(values) for _, _, values in placed)
+    if form == SYMMETRIC:
+        half, matrix = completed(placed, shape[0], file)
+        diagonal = np.count_nonzero(matrix.diagonal())
+        stored = (matrix.nnz - diagonal) // (2 if half else 1) + diagonal
+        if not half and (matrix != matrix.T).nnz:
+            raise InputError(
+                f"{file}: the DMIG {name} is symmetric (form 6) but has differing entries in both triangles; give one "
+                "triangle, or form 1"
+            )
+    else:
+        matrix = assembled(placed, shape, mirror=False, name=file)
+        stored = matrix.nnz
+    if stored != entries:
+        raise InputError(f"{file}: the DMIG {name} gives {entries - stored} of its entries twice; expected each once")
+    return matrix

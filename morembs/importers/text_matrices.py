@@ -1,0 +1,208 @@
+"""Numbers in text, read fast: the parts that readers of matrices in text files share.
+
+Numbers are turned from text by SciPy's Matrix Market reader (Lugowski's fast_matrix_market), which is about ten
+times as fast as ``numpy.loadtxt`` but reads over what it does not know ("1.0+3" is 1.0 to it). So every block is
+checked first: no letters but exponents, exponents as C writes them, the same count of numbers in each line.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import mmread
+
+from morembs.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+BLOCK = 1 << 20
+_ALLOWED = b"0123456789+-.eEdD \t\r\n,"
+_ONE_PER_LINE = bytes.maketrans(b" ,\t\rDde", b"\n\n\n\nEEE")
+_BLANKS = bytes.maketrans(b",\t\rDd", b"   EE")
+_INT32 = 2**31 - 1
+_NEWLINE = 10
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_IMPLIED = re.compile(rb"([0-9.])([+-])")
+_NUMBER = re.compile(rb"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
+# Which character may follow which in a number: digit, dot, sign, exponent, end.
+_CLASS = bytes.maketrans(b"0123456789.+-E\n", b"\0" * 10 + b"\1\2\2\3\4")
+_FOLLOWS = {0: (0, 1, 2, 3, 4), 1: (0, 2, 3, 4), 2: (0, 1), 3: (0, 2), 4: (0, 1, 2, 4)}
+_PAIRS = bytes(8 * left + right for left, rights in _FOLLOWS.items() for right in rights)
+_SIGN_BEHIND_DIGIT = (2, 10)
+_LARGEST_LABEL = 2**53
+
+
+def text_blocks(path: Path, size: int = BLOCK) -> Iterator[bytes]:
+    """Blocks of whole lines, about ``size`` bytes each.
+
+    Raises:
+        InputError: the file is missing, empty, binary, or ends within a line.
+    """
+    for block in _line_blocks(path, size):
+        if b"\0" in block:
+            raise InputError(f"{path.name} holds binary data where text was expected; check the file and its format")
+        yield block
+
+
+def _line_blocks(path: Path, size: int) -> Iterator[bytes]:
+    rest = b""
+    with opened(path) as file:
+        while chunk := file.read(size):
+            cut = chunk.rfind(b"\n") + 1
+            if cut:
+                yield rest + chunk[:cut]
+                rest = chunk[cut:]
+            else:
+                rest += chunk
+                if len(rest) > 4 * size or b"\0" in rest:
+                    raise InputError(f"{path.name} is not a text of lines; check the file and its format")
+    if rest.strip():
+        if _CONTROL.search(rest):
+            raise InputError(f"{path.name} is not a text of lines; check the file and its format")
+        raise InputError(
+            f"{path.name} ends within a line ({rest[-40:].decode('latin-1')!r}), so its last number may be cut off; "
+            "write it again, or end the last line if the file is complete"
+        )
+
+
+def opened(path: Path) -> io.BufferedReader:
+    """The file, open for reading bytes.
+
+    Raises:
+        InputError: it is missing, not a file, or empty.
+    """
+    if not path.is_file():
+        what = "is not a file" if path.exists() else "does not exist"
+        raise InputError(f"matrix file {str(path)!r} {what}; check the path")
+    if path.stat().st_size == 0:
+        raise InputError(f"matrix file {str(path)!r} is empty; write it again")
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise InputError(f"matrix file {str(path)!r} cannot be opened: {error.strerror}") from error
+
+
+def numbers(block: bytes, name: str) -> Floats:
+    """All numbers (k,) of a block of text, separated by blanks, commas or ends of lines.
+
+    Exponents may be written 1E3, 1D3 or 1+3.
+
+    Raises:
+        InputError: something is not a finite number; ``name`` is that of the file.
+    """
+    return _parsed(_separated(block, name), name)
+
+
+def table(block: bytes, columns: int, name: str) -> Floats:
+    """Numbers (lines, ``columns``) of a block of whole lines; empty lines are left out.
+
+    Raises:
+        InputError: a line has more or fewer numbers, or something is not a finite number.
+    """
+    text = _separated(block, name)
+    codes = np.frombuffer(text, dtype=np.uint8)
+    blank = codes == _NEWLINE
+    starts = np.flatnonzero(~blank & np.concatenate([[True], blank[:-1]]))
+    ends = np.flatnonzero(np.frombuffer(block, dtype=np.uint8) == _NEWLINE)
+    if len(text) != len(block):  # signs were put in or taken out, so places differ
+        return _irregular(block, columns, name)
+    if len(starts) % columns == 0:
+        rows = starts.reshape(-1, columns)
+        if len(rows) == len(ends) and (rows[:, -1] < ends).all() and (ends[:-1] < rows[1:, 0]).all():
+            pairs = _triplets(block, len(rows)) if columns == 3 else None
+            return _parsed(text, name, len(starts)).reshape(-1, columns) if pairs is None else pairs
+    return _irregular(block, columns, name)
+
+
+def _triplets(block: bytes, count: int) -> Floats | None:
+    """Checked lines "row column value" at once, about twice as fast; None if rows or columns are not above 0."""
+    header = b"%%%%MatrixMarket matrix coordinate real general\n%d %d %d\n" % (_INT32, _INT32, count)
+    try:
+        found = mmread(io.BytesIO(header + block.translate(_BLANKS)), spmatrix=False)
+    except (ValueError, OverflowError):
+        return None
+    if not np.isfinite(found.data).all():
+        return None
+    return np.column_stack([found.row + 1.0, found.col + 1.0, found.data])
+
+
+def _irregular(block: bytes, columns: int, name: str) -> Floats:
+    """What ``table`` gives, line by line: for blocks with empty lines or faults."""
+    lines = [line for line in block.split(b"\n") if line.strip(b" ,\t\r")]
+    for line in lines:
+        found = len(line.replace(b",", b" ").split())
+        if found != columns:
+            raise InputError(
+                f"{name}: the line {line.decode('latin-1').strip()[:60]!r} has {found} numbers; expected {columns}"
+            )
+    return _parsed(_separated(b"\n".join(lines) + b"\n", name), name).reshape(-1, columns)
+
+
+def _separated(block: bytes, name: str) -> bytes:
+    """The text with one number per line and exponents as 1E3."""
+    strange = block.translate(None, _ALLOWED)
+    if strange:
+        line = next((x for x in block.split(b"\n") if strange[:1] in x), strange[:40])
+        raise InputError(
+            f"{name}: {line.decode('latin-1').strip()[:60]!r} cannot be read as numbers; expected finite numbers only"
+        )
+    text = block.translate(_ONE_PER_LINE)
+    if not text.endswith(b"\n"):
+        text += b"\n"
+    pairs = _neighbours(text)
+    # A sign stands behind a blank or an E; behind a digit it starts an exponent, as Nastran writes it.
+    if any(pair in pairs for pair in _SIGN_BEHIND_DIGIT):
+        text = _IMPLIED.sub(rb"\1E\2", text)
+        pairs = _neighbours(text)
+    if b"+" in text and (b"\n+" in text or text.startswith(b"+")):
+        text = text.replace(b"\n+", b"\n").removeprefix(b"+")
+    marks = text.translate(None, b"0123456789+-")
+    if pairs.translate(None, _PAIRS) or b".." in marks or b"E." in marks or b"EE" in marks:
+        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file")
+    return text
+
+
+def _neighbours(text: bytes) -> bytes:
+    """For each character and the next the pair of their classes."""
+    classes = np.frombuffer(text.translate(_CLASS), dtype=np.uint8)
+    return ((classes[:-1] << 3) | classes[1:]).tobytes()
+
+
+def _parsed(text: bytes, name: str, count: int | None = None) -> Floats:
+    if count is None:
+        blank = np.frombuffer(text, dtype=np.uint8) == _NEWLINE
+        count = int((~blank & np.concatenate([np.ones(min(1, len(blank)), dtype=bool), blank[:-1]])).sum())
+    if not count:
+        return np.empty(0)
+    header = b"%%%%MatrixMarket matrix array real general\n%d 1\n" % count
+    try:
+        values = np.asarray(mmread(io.BytesIO(header + text))).ravel()
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file") from error
+    if not np.isfinite(values).all():
+        raise InputError(f"{name} holds a number that is too large for double precision; expected finite numbers")
+    return values
+
+
+def _first_fault(text: bytes) -> str:
+    words = (word for word in text.split(b"\n") if word)
+    return next((word for word in words if not _NUMBER.fullmatch(word)), text[:40]).decode("latin-1")
+
+
+def whole_numbers(values: Floats, what: str, name: str) -> Ints:
+    """``values`` as integers.
+
+    Raises:
+        InputError: one is not; ``what`` says what they are.
+    """
+    result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < _LARGEST_LABEL).all() else None
+    if result is None or not np.array_equal(result, values):
+        bad = values[(np.abs(values) >= _LARGEST_LABEL) | (values != np.round(values))][0]
+        raise InputError(f"{name}: {bad:.6g} was given as {what}; expected a whole number")
+    return result

@@ -1,0 +1,172 @@
+"""Matrices from entries that come block by block: kept on the disk, numbered, and put into rows."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Triplets = tuple[Ints, Ints, Floats]
+
+# Asymmetry that is round-off.
+SAME = 1e-9
+_LARGEST_TABLE = 1 << 26
+# Rows looked at a time.
+_ROWS = 1 << 12
+
+
+class Spool:
+    """Triplets (row, column, value) in a temporary file, so that text is read once and memory holds a block.
+
+    It takes 24 bytes per entry on the disk where temporary files go.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115  (closed in close)
+        self._lengths: list[int] = []
+
+    def add(self, rows: Ints, columns: Ints, values: Floats) -> None:
+        """Append triplets; zeros are left out."""
+        kept = np.flatnonzero(values)
+        self._lengths.append(len(kept))
+        for part in (rows[kept], columns[kept], values[kept]):
+            self._file.write(np.ascontiguousarray(part).tobytes())
+
+    def __iter__(self) -> Iterator[Triplets]:
+        self._file.seek(0)
+        for length in self._lengths:
+            rows, columns = (np.frombuffer(self._file.read(8 * length), dtype=np.int64) for _ in range(2))
+            yield rows, columns, np.frombuffer(self._file.read(8 * length))
+
+    def __enter__(self) -> Spool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def assembled(spool: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str) -> sp.csr_array:
+    """Matrix of triplets counted from 0; repeated entries are added.
+
+    Holds nothing but the result and a block, for which ``spool`` is read twice: to count and to fill. With
+    ``mirror`` each entry off the diagonal stands for two.
+
+    Raises:
+        InputError: an index lies outside.
+    """
+    size = shape[0]
+    counts = np.zeros(size + 1, dtype=np.int64)
+    for rows, _, _ in _both(spool, shape, mirror, name):
+        counts[1:] += np.bincount(rows, minlength=size)
+    indptr = np.cumsum(counts)
+    total = int(indptr[-1])
+    small = max(total, *shape) < 2**31
+    indices, data = np.empty(total, dtype=np.int32 if small else np.int64), np.empty(total)
+    free = indptr[:-1].copy()
+    for rows, columns, values in _both(spool, shape, mirror, name):
+        order = np.argsort(rows, kind="stable")
+        ascending = rows[order]
+        first = np.flatnonzero(np.diff(ascending, prepend=-1))
+        length = np.diff(first, append=len(rows))
+        place = free[ascending] + np.arange(len(rows)) - np.repeat(first, length)
+        indices[place], data[place] = columns[order], values[order]
+        free[ascending[first]] += length
+    matrix = sp.csr_array((data, indices, indptr.astype(indices.dtype)), shape=shape)
+    matrix.sum_duplicates()
+    return matrix
+
+
+def _both(spool: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name: str) -> Iterator[Triplets]:
+    """The triplets, with their mirror images where only half was given."""
+    for rows, columns, values in spool:
+        for one, size in zip((rows, columns), shape, strict=True):
+            outside = one[(one < 0) | (one >= size)]
+            if len(outside):
+                raise InputError(f"{name} has an entry in row or column {outside[0] + 1}; expected 1 to {size}")
+        yield rows, columns, values
+        if mirror:
+            off = rows != columns
+            yield columns[off], rows[off], values[off]
+
+
+def unique(spool: Iterable[Triplets]) -> Ints:
+    """All codes of rows and columns, ascending."""
+    codes = np.empty(0, dtype=np.int64)
+    for rows, columns, _ in spool:
+        codes = np.union1d(codes, np.concatenate([rows, columns]))
+    return codes
+
+
+class Numbering:
+    """Place of each code; ``order`` (n,) says which of the ascending ``codes`` (n,) comes first, second, ..."""
+
+    def __init__(self, codes: Ints, order: Ints | None = None) -> None:
+        self.codes, self.places = codes, np.arange(len(codes))
+        if order is not None:
+            self.places[order] = np.arange(len(codes))
+        span = int(codes[-1] - codes[0]) + 1 if len(codes) else 0
+        self._table = np.zeros(span, dtype=np.int64) if span <= _LARGEST_TABLE else None
+        if self._table is not None and span:
+            self._table[codes - codes[0]] = self.places
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def __call__(self, codes: Ints) -> Ints:
+        """Places of ``codes``, all of them known."""
+        if self._table is None:
+            return np.asarray(self.places[np.searchsorted(self.codes, codes)])
+        return np.asarray(self._table[codes - self.codes[0]] if len(codes) else codes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Renumbered:
+    """Triplets with places instead of codes."""
+
+    spool: Iterable[Triplets]
+    rows: Numbering
+    columns: Numbering
+
+    def __iter__(self) -> Iterator[Triplets]:
+        for rows, columns, values in self.spool:
+            yield self.rows(rows), self.columns(columns), values
+
+
+def completed(spool: Iterable[Triplets], size: int, name: str) -> tuple[bool, sp.csr_array]:
+    """Whether the file holds one entry of each pair only, and the whole matrix."""
+    above = below = False
+    for rows, columns, _ in spool:
+        above, below = above or bool((rows < columns).any()), below or bool((rows > columns).any())
+    if above != below:
+        return True, assembled(spool, (size, size), mirror=True, name=name)
+    matrix = assembled(spool, (size, size), mirror=False, name=name)
+    if asymmetry(matrix) > SAME:
+        # Entries of a half may lie in both triangles, as the order of the equations is not that of the labels.
+        pattern = sp.csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), matrix.shape)
+        if (pattern * pattern.T).nnz <= np.count_nonzero(matrix.diagonal()):
+            return True, sp.csr_array(matrix + matrix.T - sp.diags_array(matrix.diagonal()))
+    return False, matrix
+
+
+def asymmetry(A: sp.csr_array) -> float:
+    """|A z - A' z| over |A| |z| (largest components) for a fixed random vector z: zero if A = A'.
+
+    Needs vectors only. Rows are compared in units of their own size.
+    """
+    z = np.random.default_rng(60).standard_normal(A.shape[0])
+    forward, backward = A @ z, A.T @ z
+    largest = np.zeros(A.shape[0])
+    for at in range(0, A.shape[0], _ROWS):
+        part = abs(A[at : at + _ROWS])
+        largest[at : at + _ROWS] = np.asarray(part.sum(axis=1)).ravel()
+    scale = float(largest.max(initial=0.0))
+    return float(np.abs(forward - backward).max(initial=0.0)) / scale if scale else 0.0

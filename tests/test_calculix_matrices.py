@@ -1,0 +1,80 @@
+"""Matrices that CalculiX stores, against those of Abaqus for the same rod."""
+
+import gzip
+import shutil
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from morembs.errors import InputError
+from morembs.importers.abaqus_matrices import read_abaqus_matrix
+from morembs.importers.calculix_matrices import read_calculix_matrices
+
+CONROD_HZ = [5931.72907, 10572.56166, 13006.48953, 14286.39617, 22263.38637, 24315.61338, 24728.82045, 28365.58687]
+
+
+def small(folder, **change):
+    """Two nodes: 1 with x, y, z and 10 with x and y."""
+    files = {
+        "dof": "1.1\n1.2\n1.3\n10.1\n10.2\n",
+        "sti": "".join(f"{i} {j}  {1.0 / (i + j):.13e}\n" for j in range(1, 6) for i in range(1, j + 1)),
+        "mas": "".join(f"{i} {i}  {float(i):.13e}\n" for i in range(1, 6)),
+    }
+    for end, text in (files | change).items():
+        (folder / f"job.{end}").write_text(text)
+    return folder / "job.sti"
+
+
+def test_conrod_of_calculix(shared_data, tmp_path):
+    folder = shared_data / "conrod_abaqus"
+    for end in ("sti", "mas"):
+        with gzip.open(folder / f"conrod_ccx.{end}.gz") as packed, open(tmp_path / f"conrod_ccx.{end}", "wb") as file:
+            shutil.copyfileobj(packed, file)
+    shutil.copy(folder / "conrod_ccx.dof", tmp_path)
+    found = read_calculix_matrices(tmp_path / "conrod_ccx")
+    of_abaqus = read_abaqus_matrix(folder / "job_matrix_generate_conrod_MASS1.mtx").matrix
+    assert np.abs(found.M - of_abaqus).max() <= 3e-14 * np.abs(of_abaqus).max()
+    x = sp.csr_array((found.dof == 1).astype(float)[None, :])
+    assert (x @ found.M @ x.T).sum() == pytest.approx(0.1379211513593743, rel=1e-12)
+    assert len(found.node) == 2805 and np.unique(found.node).size == 935
+    values = spl.eigsh(found.K, 14, found.M, sigma=-1e8, return_eigenvectors=False)
+    assert np.sqrt(np.sort(values)[6:]) / (2 * np.pi) == pytest.approx(CONROD_HZ, rel=1e-8)
+
+
+def test_small_files(tmp_path):
+    for name in ("job.sti", "job.mas", "job.dof", "job"):
+        small(tmp_path)
+        found = read_calculix_matrices(tmp_path / name)
+        assert found.node.tolist() == [1, 1, 1, 10, 10] and found.dof.tolist() == [1, 2, 3, 1, 2]
+        i = np.arange(1, 6)
+        assert found.K.toarray() == pytest.approx(1 / (i[:, None] + i), rel=1e-13)
+        assert found.M.diagonal().tolist() == [1, 2, 3, 4, 5] and found.M.nnz == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dof": "1.1\n1.2\n1.3\n10.1\n"}, "row or column 5; expected 1 to 4"),
+        ({"dof": "1.1\n1.2\n1.3\n10.1\n10.2\n10.3\n"}, "no diagonal entry for row 6 of 6"),
+        ({"dof": "1.1\n1.2\n1.3\n10.1\n10.1\n"}, "names a dof twice"),
+        ({"dof": "1\n2\n"}, "has 1 numbers; expected 2; expected lines 'node.direction'"),
+        ({"mas": "1 1 1.0\n2 2 1.0\n"}, "no diagonal entry for row 3"),
+        ({"mas": "1 2 1.0\n2 1 1.0\n"}, "both triangles"),
+        ({"mas": "1 1 1.0\n2 2 1."}, "ends within a line"),
+        ({"mas": ""}, "is empty"),
+        ({"mas": "\0\0\n"}, "binary"),
+        ({"mas": "1 1 nan\n"}, "cannot be read as numbers"),
+    ],
+)
+def test_faults_have_one_message(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        read_calculix_matrices(small(tmp_path, **change))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    path = small(tmp_path)
+    (tmp_path / "job.mas").unlink()
+    with pytest.raises(InputError, match=r"job\.mas' does not exist"):
+        read_calculix_matrices(path)
