@@ -253,6 +253,13 @@ def interpolation(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def frames(spec: Spec) -> Row:
+    """See frames.py."""
+    from frames import measure
+
+    return measure(spec, steel)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -266,7 +273,8 @@ def part(spec: Spec) -> Row:
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "job": write_job, "made_factor": made_factor, "interpolation": interpolation, "part": part,
+    "job": write_job, "made_factor": made_factor, "interpolation": interpolation, "frames": frames,
+    "part": part,
 }  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import frames
 import jobs
 import killed
 import krylov
@@ -24,7 +25,7 @@ import parts
 import solvers
 from measure import HERE, Settings, required
 
-CASES = {**solvers.CASES, **krylov.CASES, **jobs.CASES, "killed": killed.killed}
+CASES = {**solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, "killed": killed.killed}
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
 ROUNDS = 3

@@ -198,3 +198,14 @@ def test_a_matrix_that_is_not_symmetric_is_not_called_so(tmp_path):
     (tmp_path / "a.op4").write_bytes(data)
     with pytest.raises(InputError, match="its two triangles differ"):
         read_op4(tmp_path / "a.op4")
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_counts_in_text_must_fit_the_numbers(tmp_path, storage):
+    write_op4(tmp_path / "a.op4", {"A": samples()["A"]}, binary=False, sparse=storage)
+    lines = (tmp_path / "a.op4").read_text().split("\n")
+    column, row, words = (int(lines[1][i : i + 8]) for i in (0, 8, 16))
+    lines[1] = f"{column:8}{row:8}{words + 3:8}"
+    (tmp_path / "a.op4").write_text("\n".join(lines))
+    with pytest.raises(InputError, match="other counts of numbers"):
+        read_op4(tmp_path / "a.op4")

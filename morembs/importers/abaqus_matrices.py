@@ -30,6 +30,8 @@ Ints = NDArray[np.int64]
 
 # Label and dof as one integer: label * 64 + dof.
 _DOFS = 64
+# Rows for each entry above which a row number must be wrong.
+_SPARSEST = 1000
 _STARRED = re.compile(rb"^[ \t]*\*.*\n", re.MULTILINE)
 
 
@@ -74,6 +76,10 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
         columns, keywords = _spooled(path, spool)
         if columns == 3:
             size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in spool)
+            if size > _SPARSEST * (1 + spool.count):
+                raise InputError(
+                    f"{path.name} names row or column {size} but has only {spool.count} entries; it is damaged"
+                )
             half, matrix = _matrix(spool, size, path.name, keywords)
             node = dof = None
         else:

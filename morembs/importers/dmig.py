@@ -23,6 +23,7 @@ Ints = NDArray[np.int64]
 
 SQUARE, SYMMETRIC, RECTANGULAR = 1, 6, (2, 9)
 COMPONENTS = 8
+_MOST_COLUMNS = 100_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +133,7 @@ def _column_codes(file: str, name: str, one: _Named, form: int, count: int) -> I
     codes = unique((columns, columns, values) for s in (one.real, one.imaginary) for _, columns, values in s)
     if form == 9:
         largest = int(codes.max(initial=0)) // COMPONENTS
-        if largest > count or (len(codes) and codes.min() < COMPONENTS):
+        if largest > count or count > _MOST_COLUMNS or (len(codes) and codes.min() < COMPONENTS):
             raise InputError(f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns")
         return np.arange(1, count + 1) * COMPONENTS
     return codes

@@ -34,6 +34,11 @@ class Spool:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115  (closed in close)
         self._lengths: list[int] = []
 
+    @property
+    def count(self) -> int:
+        """Number of triplets."""
+        return sum(self._lengths)
+
     def add(self, rows: Ints, columns: Ints, values: Floats) -> None:
         """Append triplets; zeros are left out."""
         kept = np.flatnonzero(values)
