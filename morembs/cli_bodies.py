@@ -40,6 +40,9 @@ def export(
     to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
     body: BodyName = None,
+    frame: Annotated[
+        str | None, typer.Option(help="Another floating frame: mean-axes, tangent:NAME, chord:NAME,NAME ...")
+    ] = None,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the target, KEY=VALUE.")] = None,
     listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
     as_json: AsJson = False,
@@ -56,7 +59,7 @@ def export(
     with messages(failed):
         if file is None or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
-        done = export_body(file, to, path=out, body=body, options=_options(to, option or []))
+        done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
         paths = [str(path) for path in done.paths]
         if as_json:
             print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})

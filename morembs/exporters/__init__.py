@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -62,7 +62,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
 
 def export_body(
     source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
-    options: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None, frame: str | None = None,
 ) -> Exported:  # fmt: skip
     """Write one body of a body file in the format of another program.
 
@@ -71,6 +71,7 @@ def export_body(
         path: the output; by default beside the source, named after it (and the body, if there are several).
         body: its name; may be left out where the file holds one.
         options: fields of the exporter.
+        frame: another floating frame, "mean-axes" or with its interfaces "tangent:LEFT", "chord:LEFT,RIGHT".
 
     Raises:
         InputError: unknown target, option or body, or a body that cannot be expressed in the target.
@@ -80,8 +81,24 @@ def export_body(
     place = Path(source)
     bodies = read_body(place)
     chosen = choose_body(bodies, body, place)
+    notes: tuple[str, ...] = ()
+    if frame is not None:
+        chosen, notes = _in_frame(chosen, frame)
     target = default_path(place, exporter, chosen.name, several=len(bodies.bodies) > 1) if path is None else Path(path)
-    return exporter.export(bodies, chosen, target, place)
+    done = exporter.export(bodies, chosen, target, place)
+    return replace(done, notes=(*notes, *done.notes))
+
+
+def _in_frame(body: StoredBody, text: str) -> tuple[StoredBody, tuple[str, ...]]:
+    """``body`` in the floating frame that ``text`` names, and what it lost on the way."""
+    if body.floating is None:
+        raise InputError(
+            f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave it as it is"
+        )
+    kind, _, names = text.partition(":")
+    moved = body.floating.in_frame(kind, [name.strip() for name in names.split(",") if name.strip()])
+    lost = "geometric stiffening belongs to the frame of the file and stays behind"
+    return replace(body, floating=moved), (lost,) if body.floating.stiffening is not None else ()
 
 
 def choose_body(bodies: StoredBodies, name: str | None, place: Path) -> StoredBody:
