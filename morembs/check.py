@@ -12,13 +12,17 @@ from scipy.sparse.csgraph import connected_components
 from morembs.budget import Budget, available_bytes, resident_bytes
 from morembs.elements import TYPES
 from morembs.errors import InputError
+from morembs.examination import examined
 from morembs.fem import check_mesh, stiffness_pattern
 from morembs.forecast import Cost, JobForecast, forecast_cost
 from morembs.importers import read_mesh
 from morembs.interface import Interface, couple
 from morembs.job import Job
+from morembs.linalg.solver import LinearSolver
 from morembs.linalg.threads import blas_threads, limit_threads
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
+from morembs.model_file import read_model
+from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.run import (
     count_elements,
@@ -28,6 +32,7 @@ from morembs.run import (
     prepare_output,
     refuse_reductions_that_do_not_fit,
     solver_of,
+    source_of,
     units_of,
     wants_modes,
 )
@@ -52,7 +57,9 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
     progress.stage("read")
-    mesh = read_mesh(job.resolve(job.tables.model.mesh), units_of(job))
+    if job.tables.model.file is not None:
+        return _check_file(job, solver, start, progress)
+    mesh = read_mesh(source_of(job), units_of(job))
     progress.stage("check elements")
     graph = check_mesh(mesh, materials, progress)
     progress.stage("check interfaces")
@@ -89,6 +96,35 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
         peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads, extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
         warnings=_warnings(cost, solver.scratch),
+    )  # fmt: skip
+
+
+def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
+    """Forecast for a model file, whose matrices are there."""
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        model = read_model(source_of(job), budget=budget)
+        progress.stage("examine")
+        warnings = examined(model, budget=budget)
+        interfaces = interfaces_of(job, model)
+        with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
+            coupling, rigid = problem.coupling, problem.rigid.shape[1]
+        coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
+        refuse_reductions_that_do_not_fit(job, coupled, inputs)
+        progress.stage("analyse")
+        columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
+        columns = max(columns, job.tables.check.full_modes)
+        cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
+        threads = blas_threads()
+    plan, matrices = cost.plan, [A for A in (model.K, model.M, model.D) if A is not None]
+    x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        solver=plan.backend, choice=cost.choice, nodes=len(model.nodes), elements=count_elements(model.mesh),
+        dofs=model.size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=model.K.nnz,
+        mass_nonzeros=model.M.nnz, matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
+        factor_entries=plan.factor_entries, factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk,
+        columns_bytes=cost.columns, peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads,
+        extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
     )  # fmt: skip
 
 

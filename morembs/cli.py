@@ -14,6 +14,7 @@ import typer
 from morembs import __version__
 from morembs.check import check_job
 from morembs.cli_bodies import app as bodies
+from morembs.cli_models import app as models
 from morembs.errors import InputError
 from morembs.job import load_job
 from morembs.linalg.interruptible import calls_running
@@ -98,6 +99,7 @@ def check(jobs: Jobs, as_json: AsJson = False) -> None:
 
 
 app.add_typer(bodies)
+app.add_typer(models)
 
 
 @app.command(epilog=EPILOG)

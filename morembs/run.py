@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ from morembs.certify import Certificate, certify
 from morembs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.delivery import Delivery, StressOptions, deliver
 from morembs.errors import InputError, SolverError
+from morembs.examination import examined
 from morembs.fem import assemble
+from morembs.followers import interface_of_coupling
 from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
 from morembs.job import Job
@@ -25,6 +28,7 @@ from morembs.linalg.solver import FactorStats, LinearSolver
 from morembs.linalg.threads import limit_threads
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh
+from morembs.model_file import read_model
 from morembs.picture import draw
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
@@ -82,11 +86,10 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
 
 def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> JobResult:
     progress = watch.progress
-    with watch.stage("read"):
-        mesh = read_mesh(job.resolve(job.tables.model.mesh), units_of(job))
-    with watch.stage("assemble"):
-        integration = job.tables.model.mass_integration
-        model = assemble(mesh, materials, mass_integration=integration, budget=budget, progress=progress)
+    model = _read(job, materials, budget, watch)
+    with watch.stage("examine"):
+        for warning in examined(model, budget=budget):
+            log.warning("%s", warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
@@ -108,10 +111,28 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
     return JobResult(
-        job=job, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=model.size, bodies=bodies,
+        job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
         factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response,
         shapes=shapes,
     )  # fmt: skip
+
+
+def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> FEModel:
+    """The model of the job, from its model file, or assembled from its mesh."""
+    asked = job.tables.model
+    if asked.file is not None:
+        with watch.stage("read"):
+            return read_model(job.resolve(asked.file), budget=budget)
+    with watch.stage("read"):
+        mesh = read_mesh(source_of(job), units_of(job))
+    with watch.stage("assemble"):
+        integration, progress = asked.mass_integration, watch.progress
+        return assemble(mesh, materials, mass_integration=integration, budget=budget, progress=progress)
+
+
+def source_of(job: Job) -> Path:
+    """The mesh or model file."""
+    return job.resolve(job.tables.model.file or job.tables.model.mesh or "")
 
 
 def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> tuple[ElasticBody, ...]:
@@ -207,11 +228,19 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
     length = units_of(job).length
     found = []
     for table in job.tables.interface:
+        point = None if table.point is None else [length * value for value in table.point]
+        if table.nodes.startswith("coupling:"):
+            coupling = table.coupling if "coupling" in table.model_fields_set else None
+            found.append(
+                interface_of_coupling(
+                    model, table.nodes, name=table.name, coupling=coupling, point=point, components=table.components
+                )
+            )
+            continue
         try:
             rows = select_nodes(model, table.nodes, length=length)
         except InputError as error:
             raise InputError(f"interface {table.name!r}: {error}") from error
-        point = None if table.point is None else [length * value for value in table.point]
         found.append(
             make_interface(
                 model, name=table.name, nodes=rows, coupling=table.coupling, point=point,
@@ -269,7 +298,7 @@ def solver_of(job: Job) -> LinearSolver:
 
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
-    inputs = {"the job file": job.path, "the mesh": job.resolve(job.tables.model.mesh)}
+    inputs = {"the job file": job.path, "the mesh" if job.tables.model.mesh else "the model file": source_of(job)}
     results = {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
     for name, path in results.items():
         for other, taken in inputs.items():
@@ -306,9 +335,9 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
             )
 
 
-def count_elements(mesh: Mesh) -> int:
-    """Number of elements of all types."""
-    return sum(len(block.ids) for block in mesh.blocks)
+def count_elements(mesh: Mesh | None) -> int:
+    """Number of elements of all types, none without a mesh."""
+    return sum(len(block.ids) for block in mesh.blocks) if mesh is not None else 0
 
 
 def _band(job: Job, body: ElasticBody) -> Floats:

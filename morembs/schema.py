@@ -29,13 +29,26 @@ class UnitsTable(Table):
 
 
 class ModelTable(Table):
-    """``[model]``: the mesh file and the units of all numbers in the mesh and in the job."""
+    """``[model]``: a mesh file, or a model file; and the units of all numbers in the mesh and in the job."""
 
-    mesh: str = Field(min_length=1, description='the path of a mesh file such as "conrod.msh"')
+    mesh: str | None = Field(default=None, min_length=1, description='the path of a mesh file such as "conrod.msh"')
+    file: str | None = Field(
+        default=None, min_length=1, description='the path of a model file of morembs import such as "conrod.model.h5"'
+    )
     units: str | UnitsTable = Field(
         default="m-kg-s", description='"length-mass-time" such as "mm-t-s", or a table with length, mass and time'
     )
     mass_integration: Literal["exact", "reduced"] = Field(default="exact", description='"exact" or "reduced"')
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.mesh is None and self.file is None:
+            raise ValueError('mesh is missing; expected the path of a mesh file such as "conrod.msh"')
+        if self.mesh is not None and self.file is not None:
+            raise ValueError("mesh and file were both given; choose one")
+        if self.file is not None and "mass_integration" in self.model_fields_set:
+            raise ValueError("mass_integration was given for a model file, whose matrices are ready; leave it out")
+        return self
 
 
 class MaterialTable(Table):
@@ -220,7 +233,7 @@ class JobTables(Table):
     """All tables of a job file."""
 
     model: ModelTable = Field(description="a table [model]")
-    material: list[MaterialTable] = Field(min_length=1, description="at least one table [[material]]")
+    material: list[MaterialTable] = Field(default_factory=list, description="at least one table [[material]]")
     interface: list[InterfaceTable] = Field(default_factory=list, description="tables [[interface]]")
     damping: DampingTable = Field(default_factory=DampingTable, description="a table [damping]")
     solver: SolverTable = Field(default_factory=SolverTable, description="a table [solver]")
@@ -233,3 +246,11 @@ class JobTables(Table):
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
+
+    @model_validator(mode="after")
+    def _materials(self) -> Self:
+        if self.model.mesh is not None and not self.material:
+            raise ValueError("material is missing; expected at least one table [[material]]")
+        if self.model.file is not None and self.material:
+            raise ValueError("[[material]] was given for a model file, whose matrices are ready; leave it out")
+        return self

@@ -1,22 +1,73 @@
-"""Readers of mesh files; the table below is the contents page.
+"""Readers of model files; the table below is the contents page.
 
-A reader takes a path and returns a ``Mesh`` in the units of the file.
+An importer takes a path and returns an ``Imported`` in the units of the file; options are its keyword arguments.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
+from morembs.imported import Imported
 from morembs.importers.abaqus import read_abaqus
-from morembs.importers.meshes import read_with_meshio
+from morembs.importers.exudyn import import_exudyn
+from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.matlab import import_matlab
+from morembs.importers.matrix_files import import_abaqus_matrix, import_calculix, import_dmig, import_op4
+from morembs.importers.matrix_market import import_matrix_market
+from morembs.importers.meshes import import_mesh, read_with_meshio
+from morembs.importers.native import import_native
+from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
 from morembs.units import Units
 
-# Endings with a reader of their own; every other mesh goes through meshio.
+# Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[[Path], Mesh]] = {".inp": read_abaqus}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Importer:
+    """A format: what it is in one line, the endings of its files, the function that reads one."""
+
+    about: str
+    endings: tuple[str, ...]
+    read: Callable[..., Imported]
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the options."""
+        parameters = inspect.signature(self.read).parameters.values()
+        return tuple(one.name for one in parameters if one.kind is one.KEYWORD_ONLY and one.name != "budget")
+
+
+# The first format with the ending of a file is taken; formats without endings must be named.
+IMPORTERS: dict[str, Importer] = {
+    "native": Importer(about="model file of morembs", endings=(".model.h5",), read=import_native),
+    "matrix-market": Importer(
+        about="one matrix (Matrix Market)", endings=(".mtx.gz", ".mtx", ".mm"), read=import_matrix_market
+    ),
+    "abaqus-matrix": Importer(about="one matrix of Abaqus *MATRIX OUTPUT", endings=(), read=import_abaqus_matrix),
+    "calculix-matrix": Importer(
+        about="job.sti, job.mas and job.dof of CalculiX", endings=(".sti", ".mas", ".dof"), read=import_calculix
+    ),
+    "op4": Importer(about="Nastran OP4, binary or text", endings=(".op4",), read=import_op4),
+    "dmig": Importer(about="Nastran DMIG entries", endings=(".pch", ".dmig"), read=import_dmig),
+    "matlab": Importer(about="MATLAB .mat, v4 to v7.3", endings=(".mat",), read=import_matlab),
+    "npz": Importer(about="NumPy or SciPy .npz", endings=(".npz",), read=import_npz),
+    "exudyn": Importer(about="FEMinterface of Exudyn in HDF5", endings=(), read=import_exudyn),
+    "hdf5": Importer(
+        about="sparse matrices in HDF5 groups (SciPy, MATLAB, Octave)", endings=(".h5", ".hdf5"), read=import_hdf5
+    ),
+    "mesh": Importer(
+        about="solid mesh: .inp, and what meshio reads (.msh, .vtk, .vtu, .med, ...)",
+        endings=(".msh", ".vtk", ".vtu", ".med", ".xdmf", ".mesh", ".unv", ".inp", ".bdf", ".nas", ".dat", ".fem"),
+        read=import_mesh,
+    ),
+}
 
 
 def read_mesh(path: str | Path, units: Units | None = None) -> Mesh:
@@ -36,3 +87,76 @@ def read_mesh(path: str | Path, units: Units | None = None) -> Mesh:
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
     return replace(mesh, nodes=scaled, source=path.name)
+
+
+def format_of(path: Path, given: str | None = None) -> str:
+    """Name of the format of a file: ``given``, or what its ending (and for text and HDF5 its content) says.
+
+    Raises:
+        InputError: no such file, an unknown format, or an ending that says nothing.
+    """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{str(path)!r} is not a file; expected a model, matrix or mesh file")
+    if not path.is_file():
+        raise InputError(f"the file {str(path)!r} does not exist; check the path")
+    if given is not None:
+        if given not in IMPORTERS:
+            raise InputError(f"--format {given!r} was given; {nearest(given, IMPORTERS)}")
+        return given
+    name = path.name.lower()
+    for format, importer in IMPORTERS.items():
+        if name.endswith(importer.endings):
+            return _by_content(path, format)
+    raise InputError(
+        f"the ending of {path.name!r} says nothing about its format; give --format, one of {', '.join(IMPORTERS)}"
+    )
+
+
+def _by_content(path: Path, format: str) -> str:
+    """The format where an ending stands for several."""
+    if format == "matrix-market" and not path.name.lower().endswith(".gz"):
+        with path.open("rb") as file:
+            return format if file.read(14).lower().startswith(b"%%matrixmarket") else "abaqus-matrix"
+    if format in ("hdf5", "native"):
+        kind = _hdf5_kind(path)
+        return {"morembs-model": "native", "FEMinterface": "exudyn"}.get(kind, "hdf5")
+    return format
+
+
+def _hdf5_kind(path: Path) -> str:
+    """What an HDF5 file says that it is."""
+    import h5py  # the formats that only their own files can tell apart
+
+    try:
+        with h5py.File(path, "r") as file:
+            for key in ("format", "type"):
+                item = file.get(key)
+                if isinstance(item, h5py.Dataset) and item.shape == ():
+                    value = item[()]
+                    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    except (OSError, RuntimeError, KeyError, ValueError):
+        pass
+    return ""
+
+
+def import_file(path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Imported:
+    """What a file holds, in its units.
+
+    Args:
+        format: a name of ``IMPORTERS``; by default the ending of the file tells.
+        options: keyword arguments of the importer.
+
+    Raises:
+        InputError: the file is missing or cannot be used, or an option that its format does not have.
+    """
+    path, options = Path(path), dict(options or {})
+    importer = IMPORTERS[format_of(path, format)]
+    for key in options:
+        if key not in importer.options:
+            raise InputError(f"{path.name}: the format has no option {key!r}; {_known(key, importer.options)}")
+    return importer.read(path, **options)
+
+
+def _known(key: str, options: Iterable[str]) -> str:
+    options = list(options)
+    return nearest(key, options) if options else "it has none"

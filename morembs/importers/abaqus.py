@@ -54,6 +54,8 @@ def import_abaqus(path: str | Path) -> Imported:
     """
     deck = read_deck(Path(path))
     assembly = Assembly(deck)
+    if not assembly.blocks:
+        raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
     found = Constraints(assembly)
     found.surfaces()
     found.constraints()

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from morembs.elements import TYPES
 from morembs.errors import InputError
+from morembs.imported import Imported
+from morembs.importers.abaqus import read_abaqus
 from morembs.model import ElementBlock, Mesh, Nodes
 
 Ints = NDArray[np.int64]
@@ -133,3 +135,16 @@ def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
                 for value in np.unique(values):
                     named.setdefault(f"{key}:{value}", {})[i] = np.flatnonzero(values == value)
     return named
+
+
+def import_mesh(path: Path) -> Imported:
+    """A solid mesh with its sets, without materials.
+
+    Raises:
+        InputError: the file cannot be read, or has no solid elements or some that are not supported.
+    """
+    path = Path(path)
+    mesh = read_abaqus(path) if path.suffix.lower() == ".inp" else read_with_meshio(path)
+    if not mesh.blocks:
+        raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
+    return Imported(source=path.name, mesh=mesh)
