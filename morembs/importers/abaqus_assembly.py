@@ -1,0 +1,322 @@
+"""Parts of an input deck in their places: one numbering of nodes and elements, sets as rows of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.elements import TYPES
+from morembs.errors import InputError, nearest
+from morembs.importers.abaqus_deck import Deck, Instance, Members, NamedSet, Scope, values
+from morembs.importers.abaqus_keywords import LARGEST, label
+from morembs.model import skew
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_DEEPEST = 100
+_NONE = np.empty(0, dtype=np.int64)
+
+
+@dataclass(eq=False)
+class Placed:
+    """A scope in its place. ``labels`` (n,) sorted, as in the deck; node i of them is row ``rows[i]`` of all."""
+
+    name: str
+    contents: list[Scope]
+    rotation: Floats
+    labels: Ints = field(default_factory=lambda: _NONE)
+    rows: Ints = field(default_factory=lambda: _NONE)
+    element_labels: Ints = field(default_factory=lambda: _NONE)
+    element_rows: Ints = field(default_factory=lambda: _NONE)
+
+    def sets(self, kind: str) -> dict[str, list[NamedSet]]:
+        """Node or element sets under their names in capitals; a part and its instance may both add to one."""
+        found: dict[str, list[NamedSet]] = {}
+        for scope in self.contents:
+            for name, one in (scope.node_sets if kind == "node" else scope.element_sets).items():
+                found.setdefault(name, []).append(one)
+        return found
+
+
+class Assembly:
+    """All nodes (n, 3) and elements of a deck, and what its names mean.
+
+    Elements are numbered block by block, point elements behind the solids.
+    """
+
+    def __init__(self, deck: Deck) -> None:
+        self.deck = deck.name
+        self.notes: list[str] = []
+        self.top = Placed("", [deck.top], np.eye(3))
+        self.placed: dict[str, Placed] = {}
+        self._cache: dict[tuple[int, str, str], Ints] = {}
+        node_parts: list[tuple[Placed, Ints, Floats]] = []
+        for key, instance in deck.instances.items():
+            contents = [deck.parts[instance.part]] if instance.part else []
+            R, shift, point = _motion(instance)
+            placed = self.placed[key] = Placed(instance.scope.name, [*contents, instance.scope], R)
+            ids, xyz = _gathered(placed, deck.name)
+            moved = xyz if not instance.moves else (xyz + shift - point) @ R.T + point
+            node_parts.append((placed, ids, moved))
+        node_parts.append((self.top, *_gathered(self.top, deck.name)))
+        self._unused(deck)
+        if not any(len(ids) for _, ids, _ in node_parts):
+            raise InputError(f"{deck.name} has no *NODE block; expected an Abaqus or CalculiX input deck with a mesh")
+        shift_of = self._shifts([ids for _, ids, _ in node_parts], "node")
+        self.ids = np.concatenate([ids + s for (_, ids, _), s in zip(node_parts, shift_of, strict=True)])
+        self.xyz = np.concatenate([xyz for *_, xyz in node_parts])
+        if not (np.abs(self.xyz) < LARGEST).all():
+            raise InputError(f"{deck.name}: coordinates are too large; check the nodes and how instances are moved")
+        start = 0
+        for placed, ids, _ in node_parts:
+            order = np.argsort(ids, kind="stable")
+            placed.labels, placed.rows = ids[order], order + start
+            start += len(ids)
+        self._elements([placed for placed, *_ in node_parts])
+
+    def _unused(self, deck: Deck) -> None:
+        used = {instance.part for instance in deck.instances.values()}
+        spare = [part.name for key, part in deck.parts.items() if key not in used and part.node_ids]
+        if spare and not deck.instances and len(deck.parts) == 1:
+            # A lone part without an assembly is the model.
+            self.top.contents = [*deck.parts.values(), deck.top]
+        elif spare:
+            self.notes.append(f"Parts without an instance were left out: {', '.join(spare)}.")
+
+    def _shifts(self, labels: list[Ints], what: str) -> list[int]:
+        """What to add to the labels of each scope so that each is there once."""
+        together = np.concatenate(labels)
+        if len(np.unique(together)) == len(together):
+            return [0] * len(labels)
+        step = 10 ** len(str(int(together.max(initial=1))))
+        if step * len(labels) > 2**62:
+            raise InputError(f"{self.deck}: {what} labels up to {together.max()} of several instances are too large")
+        names = [*(placed.name for placed in self.placed.values()), "the assembly"]
+        moved = ", ".join(f"{name} + {j * step}" for j, name in enumerate(names) if j and len(labels[j]))
+        self.notes.append(f"The same {what} labels are in several instances, so these labels were raised: {moved}.")
+        return [j * step for j in range(len(labels))]
+
+    def _elements(self, scopes: list[Placed]) -> None:
+        """Blocks with rows of all nodes; labels of each scope to numbers of elements."""
+        per_scope: list[dict[str, Ints]] = []
+        for placed in scopes:
+            kinds: dict[str, list[Ints]] = {}
+            for scope in placed.contents:
+                for kind, pieces in scope.elements.items():
+                    kinds.setdefault(kind, []).extend(pieces)
+                    pieces.clear() if len(self.placed) < 2 else None
+            per_scope.append({kind: np.concatenate(pieces) for kind, pieces in kinds.items()})
+        point_labels = [
+            np.array([n for scope in placed.contents for n, *_ in scope.points], dtype=np.int64) for placed in scopes
+        ]
+        own = [
+            np.concatenate([*(rows[:, 0] for rows in found.values()), extra])
+            for found, extra in zip(per_scope, point_labels, strict=True)
+        ]
+        for placed, labels in zip(scopes, own, strict=True):
+            order = np.argsort(labels, kind="stable")
+            placed.element_labels = labels[order]
+            twice = np.flatnonzero(np.diff(placed.element_labels) == 0)
+            if len(twice):
+                raise InputError(
+                    f"{self.deck} defines the element {placed.element_labels[twice[0]]}{_of(placed)} twice; expected "
+                    "unique element labels"
+                )
+            placed.element_rows = np.empty(len(labels), dtype=np.int64)
+        shifts = self._shifts(own, "element")
+        number = [np.empty(len(labels), dtype=np.int64) for labels in own]
+        filled, count, blocks = [0] * len(scopes), 0, []
+        for kind in dict.fromkeys(kind for found in per_scope for kind in found):
+            nodes, ids = [], []
+            for j, placed in enumerate(scopes):
+                rows = per_scope[j].pop(kind, None)
+                if rows is not None:
+                    nodes.append(self.rows_of(placed, rows[:, 1:], "elements name"))
+                    ids.append(rows[:, 0] + shifts[j])
+                    number[j][filled[j] : filled[j] + len(rows)] = np.arange(count, count + len(rows))
+                    filled[j] += len(rows)
+                    count += len(rows)
+            whole = np.concatenate(nodes) if len(nodes) > 1 else nodes[0]
+            blocks.append((kind, self._in_order(kind, whole), np.concatenate(ids)))
+        self.blocks: list[tuple[str, Ints, Ints]] = blocks
+        self.solids = count
+        self.points: list[tuple[Placed, int, str, int]] = []
+        for j, placed in enumerate(scopes):
+            items = [item for scope in placed.contents for item in scope.points]
+            number[j][filled[j] :] = np.arange(count, count + len(items))
+            count += len(items)
+            self.points += [(placed, self.one_node(placed, ref), code, n + shifts[j]) for n, ref, code in items]
+            placed.element_rows = number[j][np.argsort(own[j], kind="stable")]
+
+    def _in_order(self, kind: str, nodes: Ints) -> Ints:
+        """Nodes in VTK order. Programs differ in the order of the 7 inner nodes of hex27, so it is taken from where
+        they are."""
+        if kind != "hex27" or not len(nodes):
+            return nodes
+        N, _ = TYPES["hex20"].shape(TYPES["hex27"].reference[20:])
+        expected = np.einsum("ak,ekx->eax", N, self.xyz[nodes[:, :20]])
+        distance = np.linalg.norm(self.xyz[nodes[:, 20:]][:, None] - expected[:, :, None], axis=3)
+        order = distance.argmin(axis=2)
+        if (np.sort(order, axis=1) != np.arange(7)).any():
+            raise InputError(f"{self.deck}: nodes 21 to 27 of a C3D27 are not near its faces and its centre")
+        return np.concatenate([nodes[:, :20], np.take_along_axis(nodes[:, 20:], order, axis=1)], axis=1)
+
+    def rows_of(self, placed: Placed, labels: Ints, who: str) -> Ints:
+        """Rows of all nodes with ``labels`` (any shape) of a scope."""
+        at = np.searchsorted(placed.labels, labels)
+        at[at == len(placed.labels)] = 0
+        wrong = placed.labels[at] != labels if len(placed.labels) else np.ones(labels.shape, dtype=bool)
+        if wrong.any():
+            raise InputError(f"{self.deck}: {who} the node {labels[wrong][0]}{_of(placed)}, which is not defined")
+        return placed.rows[at]
+
+    def _split(self, placed: Placed, text: str) -> tuple[Placed, str]:
+        """The scope that a reference "INSTANCE.NAME" means and what it names there."""
+        first, dot, rest = text.partition(".")
+        if dot and placed is self.top and first.upper() in self.placed:
+            return self.placed[first.upper()], rest
+        return placed, text
+
+    def one_node(self, placed: Placed, text: str) -> int:
+        """Row of a node given by its label or by a set of one node."""
+        rows = self.nodes_of(placed, text)
+        if len(rows) != 1:
+            raise InputError(f"{self.deck}: {text!r} has {len(rows)} nodes where one is expected")
+        return int(rows[0])
+
+    def nodes_of(self, placed: Placed, text: str) -> Ints:
+        """Rows of the nodes that a label or the name of a set means."""
+        scope, rest = self._split(placed, text)
+        value = label(rest)
+        if value is not None:
+            return self.rows_of(scope, np.array([value]), "a line names")
+        return self.members("node", scope, rest)
+
+    def elements_of(self, placed: Placed, text: str) -> Ints:
+        """Numbers of the elements that a label or the name of a set means."""
+        scope, rest = self._split(placed, text)
+        value = label(rest)
+        if value is not None:
+            return self._found("element", scope, np.array([value]), text)
+        return self.members("element", scope, rest)
+
+    def members(self, kind: str, placed: Placed, name: str, seen: tuple[str, ...] = ()) -> Ints:
+        """Rows of nodes or numbers of elements of the set ``name``, sorted."""
+        sets = placed.sets(kind)
+        if name.upper() not in sets:
+            raise InputError(
+                f"{self.deck}: {name!r}{_of(placed)} is neither a label nor a set of {kind}s; "
+                f"{nearest(name, [one[0].name for one in sets.values()])}"
+            )
+        key = (id(placed), kind, name.upper())
+        if name.upper() in seen or len(seen) > _DEEPEST:
+            raise InputError(f"{self.deck}: the {kind} set {name!r} contains itself; expected labels or other sets")
+        if key not in self._cache:
+            pieces = [
+                self._part(kind, placed, part, name, (*seen, name.upper()))
+                for one in sets[name.upper()]
+                for part in one.parts
+            ]
+            self._cache[key] = np.unique(np.concatenate(pieces)) if pieces else _NONE
+        return self._cache[key]
+
+    def _part(self, kind: str, placed: Placed, part: Members, name: str, seen: tuple[str, ...]) -> Ints:
+        scope = placed
+        if part.instance:
+            if part.instance.upper() not in self.placed:
+                raise InputError(
+                    f"{self.deck}: the set {name!r} is of the instance {part.instance!r}, which is unknown"
+                )
+            scope = self.placed[part.instance.upper()]
+        labels, rows = (scope.labels, scope.rows) if kind == "node" else (scope.element_labels, scope.element_rows)
+        pieces = [self._found(kind, scope, part.labels, name)]
+        for first, last, step in part.ranges:
+            low, high = np.searchsorted(labels, [first, last + 1])
+            on = (labels[low:high] - first) % step == 0
+            missing = (last - first) // step + 1 - int(on.sum())
+            if missing:
+                self.notes.append(
+                    f"The {kind} set {name} runs from {first} to {last} in steps of {step}; {missing} of these labels "
+                    "do not exist and are not in it."
+                )
+            pieces.append(rows[low:high][on])
+        for other in part.names:
+            target, rest = self._split(scope, other)
+            value = label(rest)
+            if value is not None:
+                pieces.append(self._found(kind, target, np.array([value]), name))
+            else:
+                pieces.append(self.members(kind, target, rest, seen if target is placed else ()))
+        return np.concatenate(pieces)
+
+    def _found(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:
+        if kind == "node":
+            return self.rows_of(scope, labels, f"the set {name!r} names")
+        at = np.searchsorted(scope.element_labels, labels)
+        at[at == len(scope.element_labels)] = 0
+        wrong = scope.element_labels[at] != labels if len(scope.element_labels) else np.ones(len(labels), dtype=bool)
+        if wrong.any():
+            raise InputError(
+                f"{self.deck}: the set {name!r} names the element {labels[wrong][0]}{_of(scope)}, which is not defined"
+            )
+        return scope.element_rows[at]
+
+    def named(self, kind: str) -> dict[str, tuple[Placed, str]]:
+        """Final name of each set -> where it is and its name there.
+
+        Sets of the assembly keep their names; those of instances too, where there is one instance and no clash.
+        """
+        names: dict[str, tuple[Placed, str]] = {}
+        taken = set()
+        for one in self.top.sets(kind).values():
+            names[one[0].name] = (self.top, one[0].name)
+            taken.add(one[0].name.upper())
+        for placed in self.placed.values():
+            for key, one in placed.sets(kind).items():
+                plain = len(self.placed) == 1 and key not in taken
+                names[one[0].name if plain else f"{placed.name}.{one[0].name}"] = (placed, one[0].name)
+        return names
+
+    def final_name(self, kind: str, placed: Placed, text: str) -> str:
+        """Name that the set ``text`` of a scope has in the end."""
+        scope, rest = self._split(placed, text)
+        for name, (where, own) in self.named(kind).items():
+            if where is scope and own.upper() == rest.upper():
+                return name
+        raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s")
+
+
+def _of(placed: Placed) -> str:
+    return f" of the instance {placed.name!r}" if placed.name else ""
+
+
+def _gathered(placed: Placed, deck: str) -> tuple[Ints, Floats]:
+    """Labels and coordinates of a scope as they are written."""
+    ids = np.concatenate([_NONE, *(a for scope in placed.contents for a in scope.node_ids)])
+    xyz = np.concatenate([np.empty((0, 3)), *(a for scope in placed.contents for a in scope.xyz)])
+    if len(ids) and (len(np.unique(ids)) != len(ids) or ids.min() < 1):
+        raise InputError(f"{deck} defines some nodes{_of(placed)} twice, or below 1; expected unique node labels")
+    return ids, xyz
+
+
+def _motion(instance: Instance) -> tuple[Floats, Floats, Floats]:
+    """Rotation (3, 3), shift (3,) before it and a point (3,) on its axis."""
+    rows = [values(row, instance.card) for row in instance.moves if row]
+    R, shift, point = np.eye(3), np.zeros(3), np.zeros(3)
+    if len(rows) > 2 or any(len(row) > n for row, n in zip(rows, (3, 7), strict=False)):
+        raise InputError(f"{instance.card} has data lines that are not a shift (3 numbers) and a rotation (7 numbers)")
+    if rows:
+        shift[: len(rows[0])] = rows[0]
+    if len(rows) > 1:
+        if len(rows[1]) < 7:
+            raise InputError(f"{instance.card} gives {len(rows[1])} numbers for a rotation; expected 7")
+        point, axis, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
+        axis = axis - point
+        length = np.linalg.norm(axis)
+        if not 0 < length < np.inf:
+            raise InputError(f"{instance.card}: the two points of the axis of rotation must differ")
+        A = skew(axis / length)
+        R = np.eye(3) + np.sin(angle) * A + (1 - np.cos(angle)) * A @ A
+    return R, shift, point

@@ -1,0 +1,284 @@
+"""Input decks of Abaqus and CalculiX as keywords with their data lines, read piece by piece.
+
+A keyword line begins with one star, a comment with two; a keyword line that ends in a comma goes on in the next.
+*INCLUDE is followed, and so is INPUT= of the blocks that hold data by the line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.text_matrices import numbers, table, whole_numbers
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+PIECE = 1 << 22
+_LONGEST_LINE = 1 << 16
+_MOST_LINES = 32
+# Beyond it lengths and areas overflow.
+LARGEST = 1e100
+_COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
+_EMPTY_FIELD = re.compile(rb",[ \t]*(?=[,\n])|^[ \t]*,", re.MULTILINE)
+_GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
+_WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
+
+
+@dataclass(frozen=True, eq=False)
+class Card:
+    """A keyword line: ``keyword`` in capitals, ``options`` with their names in capitals, ``file`` it stands in."""
+
+    keyword: str
+    options: dict[str, str]
+    file: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: *{self.keyword}"
+
+    def need(self, option: str) -> str:
+        """Value of an option that must be there."""
+        value = self.options.get(option, "")
+        if not value:
+            raise InputError(f"{self} gives no {option}=; expected one")
+        return value
+
+
+def cards(path: Path) -> Iterator[tuple[Card, Iterator[bytes]]]:
+    """Each keyword with its data in pieces of whole lines; what is not taken of the pieces is passed over.
+
+    Raises:
+        InputError: a file is missing, binary, includes itself, or does not begin with a keyword.
+    """
+    for card, group in groupby(_stream(path, (), None), key=itemgetter(0)):
+        yield card, (piece for _, piece in group)
+
+
+def _stream(path: Path, above: tuple[Path, ...], card: Card | None) -> Generator[tuple[Card, bytes], None, Card | None]:
+    """Cards with pieces of data; begins inside ``card`` and returns the one it ends in."""
+    resolved = path.resolve()
+    if resolved in above:
+        chain = " -> ".join(p.name for p in (*above, resolved))
+        raise InputError(f"{path.name} includes itself ({chain}); remove the *INCLUDE that closes the circle")
+    above = (*above, resolved)
+    for text in _texts(path):
+        at = 0
+        while (star := _next_keyword(text, at)) >= 0:
+            yield from _data(card, text[at:star], path)
+            line, at = _keyword_line(text, star)
+            found = _card(line, path.name)
+            if found.keyword == "INCLUDE":
+                card = yield from _stream(_beside(path, found), above, card)
+                continue
+            card = found
+            yield card, b""
+            if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
+                for piece in _texts(_beside(path, card)):
+                    yield card, piece
+        yield from _data(card, text[at:], path)
+    return card
+
+
+def _data(card: Card | None, piece: bytes, path: Path) -> Iterator[tuple[Card, bytes]]:
+    if not piece.strip():
+        return
+    if card is None:
+        start = piece.strip()[:40].decode("latin-1")
+        raise InputError(
+            f"{path.name} has {start!r} where a keyword belongs, and no *NODE block before it; expected an Abaqus or "
+            "CalculiX input deck"
+        )
+    yield card, piece
+
+
+def _beside(path: Path, card: Card) -> Path:
+    """The file that a card names, beside the file it stands in."""
+    name = card.need("INPUT")
+    try:
+        found = path.parent / name
+        exists = found.is_file()
+    except (OSError, ValueError):
+        exists = False
+    if not exists:
+        raise InputError(f"{card} names the file {name!r}, which does not exist beside {path.name}; check the path")
+    return found
+
+
+def _texts(path: Path) -> Iterator[bytes]:
+    """Pieces of whole lines without comments; a keyword line is never at the end of a piece but the last."""
+    rest = b""
+    try:
+        with open(path, "rb") as file:
+            while chunk := file.read(PIECE):
+                if b"\0" in chunk:
+                    raise InputError(f"{path.name} holds binary data; expected an input deck, which is text")
+                text = rest + chunk
+                cut = text.rfind(b"\n") + 1
+                cut = _before_last_keyword(text, cut)
+                if cut == 0 and len(text) > PIECE + _LONGEST_LINE:
+                    raise InputError(f"{path.name} has no ends of lines; expected an input deck, which is text")
+                rest = text[cut:]
+                if cut:
+                    yield _clean(text[:cut])
+    except OSError as error:
+        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+    if rest:
+        yield _clean(rest + b"\n")
+        last = rest[rest.rfind(b"\n") + 1 :].strip()
+        if last and not last.startswith(b"*"):
+            raise InputError(
+                f"{path.name} ends within the line {last[-40:].decode('latin-1')!r}, so it may be cut off; write it "
+                "again, or end the last line if the file is complete"
+            )
+
+
+def _before_last_keyword(text: bytes, cut: int) -> int:
+    """``cut``, or the begin of the keyword line that is the last before it: it may go on in the next piece."""
+    at = cut
+    for _ in range(_MOST_LINES):
+        at = text.rfind(b"\n", 0, max(at - 1, 0)) + 1
+        if text[at : at + 80].lstrip(b" \t")[:1] == b"*" and text[at : at + 80].lstrip(b" \t")[:2] != b"**":
+            return at
+        before = text[max(at - 80, 0) : at].rstrip()
+        if at == 0 or not before.endswith(b","):
+            return cut
+    return cut
+
+
+def _clean(text: bytes) -> bytes:
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return _COMMENT.sub(b"", text) if b"**" in text else text
+
+
+def _next_keyword(text: bytes, at: int) -> int:
+    """Where the next line begins whose first character is a star, -1 if none does."""
+    star = text.find(b"*", at)
+    while star >= 0:
+        begin = text.rfind(b"\n", 0, star) + 1
+        if not text[begin:star].strip():
+            return begin
+        star = text.find(b"*", star + 1)
+    return -1
+
+
+def _keyword_line(text: bytes, start: int) -> tuple[bytes, int]:
+    """The keyword line at ``start`` with the lines it goes on in, and where the next line begins."""
+    line, at = b"", start
+    while True:
+        end = text.index(b"\n", at) + 1
+        line, at = line + text[at:end].strip(), end
+        following = text[at : at + 200].lstrip(b" \t")[:1]
+        if not line.endswith(b",") or not following.isalpha():
+            return line, at
+
+
+def decoded(text: bytes) -> str:
+    """Text in UTF-8, or Latin-1 where it is not."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _card(line: bytes, file: str) -> Card:
+    head, *rest = decoded(line).lstrip()[1:].split(",")
+    options = {}
+    for part in rest:
+        key, _, value = part.partition("=")
+        if key.strip():
+            options[" ".join(key.upper().split())] = value.strip().strip('"').strip()
+    return Card(" ".join(head.upper().split()), options, file)
+
+
+def fields(lines: bytes) -> list[list[str]]:
+    """Fields of each data line, without empty ones at its end."""
+    rows = []
+    for line in decoded(lines).split("\n"):
+        row = [part.strip().strip('"') for part in line.split(",")]
+        while row and not row[-1]:
+            row.pop()
+        if row or line.strip():
+            rows.append(row)
+    return rows
+
+
+def number(text: str, card: Card) -> float:
+    """A finite number; an empty field is 0."""
+    if not text:
+        return 0.0
+    try:
+        value = float(text.replace("d", "e").replace("D", "E"))
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < LARGEST or "_" in text:
+        raise InputError(f"{card}: {text[:40]!r} cannot be read as a number; expected a finite one")
+    return value
+
+
+def label(text: str) -> int | None:
+    """A label, or None where the text is a name."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 17 else None
+
+
+def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
+    """Labels (n,) and coordinates (n, 3) of the data lines of *NODE."""
+    if not _EMPTY_FIELD.search(piece) and not _GAP.search(piece):
+        try:
+            rows = table(piece, 4, card.file)
+        except InputError:
+            rows = None
+        if rows is not None and piece.count(b",") == 3 * len(rows):
+            return whole_numbers(rows[:, 0], "a node label", card.file), rows[:, 1:]
+    ids, xyz = [], []
+    for row in fields(piece):
+        if not row:
+            continue
+        node = label(row[0])
+        if node is None:
+            raise InputError(f"{card}: {', '.join(row)[:60]!r} cannot be read; expected a label and three coordinates")
+        ids.append(node)
+        xyz.append([number(text, card) for text in (row[1:4] + [""] * 3)[:3]])
+    return np.array(ids, dtype=np.int64), np.array(xyz, dtype=np.float64).reshape(-1, 3)
+
+
+def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
+    """All whole numbers (k,) of data lines, and which of them are the first of their line (k,)."""
+    gap = _GAP.search(piece)
+    if gap:
+        line = piece[piece.rfind(b"\n", 0, gap.start()) + 1 :].split(b"\n")[0]
+        raise InputError(f"{card}: {line.decode('latin-1')[:60]!r} has a blank within a field; expected commas")
+    values = whole_numbers(numbers(piece, card.file), "a label", card.file)
+    codes = np.frombuffer(piece, dtype=np.uint8)
+    # Digits, signs and dots are above the comma or are the comma's neighbours; separators are few.
+    apart = (codes == 10) | (codes == 44) | (codes == 32) | (codes == 9)
+    starts = np.flatnonzero(~apart & np.concatenate([[True], apart[:-1]]))
+    line_of = np.searchsorted(np.flatnonzero(codes == 10), starts)
+    first = np.ones(len(starts), dtype=bool)
+    first[1:] = line_of[1:] != line_of[:-1]
+    if len(first) != len(values):
+        raise InputError(f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected whole numbers")
+    return values, first
+
+
+def members(piece: bytes, card: Card) -> tuple[Ints, list[str]]:
+    """Labels and names in the data lines of a set."""
+    if not piece.translate(None, b"0123456789, \t\n") and not _GAP.search(piece):
+        return whole_numbers(numbers(piece, card.file), "a label", card.file), []
+    labels: list[int] = []
+    names: list[str] = []
+    for row in fields(piece):
+        for text in row:
+            value = label(text)
+            if value is not None:
+                labels.append(value)
+            elif text:
+                names.append(text)
+    return np.array(labels, dtype=np.int64), names

@@ -1,0 +1,180 @@
+"""Materials and solid sections of an input deck as one material for each element set."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
+from morembs.importers.abaqus_keywords import LARGEST, Card
+from morembs.material import VOIGT, Material, isotropic, orthotropic
+
+Floats = NDArray[np.float64]
+_WITHOUT_EFFECT = {
+    "EXPANSION", "CONDUCTIVITY", "SPECIFIC HEAT", "LATENT HEAT", "PLASTIC", "CREEP", "CYCLIC HARDENING",
+    "RATE DEPENDENT", "POTENTIAL", "DEPVAR", "ELECTRICAL CONDUCTIVITY", "FAIL STRESS", "FAIL STRAIN", "DAMPING",
+    "USER DEFINED FIELD", "MAGNETIC PERMEABILITY", "PERMEABILITY",
+}  # fmt: skip
+# Where the constants of anisotropic elasticity go; Abaqus orders shear 12, 13, 23, which is 5, 4, 3 here.
+_ORDER = (0, 1, 2, 5, 4, 3)
+_ORTHOTROPIC = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2), (3, 3), (4, 4), (5, 5))
+_ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
+
+
+def materials_of(deck: Deck, assembly: Assembly) -> tuple[tuple[Material, ...], list[str]]:
+    """A material for each solid section, and notes on what was left out.
+
+    Raises:
+        InputError: a section names what is not there, or a material that is not linear elastic.
+    """
+    found: list[Material] = []
+    notes: list[str] = []
+    for placed in (*assembly.placed.values(), assembly.top):
+        for scope in placed.contents:
+            for card, _ in scope.properties:
+                if card.keyword == "SOLID SECTION":
+                    one = _section(deck, assembly, placed, scope, card, notes)
+                    found += [one] if one else []
+    if not found and not deck.materials:
+        notes.append("The deck has no materials; give them when the model is built.")
+    return tuple(found), list(dict.fromkeys(notes))
+
+
+def _section(
+    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, notes: list[str]
+) -> Material | None:
+    elset, name = card.need("ELSET"), card.need("MATERIAL")
+    for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
+        if option in card.options:
+            raise InputError(f"{card} of {elset!r} is given with {option}; expected a section of one material")
+    numbers = assembly.elements_of(placed, elset)
+    if not (numbers < assembly.solids).any():
+        notes.append(f"The solid section of {elset} has no elements and was left out.")
+        return None
+    if name.upper() not in deck.materials:
+        raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
+    given: dict[str, tuple[Card, Rows]] = {}
+    for own, rows in deck.materials[name.upper()]:
+        if own.keyword in ("ELASTIC", "DENSITY"):
+            given[own.keyword] = own, [row for row in rows if row]
+        elif own.keyword in _WITHOUT_EFFECT:
+            notes.append(f"Material {name}: *{own.keyword} is not carried over.")
+        else:
+            raise InputError(f"{own} of the material {name!r} is not linear elastic; expected *ELASTIC and *DENSITY")
+    missing = [word for word in ("ELASTIC", "DENSITY") if word not in given]
+    final = assembly.final_name("element", placed, elset)
+    if missing:
+        notes.append(
+            f"Material {name} has no *{' and no *'.join(missing)}, so the set {final} has no material; give it when "
+            "the model is built."
+        )
+        return None
+    density = _numbers(*given["DENSITY"], 1, name)[0]
+    orientation = card.options.get("ORIENTATION", "").upper()
+    axes = None
+    elastic, rows = given["ELASTIC"]
+    if elastic.options.get("TYPE", "ISO").upper()[:3] != "ISO":
+        axes = _axes(placed, scope, deck, orientation, elset, name) @ placed.rotation.T
+    return _elastic(elastic, rows, final, name, density, axes)
+
+
+def _numbers(card: Card, rows: Rows, count: int, name: str) -> list[float]:
+    """``count`` constants, eight on a line; a temperature may stand behind them."""
+    lines = -(-count // 8)
+    for option in ("DEPENDENCIES", "MODULI"):
+        if card.options.get(option, "LONG TERM").upper() != "LONG TERM":
+            raise InputError(f"{card} of the material {name!r} is given with {option}; expected constants")
+    if len(rows) > lines:
+        raise InputError(
+            f"{card} of the material {name!r} depends on temperature ({len(rows)} lines); keep the line of the "
+            "temperature that the model is for"
+        )
+    flat = [number for row in rows for number in values(row, card)]
+    if len(flat) not in (count, count + 1):
+        raise InputError(f"{card} of the material {name!r} has {len(flat)} constants; expected {count}")
+    return flat[:count]
+
+
+def _elastic(card: Card, rows: Rows, final: str, name: str, density: float, axes: Floats | None) -> Material:
+    kind = " ".join(card.options.get("TYPE", "ISOTROPIC").upper().split())
+    if kind.startswith("ISO"):
+        young, poisson = _numbers(card, rows, 2, name)
+        return isotropic(set=final, young=young, poisson=poisson, density=density)
+    if kind.startswith("ENGINEERING"):
+        c = _numbers(card, rows, 9, name)
+        return orthotropic(
+            set=final, young=(c[0], c[1], c[2]), poisson=(c[3], c[4], c[5]), shear=(c[6], c[7], c[8]),
+            density=density, axes=axes,
+        )  # fmt: skip
+    places = {"ORTHO": _ORTHOTROPIC, "ANISO": _ANISOTROPIC}.get(kind[:5])
+    if places is None:
+        raise InputError(
+            f"{card} of the material {name!r} is of the type {kind}; expected ISOTROPIC, ENGINEERING CONSTANTS, "
+            "ORTHOTROPIC or ANISOTROPIC"
+        )
+    C = np.zeros((6, 6))
+    for (i, j), value in zip(places, _numbers(card, rows, len(places), name), strict=True):
+        i, j = _ORDER[i], _ORDER[j]
+        C[i, j] = C[j, i] = value
+    return Material(set=final, stiffness=C if axes is None else turned(C, axes), density=density)
+
+
+def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: str) -> Floats:
+    """Rows are the material directions 1, 2, 3 in the axes of the part."""
+    found = scope.orientations.get(key) or deck.top.orientations.get(key)
+    if not found:
+        raise InputError(
+            f"{deck.name}: the material {name!r} of {elset!r} is not isotropic and its section names no *ORIENTATION "
+            f"that is defined ({key or 'none'} was given); expected one"
+        )
+    card, rows = found
+    rows = [row for row in rows if row]
+    system = card.options.get("SYSTEM", "RECTANGULAR").upper()
+    if not system.startswith("RECT") or card.options.get("DEFINITION", "COORDINATES").upper() != "COORDINATES":
+        raise InputError(f"{card} {key!r} is not a rectangular one given by coordinates, which is expected")
+    numbers = values(rows[0], card) if rows else []
+    if len(numbers) not in (6, 9):
+        raise InputError(f"{card} {key!r} has {len(numbers)} coordinates; expected two or three points")
+    origin = np.array(numbers[6:9]) if len(numbers) == 9 else np.zeros(3)
+    a, b = np.array(numbers[:3]) - origin, np.array(numbers[3:6]) - origin
+    axes = frame_of(a, b)
+    if axes is None:
+        raise InputError(f"{card} {key!r}: the points lie on a line, so they give no directions")
+    if len(rows) > 1:
+        turn = values(rows[1], card)
+        axis, angle = int(turn[0]) - 1, np.radians(turn[1] if len(turn) > 1 else 0.0)
+        if turn[0] not in (1.0, 2.0, 3.0):
+            raise InputError(f"{card} {key!r} turns about the axis {turn[0]:g}; expected 1, 2 or 3")
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        c, s = np.cos(angle), np.sin(angle)
+        axes[[j, k]] = c * axes[j] + s * axes[k], c * axes[k] - s * axes[j]
+    return axes
+
+
+def frame_of(first: Floats, plane: Floats) -> Floats | None:
+    """Orthonormal rows: along ``first``, in its plane with ``plane``, normal to both; None if these are on a line."""
+    if not (np.abs([first, plane]) < LARGEST).all():
+        return None
+    lengths = np.linalg.norm(first), np.linalg.norm(plane)
+    if not min(lengths) > 0:
+        return None
+    e1 = first / lengths[0]
+    normal = np.cross(e1, plane / lengths[1])
+    size = np.linalg.norm(normal)
+    if not size > 1e-8:
+        return None
+    e3 = normal / size
+    return np.array([e1, np.cross(e3, e1), e3])
+
+
+def turned(C: Floats, axes: Floats) -> Floats:
+    """Stiffness ``C`` (6, 6) given along the rows of ``axes``, in the frame that these are written in."""
+    T = np.zeros((6, 6))  # strains along the axes from those of the frame
+    for q, (k, m) in enumerate(VOIGT):
+        strain = np.zeros((3, 3))
+        strain[k, m] = strain[m, k] = 1.0 if k == m else 0.5
+        local = axes @ strain @ axes.T
+        T[:, q] = [local[i, j] * (1 if i == j else 2) for i, j in VOIGT]
+    return np.asarray(T.T @ C @ T)

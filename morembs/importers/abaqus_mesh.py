@@ -1,0 +1,59 @@
+"""The mesh of an assembled input deck: nodes that solids use, its sets under their final names."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.model import ElementBlock, Mesh, Nodes
+
+Ints = NDArray[np.int64]
+
+
+def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
+    """Mesh of the solids, its nodes with ``extra`` rows behind them, and the row among these of all nodes (or -1)."""
+    used = np.zeros(len(assembly.ids), dtype=bool)
+    for _, nodes, _ in assembly.blocks:
+        used[nodes] = True
+    if not assembly.blocks:
+        used[:] = True
+    kept = np.flatnonzero(used)
+    kept = kept[np.argsort(assembly.ids[kept], kind="stable")]
+    loose = np.unique(extra[~used[extra]])
+    row = np.full(len(assembly.ids), -1, dtype=np.int64)
+    row[kept] = np.arange(len(kept))
+    row[loose] = len(kept) + np.arange(len(loose))
+    blocks = []
+    for kind, nodes, ids in assembly.blocks:
+        blocks.append(ElementBlock(type=kind, nodes=row[nodes], ids=ids))
+    assembly.blocks = []
+    node_sets = {}
+    for name, (placed, own) in assembly.named("node").items():
+        rows = row[assembly.members("node", placed, own)]
+        if (rows >= 0).any():
+            node_sets[name] = np.sort(rows[rows >= 0])
+        else:
+            assembly.notes.append(f"The node set {name} holds no node of the model and was left out.")
+    spans = np.cumsum([0, *(len(block.ids) for block in blocks)])
+    element_sets = {}
+    for name, (placed, own) in assembly.named("element").items():
+        numbers = assembly.members("element", placed, own)
+        picked = tuple(numbers[slice(*np.searchsorted(numbers, [a, b]))] - a for a, b in pairwise(spans.tolist()))
+        if any(len(p) for p in picked):
+            element_sets[name] = picked
+    left = len(assembly.ids) - len(kept) - len(loose)
+    if left:
+        first = assembly.ids[row < 0].min()
+        assembly.notes.append(f"{left} nodes belong to no element and were left out (first: {first}).")
+    inside = {name: rows[rows < len(kept)] for name, rows in node_sets.items()}
+    mesh = Mesh(
+        nodes=Nodes(ids=assembly.ids[kept], xyz=assembly.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
+        blocks=tuple(blocks), element_sets=element_sets, source=assembly.deck,
+    )  # fmt: skip
+    if not len(loose):
+        return mesh, mesh.nodes, row
+    both = np.concatenate([kept, loose])
+    return mesh, Nodes(ids=assembly.ids[both], xyz=assembly.xyz[both], sets=node_sets), row

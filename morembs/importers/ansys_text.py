@@ -1,0 +1,238 @@
+"""Matrices of ANSYS as text: Matrix Market (*EXPORT,,MMF) or Harwell-Boeing (HBMAT), with what maps rows to dofs.
+
+Rows are in the order of the solver, without dofs that supports and couplings eliminate. The mapping is one of
+
+- the .mapping file of HBMAT (Mapping = YES): lines "row node dof";
+- the table of nodes of *VEC,BACK,I,IMPORT,FULL,file.full,BACK and *EXPORT,BACK,MMF: node labels in the internal order,
+  with NOD2SOLV (*SMAT) or NOD2BCS (*VEC) from internal to solver order, or none where both orders are the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.imported import Imported
+from morembs.importers.ansys_hb import read_harwell_boeing
+from morembs.importers.ansys_nodes import COMPONENTS, joined
+from morembs.importers.text_matrices import numbers, opened, table, text_blocks, whole_numbers
+from morembs.importers.triplets import Spool, assembled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_BANNER = b"%%MatrixMarket"
+_MAPPING_LINE = re.compile(r"\s*(\d{1,10})[\s,]+(\d{1,10})[\s,]+([A-Za-z]+|\d)\s*$")
+
+
+def import_ansys_matrices(
+    path: str | Path, *, mass: str | Path, damping: str | Path | None = None, mapping: str | Path | None = None,
+    nod2solv: str | Path | None = None, nodes: str | Path | None = None,
+) -> Imported:  # fmt: skip
+    """Stiffness ``path``, ``mass`` and ``damping`` with the ``mapping`` of their rows and the coordinates of ``nodes``.
+
+    ``nodes`` is the archive of the same model (.cdb) or a list of its nodes (NWRITE, NLIST). Where the mapping does
+    not say the order for certain, it is checked: rigid motion must leave K without forces.
+
+    Raises:
+        InputError: a file is missing, cut off or of another format; no mapping or nodes; parts that do not fit.
+    """
+    path = Path(path)
+    if mapping is None:
+        raise InputError(
+            f"{path.name} does not say which node and dof its rows are; write that too (HBMAT with Mapping = YES; or "
+            "*VEC,BACK,I,IMPORT,FULL,file.full,BACK and *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV, both with "
+            "*EXPORT,...,MMF) and give it as mapping and nod2solv"
+        )
+    K = read_ansys_matrix(path)
+    matrices = {"K": K, "M": read_ansys_matrix(mass), "D": None if damping is None else read_ansys_matrix(damping)}
+    for other, file in (("M", mass), ("D", damping)):
+        matrix = matrices[other]
+        if matrix is not None and file is not None and matrix.shape != K.shape:
+            raise InputError(
+                f"{Path(file).name} has the size {matrix.shape[0]}, {path.name} {K.shape[0]}"
+                "; give matrices of one model"
+            )
+    node, component, sure = _rows(Path(mapping), None if nod2solv is None else Path(nod2solv), K.shape[0])
+    order = np.lexsort((component, node))
+    same = (np.diff(node[order]) == 0) & (np.diff(component[order]) == 0)
+    if same.any():
+        at = order[int(np.flatnonzero(same)[0])]
+        raise InputError(f"{Path(mapping).name} names {COMPONENTS[component[at]]} of the node {node[at]} twice")
+    ordered = {name: None if A is None else sp.csr_array(A[order][:, order]) for name, A in matrices.items()}
+    return joined(path.name, ordered, node[order], component[order], nodes, (), free=True, sure=sure)
+
+
+def read_ansys_matrix(path: str | Path) -> sp.csr_array:
+    """Square matrix of a text file, Matrix Market or Harwell-Boeing, whole where the file holds one triangle.
+
+    Memory is that of the matrix (CSR) and blocks of text.
+
+    Raises:
+        InputError: the file is missing, cut off, binary, complex, or of another format.
+    """
+    path = Path(path)
+    with opened(path) as file:
+        market = file.read(len(_BANNER)).lower() == _BANNER.lower()
+    if not market:
+        return read_harwell_boeing(path)
+    found = _market(path)
+    if isinstance(found, np.ndarray):
+        raise InputError(f"{path.name} is a vector or a dense matrix; expected a sparse one (*SMAT and *EXPORT,,MMF)")
+    if found.shape[0] != found.shape[1]:
+        raise InputError(f"{path.name} is {found.shape[0]} x {found.shape[1]}; expected a square matrix")
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Head:
+    """First lines of a Matrix Market file."""
+
+    sparse: bool
+    symmetric: bool
+    size: tuple[int, ...]
+
+
+def _market(path: Path) -> sp.csr_array | Floats:
+    """Sparse matrix, or the column (n,) of an array file."""
+    blocks = text_blocks(path)
+    head, first = _head(next(blocks), path.name)
+    rest = (block for part in ((first,), blocks) for block in part)
+    if not head.sparse:
+        parts = [numbers(block, path.name) for block in rest]
+        values = np.concatenate(parts)
+        if len(head.size) != 2 or head.size[1] != 1 or len(values) != head.size[0]:
+            raise InputError(f"{path.name} announces {head.size} numbers and holds {len(values)}; expected one column")
+        return values
+    if len(head.size) != 3 or max(head.size[:2]) >= 2**31 or (head.symmetric and head.size[0] != head.size[1]):
+        raise InputError(f"{path.name} announces the size {head.size}, which cannot be; it is damaged")
+    if max(head.size) > path.stat().st_size:
+        raise InputError(f"{path.name} announces the size {head.size}, more than it can hold; it is damaged or cut off")
+    count = 0
+    with Spool(path.name) as spool:
+        for block in rest:
+            entries = table(block, 3, path.name)
+            at = whole_numbers(entries[:, :2], "a row or column number", path.name) - 1
+            if head.symmetric and (at[:, 0] < at[:, 1]).any() and (at[:, 0] > at[:, 1]).any():
+                raise InputError(f"{path.name} says that it is symmetric but has entries in both triangles")
+            count += len(entries)
+            spool.add(at[:, 0], at[:, 1], entries[:, 2])
+        if count != head.size[2]:
+            raise InputError(
+                f"{path.name} announces {head.size[2]} entries and holds {count}; it is cut off or damaged"
+            )
+        return assembled(spool, (head.size[0], head.size[1]), mirror=head.symmetric, name=path.name)
+
+
+def _head(block: bytes, name: str) -> tuple[_Head, bytes]:
+    lines = iter(block.splitlines(keepends=True))
+    words = next(lines).decode("latin-1").lower().split()
+    used = 0
+    size: list[bytes] = []
+    for line in block.splitlines(keepends=True):
+        used += len(line)
+        if not line.startswith(b"%") and line.strip():
+            size = line.split()
+            break
+    if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
+        raise InputError(
+            f"{name} starts with {' '.join(words)[:60]!r}; expected '%%MatrixMarket matrix coordinate real ...'"
+        )
+    if words[3] not in ("real", "integer", "double") or words[4] not in ("general", "symmetric"):
+        raise InputError(f"{name} is {words[3]} {words[4]}, which is not read; expected real, general or symmetric")
+    if not size or not all(word.isdigit() and len(word) < 16 for word in size):
+        raise InputError(f"{name} has no line with its size; it is damaged")
+    head = _Head(sparse=words[2] == "coordinate", symmetric=words[4] == "symmetric", size=tuple(map(int, size)))
+    return head, block[used:]
+
+
+def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, bool]:
+    """Node and component (N,) of each row, and whether their order is certain."""
+    with opened(mapping) as file:
+        market = file.read(len(_BANNER)).lower() == _BANNER.lower()
+    if not market:
+        return (*_mapping_lines(mapping, size), True)
+    labels = _market(mapping)
+    if not isinstance(labels, np.ndarray):
+        raise InputError(
+            f"{mapping.name} is a sparse matrix; give the table of nodes (BACK) as mapping, it as nod2solv"
+        )
+    label = whole_numbers(labels, "a node label", mapping.name)
+    if not len(label) or label.min() < 1 or label.max() >= 2**31:
+        raise InputError(
+            f"{mapping.name} holds {label.min() if len(label) else 'no label'}; expected node labels from 1"
+        )
+    if nod2solv is None:
+        internal, at = size, np.arange(size)
+    else:
+        internal, at = _solver_order(nod2solv, size)
+    per_node = internal // len(label) if internal % len(label) == 0 else 0
+    if per_node not in (3, 6):
+        raise InputError(
+            f"{mapping.name} has {len(label)} nodes for {internal} dofs; expected 3 or 6 dofs at each. Where supports "
+            "or couplings eliminate dofs, give nod2solv too (*SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV)"
+        )
+    return label[at // per_node], at % per_node, nod2solv is not None and internal != size
+
+
+def _solver_order(path: Path, size: int) -> tuple[int, Ints]:
+    """Number of internal dofs, and the internal dof (N,) of each row of the solver."""
+    found = _market(path)
+    if isinstance(found, np.ndarray):
+        to = whole_numbers(found, "a row number", path.name)
+        kept = np.flatnonzero(to > 0)
+        if not np.array_equal(np.sort(to[kept]), np.arange(1, size + 1)):
+            raise InputError(f"{path.name} does not number {size} rows of the matrices; give that of the same model")
+        at = np.empty(size, dtype=np.int64)
+        at[to[kept] - 1] = kept
+        return len(to), at
+    if found.shape[0] != size or (np.diff(found.indptr) != 1).any() or (found.data != 1).any():
+        raise InputError(
+            f"{path.name} is not a choice of {size} dofs (one 1 in each row); couplings and constraint equations mix "
+            "dofs and are not read: write the model without them"
+        )
+    at = found.indices.astype(np.int64)
+    if len(np.unique(at)) < len(at):
+        raise InputError(f"{path.name} chooses a dof twice; it is damaged")
+    return int(found.shape[1]), at
+
+
+def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
+    """Node and component (N,) of the .mapping file of HBMAT."""
+    node, component = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    seen = 0
+    for row, label, dof in _mapped(path):
+        if not 1 <= row <= size or node[row - 1] or label < 1:
+            raise InputError(
+                f"{path.name} maps the row {row} to the node {label}; expected each row from 1 to {size} once"
+            )
+        node[row - 1], component[row - 1] = label, dof
+        seen += 1
+    if seen != size:
+        raise InputError(f"{path.name} maps {seen} rows; the matrices have {size}. Give the mapping of the same HBMAT")
+    return node, component
+
+
+def _mapped(path: Path) -> Iterator[tuple[int, int, int]]:
+    started = False
+    for block in text_blocks(path):
+        for line in block.decode("latin-1").splitlines():
+            match = _MAPPING_LINE.match(line)
+            if match is None:
+                if started and line.strip():
+                    raise InputError(f"{path.name}: the line {line[:60]!r} is not 'row node dof'; it is damaged")
+                continue
+            started = True
+            dof = match[3].upper()
+            if dof not in COMPONENTS and not (dof.isdigit() and 1 <= int(dof) <= 6):
+                raise InputError(
+                    f"{path.name} has the dof {dof}; expected {', '.join(COMPONENTS)} (a structural model)"
+                )
+            yield int(match[1]), int(match[2]), COMPONENTS.index(dof) if not dof.isdigit() else int(dof) - 1
