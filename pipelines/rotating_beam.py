@@ -1,0 +1,194 @@
+#!/usr/bin/env python3
+"""A rotating beam in two simulators: the frequency of its flapping, with and without geometric stiffening.
+
+A blade is clamped to a shaft that turns at constant speed W about z, its root on the axis. Beam theory gives
+w(W)^2 = w(0)^2 + c W^2 with c = 1.193 for the first flap mode (out of the plane of rotation; Southwell and Gough 1921)
+and c = 0.193 for the first lag mode. Reduces the blade by rotating_beam.toml and finds c in two ways:
+
+- by linearisation: the elastic equations of morembs.multibody about steady spin (they are linear in the elastic
+  coordinates and their rates), as an eigenvalue problem;
+- by simulation: the blade, set off in its first flap shape, swings for a while in morembs.multibody and in Exudyn;
+  the frequency comes from the zeros of the tip's motion.
+
+Exudyn has no geometric stiffening: it shows what is wrong without. The picture is rotating_beam.png.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg as sl
+from both_simulators import (
+    OURS,
+    THEIRS,
+    THIRD,
+    Curve,
+    ExudynSystem,
+    Floats,
+    Made,
+    Panel,
+    draw,
+    exudyn_missing,
+    make_body,
+    parse,
+)
+
+from morembs.multibody import DrivenAngle, FlexibleBody, Motion, RevoluteJoint, System, ground, simulate
+
+SIZE, CELLS = (1.0, 0.03, 0.01), (40, 1, 2)  # m: length, width in the plane of rotation (lag), height (flap)
+FLAP, LAG = 2, 1  # axes
+SOUTHWELL = {FLAP: 1.193, LAG: 0.193}
+# Speeds as parts of the first flap frequency at rest.
+SPEEDS, SIMULATED = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), (0.4, 0.8)
+STEP, RHO, PERIODS = 5e-4, 0.95, 8
+SWING = 1e-4  # m, of the tip
+
+
+def linearised(made: Made, speed: float, axis: int, *, stiffening: bool) -> float:
+    """Lowest frequency (rad/s) of the modes that move the tip along ``axis``, about steady spin."""
+    frame = made.body.floating
+    body = FlexibleBody(frame, angular_velocity=(0, 0, speed), stiffening=stiffening)
+    x, v = body.start()
+    n, still = frame.count, np.zeros(3)
+
+    def rows(q: Floats, rate: Floats) -> Floats:
+        # The root is on the axis and turns steadily, so that the frame has no acceleration.
+        state, velocity = np.concatenate((x[:12], q)), np.concatenate((v[:6], rate))
+        return body.dynamics(0.0, state, velocity, still)[1][6:]
+
+    eye, none = np.eye(n), np.zeros(n)
+    steady = rows(none, none)
+    K = np.stack([rows(e, none) - steady for e in eye], axis=1)
+    G = np.stack([rows(none, e) - steady for e in eye], axis=1)
+    values, vectors = sl.eig(np.block([[np.zeros((n, n)), eye], [-K, -G]]), sl.block_diag(eye, frame.integrals.Me))
+    tip = np.abs(frame.markers["tip"].motion[:3] @ vectors[:n])
+    moving = (tip[axis] > 0.9 * np.linalg.norm(tip, axis=0)) & (values.imag > 0)
+    return float(values[moving].imag.min())
+
+
+def first_flap(made: Made) -> Floats:
+    """(n,) elastic coordinates of the first flap shape at rest, the tip off by ``SWING``."""
+    frame = made.body.floating
+    _, Y = sl.eigh(frame.Ke, frame.integrals.Me)
+    tip = frame.markers["tip"].motion[:3] @ Y
+    flap = int(np.flatnonzero(np.abs(tip[FLAP]) > 0.9 * np.linalg.norm(tip, axis=0))[0])
+    return np.asarray(Y[:, flap] * SWING / tip[FLAP, flap])
+
+
+def frequency(time: Floats, z: Floats) -> float:
+    """Frequency (rad/s) of a swing about zero, from its upward zeros."""
+    up = np.flatnonzero((z[:-1] < 0) & (z[1:] >= 0))
+    zeros = time[up] - z[up] * np.diff(time)[up] / (z[up + 1] - z[up])
+    return float(2 * math.pi * (len(zeros) - 1) / (zeros[-1] - zeros[0]))
+
+
+def in_ours(made: Made, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
+    """Times and flapping of the tip in morembs.multibody."""
+    frame = made.body.floating
+    system = System()
+    blade = system.add(
+        FlexibleBody(
+            frame,
+            position=frame.origin,
+            angular_velocity=(0, 0, speed),
+            elastic=first_flap(made),
+            stiffening=stiffening,
+            name="blade",
+        )
+    )
+    shaft = ground.marker_at()
+    system.add(RevoluteJoint(shaft, blade.marker("root"), axis=(0, 0, 1)))
+    system.add(DrivenAngle(shaft, blade.marker("root"), axis=(0, 0, 1), motion=Motion.steady(speed)))
+    result = simulate(system, end=end, step=STEP, rho=RHO)
+    return result.time, result.position(blade.marker("tip"))[:, FLAP]
+
+
+def in_theirs(made: Made, speed: float, end: float) -> tuple[Floats, Floats]:
+    """Times and flapping of the tip in Exudyn."""
+    system = ExudynSystem()
+    blade = system.elastic(
+        made, position=made.body.floating.origin, angular_velocity=(0, 0, speed), elastic=first_flap(made)
+    )
+    system.joint(system.at_ground(), system.at_interface(blade, made, "root"), (1, 1, 1, 1, 1, 0))
+    system.drive(blade["nRigidBody"], axis=2, speed=speed)
+    system.watch(system.at_interface(blade, made, "tip"))
+    time, (tip,) = system.solve(end=end, step=STEP, rho=RHO)
+    return time, tip[:, FLAP]
+
+
+def coefficients(made: Made, axis: int, *, stiffening: bool) -> Floats:
+    """c at each of ``SPEEDS``, by linearisation."""
+    rest = linearised(made, 0.0, axis, stiffening=stiffening)
+    speeds = np.array(SPEEDS) * linearised(made, 0.0, FLAP, stiffening=stiffening)
+    found = np.array([linearised(made, speed, axis, stiffening=stiffening) for speed in speeds])
+    return np.asarray((found**2 - rest**2) / speeds**2)
+
+
+def simulated(made: Made, parts: Sequence[float] = SIMULATED, periods: int = PERIODS) -> dict[str, Floats]:
+    """c of the first flap mode at speeds that are ``parts`` of the frequency at rest, by simulation."""
+    rest = linearised(made, 0.0, FLAP, stiffening=False)
+    speeds, end = np.array(parts) * rest, periods * 2 * math.pi / rest
+    at_rest = frequency(*in_ours(made, 0.0, end, stiffening=False))
+    runs = {"with stiffening": True, "without": False}
+    found = {
+        f"morembs {name}": [frequency(*in_ours(made, speed, end, stiffening=s)) for speed in speeds]
+        for name, s in runs.items()
+    }
+    if not exudyn_missing():
+        found["Exudyn"] = [frequency(*in_theirs(made, speed, end)) for speed in speeds]
+    return {name: (np.array(one) ** 2 - at_rest**2) / speeds**2 for name, one in found.items()}
+
+
+def picture(
+    path: Path, made: Made, lines: dict[tuple[int, bool], Floats], parts: Sequence[float], dots: dict[str, Floats]
+) -> None:  # fmt: skip
+    """Coefficients of flap and lag over the speed, and the flap frequency that follows from them."""
+    speeds, few = np.array(SPEEDS), np.array(parts)
+    x = "speed, as a part of the first flap frequency at rest"
+    looks = {"morembs with stiffening": (OURS, "o"), "morembs without": (THIRD, "s"), "Exudyn": (THEIRS, "x")}
+    names = {True: "with stiffening, linearised", False: "without, linearised"}
+    panels = []
+    for axis, words in ((FLAP, "flap (out of the plane of rotation)"), (LAG, "lag (in the plane)")):
+        curves = [Curve(x=speeds, y=lines[axis, s], label=names[s], color=OURS if s else THIRD) for s in (True, False)]
+        known = np.full(len(speeds), SOUTHWELL[axis])
+        curves.append(Curve(x=speeds, y=known, label="beam theory", color="#202020", style=":"))
+        if axis == FLAP:
+            curves += [Curve(x=few, y=c, label=f"{name}, simulated", color=looks[name][0], style=looks[name][1])
+                       for name, c in dots.items()]  # fmt: skip
+        panels.append(Panel(title=f"Southwell coefficient, first {words}", x=x, y="c", curves=curves))
+    rest = linearised(made, 0.0, FLAP, stiffening=True) / (2 * math.pi)
+    curves = [
+        Curve(x=speeds, y=rest * np.sqrt(1 + lines[FLAP, s] * speeds**2), label=names[s], color=OURS if s else THIRD)
+        for s in (True, False)
+    ]
+    panels.append(Panel(title="First flap frequency", x=x, y="Hz", curves=curves))
+    draw(path, "Rotating beam", panels)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Makes body and picture, prints the figures. Returns the exit code."""
+    options = parse(arguments, "A rotating beam with and without geometric stiffening.")
+    made = make_body(options.folder, "rotating_beam", SIZE, CELLS)
+    lines = {(axis, s): coefficients(made, axis, stiffening=s) for axis in (FLAP, LAG) for s in (True, False)}
+    parts = SIMULATED[-1:] if options.quick else SIMULATED
+    dots = simulated(made, parts, 3 if options.quick else PERIODS)
+    image = options.folder / "rotating_beam.png"
+    picture(image, made, lines, parts, dots)
+    for axis, name in ((FLAP, "flap"), (LAG, "lag")):
+        right, wrong = lines[axis, True], lines[axis, False]
+        print(f"{name}, linearised: c = {right.min():.4f} to {right.max():.4f} with stiffening, {wrong.min():.4f} to "
+              f"{wrong.max():.4f} without; beam theory {SOUTHWELL[axis]}")  # fmt: skip
+    for name, c in dots.items():
+        print(f"flap, simulated, {name}: c = {', '.join(f'{one:.4f}' for one in c)}")
+    if exudyn_missing():
+        print(exudyn_missing())
+    print(image)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
