@@ -40,9 +40,9 @@ from morembs.reducers import (
 from morembs.response import full_response, reduced_response
 from morembs.selection import select_nodes
 from morembs.stiffening import Envelope
-from morembs.stiffening_terms import stiffening
+from morembs.stiffening_terms import geometric_stiffening
 from morembs.storage import read_body, write_body
-from morembs.stress import recovery
+from morembs.stress import stress_recovery
 from morembs.trajectory import Trajectory, read_trajectory
 from morembs.units import parse_units
 
@@ -84,6 +84,7 @@ __all__ = [
     "export_body",
     "floating_frame",
     "full_response",
+    "geometric_stiffening",
     "isotropic",
     "make_interface",
     "make_part",
@@ -94,10 +95,9 @@ __all__ = [
     "read_mesh",
     "read_trajectory",
     "recover",
-    "recovery",
     "reduced_response",
     "select_nodes",
     "select_solver",
-    "stiffening",
+    "stress_recovery",
     "write_body",
 ]

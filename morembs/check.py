@@ -83,7 +83,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         cost = forecast_cost(
-            stiffness_pattern(graph, budget), coupling.T, columns, solver, budget, start, wants_modes(job)
+            stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
         )
         threads = blas_threads()
     plan = cost.plan

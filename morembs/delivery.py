@@ -15,8 +15,9 @@ from morembs.ranking import ranked_terms
 from morembs.reducers.base import ReducedModel
 from morembs.selection import select_nodes
 from morembs.stiffening import Envelope
-from morembs.stiffening_terms import stiffening, why_no_stiffening
-from morembs.stress import StressOperator, recovery, stress_operator
+from morembs.stiffening_terms import geometric_stiffening, why_no_stiffening
+from morembs.stress import stress_recovery
+from morembs.stress_operator import StressOperator, stress_operator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +87,7 @@ def deliver(
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         ranking=() if floating is None or wanted.envelope is None else ranked_terms(floating, wanted.envelope),
-        recovery=None if wanted.stress is None or operator is None else recovery(
+        recovery=None if wanted.stress is None or operator is None else stress_recovery(
             problem, reduced, single=wanted.stress.single, correction=wanted.stress.correction, operator=operator,
             progress=progress,
         ),
@@ -98,4 +99,4 @@ def _frame(problem: Problem, reduced: ReducedModel, wanted: Delivery, progress: 
     frame = floating_frame(problem, reduced, kind=wanted.kind, interfaces=wanted.interfaces, origin=tuple(origin))
     if wanted.stiffening is None:
         return frame
-    return replace(frame, stiffening=stiffening(problem, reduced, frame, wanted.stiffening, progress))
+    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, wanted.stiffening, progress))

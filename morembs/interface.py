@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.coupled_model import CoupledModel, Followers
+from morembs.coupled_model import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
 from morembs.errors import InputError, nearest
 from morembs.model import FEModel, frozen, rigid_motion, skew
 from morembs.surface import nodal_areas, outer_faces
@@ -203,17 +203,19 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
 
     Raises:
         InputError: two interfaces of one name, rigid or direct interfaces that share nodes, or one on nodes that
-            follow a rigid element of the model.
+            follow a rigid element of the model; complex matrices, or K and M that are not symmetric.
     """
+    refuse_complex(model)
+    refuse_unsymmetric(model)
     _refuse_shared(model, interfaces)
     followers = model.followers if isinstance(model, CoupledModel) else None
-    rigid = [i for i in interfaces if i.coupling == "rigid"]
+    rigid = [i for i in interfaces if i.coupling == "rigid" and len(i.nodes) > 1]
     slave = np.zeros(model.size, dtype=bool)
     for interface in interfaces:
         if followers is not None and interface.coupling != "average":
             _refuse_followers(model, followers, interface)
-        if interface.coupling == "rigid":
-            slave[_all_dofs(model, interface)] = True
+    for interface in rigid:
+        slave[_all_dofs(model, interface)] = True
     if followers is not None:
         slave |= followers.owner >= 0
     kept = np.flatnonzero(~slave)
@@ -251,7 +253,7 @@ def _inputs(
     blocks, columns, at = [], {}, 0
     for interface in interfaces:
         wanted = list(interface.components)
-        if interface.coupling == "rigid":
+        if interface.name in masters:
             rows = masters[interface.name] + np.array(wanted)
             data = (np.ones(len(rows)), (rows, np.arange(len(rows))))
             block = sp.csc_array(data, shape=(T.shape[1], len(rows)))
@@ -260,6 +262,10 @@ def _inputs(
                 dofs = _direct_dofs(model, interface)
                 data = (np.ones(len(dofs)), (dofs, np.arange(len(dofs))))
                 on_fe = sp.csc_array(data, shape=(T.shape[0], len(dofs)))
+            elif interface.coupling == "rigid":
+                dofs, motion = _turning_node(model, interface)
+                places = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
+                on_fe = sp.csc_array((motion[wanted].ravel(), places), shape=(T.shape[0], len(wanted)))
             else:
                 dofs = _displacement_dofs(model, interface)
                 average = averaging(interface, model.nodes.xyz[interface.nodes])[wanted]
@@ -290,6 +296,17 @@ def _all_dofs(model: FEModel, interface: Interface) -> Ints:
     if model.dofs.component.max(initial=0) < 3:
         return displacements
     return np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+
+
+def _turning_node(model: FEModel, interface: Interface) -> tuple[Ints, Floats]:
+    """The six dofs of the one node of a rigid interface, and the frame's motion (6, 6) = R^-1 from them.
+
+    Such a node keeps its dofs: the frame is the node itself, seen from another point.
+    """
+    dofs = _all_dofs(model, interface)
+    dofs = dofs[np.argsort(model.dofs.component[dofs])]
+    away = interface.point - model.nodes.xyz[interface.nodes[0]]
+    return dofs, rigid_motion(np.tile(away, (6, 1)), np.arange(6))
 
 
 def _direct_dofs(model: FEModel, interface: Interface) -> Ints:

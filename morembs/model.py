@@ -104,8 +104,13 @@ class DofMap:
     @cached_property
     def is_solid(self) -> bool:
         """True where the dofs are x, y, z of node 0, 1, 2, ... and nothing else."""
-        solid = np.arange(len(self), dtype=np.int64)
-        return bool(np.array_equal(self.node, solid // 3) and np.array_equal(self.component, solid % 3))
+        return self.begins_solid(len(self) // 3) and len(self) % 3 == 0
+
+    def begins_solid(self, nodes: int) -> bool:
+        """True where the first dofs are x, y, z of the first ``nodes`` nodes; masters of couplings may follow."""
+        solid = np.arange(3 * nodes, dtype=np.int64)
+        first = slice(3 * nodes)
+        return bool(np.array_equal(self.node[first], solid // 3) and np.array_equal(self.component[first], solid % 3))
 
     def of_nodes(self, rows: Ints) -> Ints:
         """Displacement dofs (len(rows), 3) of node rows, -1 where a node lacks one."""

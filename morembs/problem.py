@@ -99,9 +99,9 @@ class Problem:
         """One for displacements and ``length`` for rotations, for each column of B."""
         scale = np.ones(self.B.shape[1])
         for interface in self.interfaces:
-            if interface.coupling != "direct":
-                columns = self.coupling.columns[interface.name]
-                scale[columns] = np.where(np.array(interface.components) > 2, self.length, 1.0)
+            columns = self.coupling.columns[interface.name]
+            own = np.where(np.array(interface.components) > 2, self.length, 1.0)
+            scale[columns] = np.tile(own, len(interface.nodes) if interface.coupling == "direct" else 1)
         return scale
 
     @property
@@ -181,6 +181,11 @@ class Problem:
         graph, starts = node_graph(self.stiffness.lower)
         parts, label = connected_components(graph, directed=False)
         if parts > 1:
+            # Dofs of one node belong together, whether K couples them or not (a straight beam along an axis).
+            nodes = self._nodes_of_groups(starts)
+            parts, label = connected_components(sp.block_array([[graph, nodes], [nodes.T, None]]), directed=False)
+            label = label[: len(starts)]
+        if parts > 1:
             rows = np.diff(np.append(starts, self.K.shape[0]))
             sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
             raise InputError(
@@ -188,6 +193,15 @@ class Problem:
                 f"{6 * parts} rigid-body modes where one free body has 6; "
                 "join the parts (merge coincident nodes), or reduce them one by one"
             )
+
+    def _nodes_of_groups(self, starts: NDArray[np.int64]) -> sp.csr_array:
+        """Pattern (groups, nodes): which nodes of the model the groups of coupled dofs move."""
+        dofs, size = self.model.dofs, self.K.shape[0]
+        shape = len(dofs), len(self.model.nodes)
+        of_node = sp.csr_array((np.ones(len(dofs)), (np.arange(len(dofs)), dofs.node)), shape=shape)
+        group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, size)))
+        gather = sp.csr_array((np.ones(size), (group, np.arange(size))), shape=(len(starts), size))
+        return sp.csr_array(gather @ (abs(self.coupling.T).T @ of_node))
 
     def _mechanism(self) -> str:
         """Message for a stiffness with more zero-energy motions than the rigid ones."""

@@ -20,7 +20,8 @@ from morembs.progress import SILENT, Progress
 from morembs.safefile import check_writable
 from morembs.storage import read_body
 from morembs.stored import StoredBodies, StoredBody
-from morembs.stress import Recovery, von_mises
+from morembs.stress import Recovery
+from morembs.stress_operator import von_mises
 from morembs.trajectory import Trajectory, read_trajectory
 from morembs.vtkhdf_series import read_grid, stored_recovery, write_series
 

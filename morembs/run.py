@@ -30,6 +30,7 @@ from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh
 from morembs.model_file import read_model
 from morembs.picture import draw
+from morembs.preload import Preload, preloaded
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal
@@ -47,6 +48,9 @@ BAND = (0.2, 1.1)
 BAND_POINTS = 400
 # Reductions that compute modes.
 WITH_MODES = (Automatic, CraigBampton, FreeInterface, Modal)
+# Reductions that follow the responses to all interface motions at once, and how many of these make sense.
+WITH_RESPONSES = ("auto", "gramian", "balanced-truncation", "irka")
+MOST_MOTIONS = 500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,18 +91,25 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
 def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> JobResult:
     progress = watch.progress
     model = _read(job, materials, budget, watch)
-    with watch.stage("examine"):
-        for warning in examined(model, budget=budget):
-            log.warning("%s", warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
         wanted = delivery_of(job)
         wanted.check(problem)
+    preload, preload_notes = preload_of(job), {}
+    if preload is not None:
+        with watch.stage("preload"), problem:
+            stressed = preloaded(problem, preload, progress)
+            model, preload_notes = stressed.model, dict(stressed.notes)
+            problem = Problem(
+                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
+            )
     with problem:
         bodies = _reduce(job, problem, wanted, watch)
         response = certified_response(problem, bodies)
-        if job.tables.response is not None or (response is None and job.picture is not None and interfaces):
+        if job.tables.response is not None or (
+            response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_MOTIONS
+        ):
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
         shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
@@ -106,7 +117,9 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
         analysis = problem.statics.factor.analysis
     with watch.stage("write"):
         provenance = _provenance(job, factor, watch.stages)
-        write_body(job.output, bodies, recipe=_recipe(job, model), provenance=provenance, progress=progress)
+        write_body(
+            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance, progress=progress
+        )
     if job.picture is not None:
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
@@ -118,16 +131,24 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
 
 
 def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> FEModel:
-    """The model of the job, from its model file, or assembled from its mesh."""
-    asked = job.tables.model
+    """The model of the job, from its model file or assembled from its mesh, examined."""
+    asked, progress = job.tables.model, watch.progress
     if asked.file is not None:
         with watch.stage("read"):
-            return read_model(job.resolve(asked.file), budget=budget)
+            model: FEModel = read_model(job.resolve(asked.file), budget=budget)
+            _examine(model, budget)
+        return model
     with watch.stage("read"):
         mesh = read_mesh(source_of(job), units_of(job))
     with watch.stage("assemble"):
-        integration, progress = asked.mass_integration, watch.progress
-        return assemble(mesh, materials, mass_integration=integration, budget=budget, progress=progress)
+        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+        _examine(model, budget)
+    return model
+
+
+def _examine(model: FEModel, budget: Budget) -> None:
+    for warning in examined(model, budget=budget):
+        log.warning("%s", warning)
 
 
 def source_of(job: Job) -> Path:
@@ -287,6 +308,21 @@ def delivery_of(job: Job) -> Delivery:
     )  # fmt: skip
 
 
+def preload_of(job: Job) -> Preload | None:
+    """The preload in SI units, None without one."""
+    given, units = job.tables.preload, units_of(job)
+    if given is None:
+        return None
+    force, acceleration = units.mass * units.length / units.time**2, units.length / units.time**2
+    scale = [force] * 3 + [force * units.length] * 3
+    return Preload(
+        wrench={name: [value * s for value, s in zip(f, scale, strict=True)] for name, f in given.wrench.items()},
+        speed=given.speed / units.time, axis=given.axis, point=[units.length * value for value in given.point],
+        acceleration=[acceleration * value for value in given.acceleration], held=tuple(given.held),
+        follows=tuple(given.follows),
+    )  # fmt: skip
+
+
 def solver_of(job: Job) -> LinearSolver:
     """The solver with its budget and scratch folder."""
     given = job.tables.solver
@@ -316,6 +352,12 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
     """
     if not inputs and job.tables.certify is not None:
         raise InputError("[certify] compares motions of interfaces, and there are none; add at least one [[interface]]")
+    for table, asked in (("certify", job.tables.certify), ("response", job.tables.response)):
+        if asked is not None and inputs > MOST_MOTIONS:
+            raise InputError(
+                f"[{table}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
+                f"and at most {MOST_MOTIONS} motions fit; leave [{table}] out, or take rigid or average couplings"
+            )
     for name, reducer in job.reducers.items():
         modes = getattr(reducer, "modes", None)
         if modes is not None and modes > size:
@@ -328,7 +370,19 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
                 f"[[reduce]] {name!r}: method = {reducer.method!r} needs interfaces; add at least one [[interface]], "
                 'or take method = "modal"'
             )
-        if modes is not None and getattr(reducer, "inertia_modes", False) and modes < inputs:
+        few = isinstance(reducer, CraigBampton) and reducer.reduces_interfaces
+        if inputs > MOST_MOTIONS and reducer.method in WITH_RESPONSES:
+            raise InputError(
+                f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {inputs} interface "
+                f"motions, and at most {MOST_MOTIONS} fit; take craig-bampton with interface_up_to_hz, or rigid or "
+                "average couplings"
+            )
+        if few and (getattr(reducer, "interface_modes", None) or 0) > inputs:
+            raise InputError(
+                f"[[reduce]] {name!r}: interface_modes = {getattr(reducer, 'interface_modes', 0)} was given, but there "
+                f"are only {inputs} interface motions; ask for fewer"
+            )
+        if modes is not None and not few and getattr(reducer, "inertia_modes", False) and modes < inputs:
             raise InputError(
                 f"[[reduce]] {name!r}: modes = {modes} was given with inertia_modes; expected at least {inputs}, one "
                 "for each interface motion"

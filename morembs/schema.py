@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from morembs.damping import Damping, modal_steps
+from morembs.preload import Preload
 from morembs.reducers import REDUCERS
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -213,6 +214,27 @@ class StiffeningTable(Table):
     )
 
 
+class PreloadTable(Table):
+    """``[preload]``: loads in the declared units whose stress stiffens the body before it is reduced."""
+
+    wrench: dict[str, Annotated[list[float], Field(min_length=6, max_length=6)]] = Field(
+        default_factory=dict, description="a table { interface = [fx, fy, fz, mx, my, mz] }"
+    )
+    speed: float = Field(default=0.0, description="a number (rad/time)")
+    axis: Three | None = Field(default=None, description="the direction of the axis of rotation, [x, y, z]")
+    point: Three = Field(default_factory=lambda: [0.0, 0.0, 0.0], description="a point of the axis, [x, y, z]")
+    acceleration: Three = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0], description="the acceleration of the body less gravity, [x, y, z]"
+    )
+    held: list[str] = Field(default_factory=list, description="names of the interfaces that carry the loads")
+    follows: list[str] = Field(default_factory=list, description="names of the interfaces that the loads turn with")
+
+    @model_validator(mode="after")
+    def _loads(self) -> Self:
+        Preload(**{**self.model_dump(), "held": tuple(self.held), "follows": tuple(self.follows)})
+        return self
+
+
 class StressTable(Table):
     """``[stress]``: stress shapes of every body."""
 
@@ -244,6 +266,7 @@ class JobTables(Table):
     frame: FrameTable = Field(default_factory=FrameTable, description="a table [frame]")
     envelope: EnvelopeTable | None = Field(default=None, description="a table [envelope]")
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
+    preload: PreloadTable | None = Field(default=None, description="a table [preload]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
 

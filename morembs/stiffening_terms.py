@@ -48,7 +48,7 @@ def why_no_stiffening(model: FEModel) -> str:
     return ""
 
 
-def stiffening(
+def geometric_stiffening(
     problem: Problem, reduced: ReducedModel, frame: FloatingFrame, envelope: Envelope | None = None,
     progress: Progress = SILENT,
 ) -> Stiffening:  # fmt: skip

@@ -27,7 +27,7 @@ from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from morembs.shape_integrals import ShapeIntegrals
-from morembs.stiffening_terms import stiffening
+from morembs.stiffening_terms import geometric_stiffening
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -163,7 +163,7 @@ def rod():
         reduced = CraigBampton(modes=6).reduce(problem)
         tangent = floating_frame(problem, reduced, kind="tangent", interfaces=("left",))
         return {
-            "tangent": replace(tangent, stiffening=stiffening(problem, reduced, tangent)),
+            "tangent": replace(tangent, stiffening=geometric_stiffening(problem, reduced, tangent)),
             "mean-axes": floating_frame(problem, reduced),
         }
 

@@ -25,7 +25,8 @@ from morembs.problem import Problem
 from morembs.recovery import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
 from morembs.storage import read_body, write_body
-from morembs.stress import recovery, von_mises, write_recovery
+from morembs.stress import stress_recovery, write_recovery
+from morembs.stress_operator import von_mises
 from morembs.vtkhdf_series import stored_recovery
 
 ROOT = Path(__file__).parent.parent
@@ -42,7 +43,7 @@ def bar(tmp_path_factory):
         path = write_body(
             tmp_path_factory.mktemp("bar") / "bar.h5", [elastic_body(problem, one, part) for one in (cb, bare)]
         )
-        its = recovery(problem, cb, single=False)
+        its = stress_recovery(problem, cb, single=False)
     with h5py.File(path, "r+") as file:
         write_recovery(file.create_group("bodies/cb/recovery"), its)
     rng = np.random.default_rng(3)
@@ -208,7 +209,7 @@ def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=0).reduce(problem)
         path = write_body(tmp_path / "two.h5", [elastic_body(problem, reduced, make_part(problem, "skin"))])
-        its = recovery(problem, reduced, nodes="all")
+        its = stress_recovery(problem, reduced, nodes="all")
     with h5py.File(path, "r+") as file:
         write_recovery(file.create_group(f"bodies/{reduced.name}/recovery"), its)
     assert stored_recovery(path, reduced.name).stress.dtype == np.float32

@@ -17,7 +17,7 @@ from morembs.floating_frame import Stiffening, floating_frame
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
-from morembs.stiffening_terms import stiffening
+from morembs.stiffening_terms import geometric_stiffening
 from morembs.storage import read_body, write_body
 
 OMEGA_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
@@ -216,7 +216,7 @@ def test_rotating_beam_stiffens_from_the_file(tmp_path):
     with Problem(model, [face]) as problem:
         reduced = CraigBampton(modes=8).reduce(problem, "beam")
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=("hub",), origin=face.point)
-        frame = replace(frame, stiffening=stiffening(problem, reduced, frame))
+        frame = replace(frame, stiffening=geometric_stiffening(problem, reduced, frame))
         write_body(tmp_path / "b.h5", [elastic_body(problem, reduced, make_part(problem), floating=frame)])
     sid = read_sid(export_body(tmp_path / "b.h5", "sid").paths[0])
     assert sid.dialect == "fembs"

@@ -18,7 +18,7 @@ from morembs.model import FEModel, Mesh, skew
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
 from morembs.stiffening import Envelope
-from morembs.stiffening_terms import stiffening, why_no_stiffening
+from morembs.stiffening_terms import geometric_stiffening, why_no_stiffening
 
 WOOD = {"young": (1.1e10, 5e8, 8e8), "poisson": (0.4, 0.35, 0.3), "shear": (6e8, 7e8, 4e7), "density": 500.0}
 LENGTH, SIDE = 1.0, 0.02
@@ -53,7 +53,7 @@ def slender():
         reduced = CraigBampton(modes=14).reduce(problem)
         for kind, names in (("tangent", ["root"]), ("chord", ["root", "tip"]), ("mean-axes", [])):
             frame = floating_frame(problem, reduced, kind=kind, interfaces=names, origin=AXIS)
-            found[kind] = frame, stiffening(problem, reduced, frame)
+            found[kind] = frame, geometric_stiffening(problem, reduced, frame)
     return found
 
 
@@ -199,7 +199,7 @@ def test_every_term_is_that_of_a_dense_solution(coupling, kind, names, reducer):
     with Problem(model, ends(model, 0.5, coupling, 0.2)) as problem:
         reduced = reducer.reduce(problem)
         frame = floating_frame(problem, reduced, kind=kind, interfaces=names, origin=origin)
-        terms = stiffening(problem, reduced, frame)
+        terms = geometric_stiffening(problem, reduced, frame)
         S, K, T = frame_rows(problem, kind, names), problem.K.toarray(), problem.coupling.T.toarray()
         wrenches = problem.coupling.frames.toarray()
         R = problem.coupling.R
@@ -267,7 +267,7 @@ def test_dead_loads_move_a_pressed_free_body_the_same_in_all_frames(coupling, of
         for kind, names in (("mean-axes", []), ("tangent", ["root"]), ("chord", ["tip", "root"]),
                             ("center-of-mass", ["tip"])):  # fmt: skip
             frame = floating_frame(problem, reduced, kind=kind, interfaces=names)
-            M, K = dead_loads(frame, stiffening(problem, reduced, frame), force)
+            M, K = dead_loads(frame, geometric_stiffening(problem, reduced, frame), force)
             found.append(sl.eigh(K, M, eigvals_only=True))
             free = sl.eigh(frame.Ke, M[6:, 6:] - M[6:, :6] @ np.linalg.solve(M[:6, :6], M[:6, 6:]), eigvals_only=True)
     for other in found[1:]:
@@ -283,8 +283,8 @@ def test_another_origin_follows_from_the_terms_and_is_what_a_new_calculation_giv
         reduced = Modal(modes=12).reduce(problem)
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
         d = np.array([0.3, -0.2, 0.5])
-        moved = stiffening(problem, reduced, frame).about(d)
-        again = stiffening(problem, reduced, frame.about(d))
+        moved = geometric_stiffening(problem, reduced, frame).about(d)
+        again = geometric_stiffening(problem, reduced, frame.about(d))
     for name in ("acceleration", "angular_acceleration", "rotation"):
         wanted = getattr(again, name)
         assert getattr(moved, name) == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
@@ -295,9 +295,9 @@ def test_terms_below_their_share_are_dropped_and_named():
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=4).reduce(problem)
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"], origin=AXIS)
-        full = stiffening(problem, reduced, frame)
+        full = geometric_stiffening(problem, reduced, frame)
         used = Envelope(acceleration=10.0, angular_acceleration=50.0, speed=30.0, force=500.0, share=0.01)
-        lean = stiffening(problem, reduced, frame, used)
+        lean = geometric_stiffening(problem, reduced, frame, used)
     assert full.dropped == () and full.least_share == 0
     for name, G, kept in (
         ("rotation zz", full.rotation[2], lean.rotation[2]),
@@ -322,7 +322,7 @@ def test_a_body_without_interfaces_has_the_terms_of_its_rotation():
     with Problem(model) as problem:
         reduced = Modal(modes=14).reduce(problem)
         frame = floating_frame(problem, reduced)
-        terms = stiffening(problem, reduced, frame)
+        terms = geometric_stiffening(problem, reduced, frame)
     assert not terms.wrench and not terms.acceleration.any() and not terms.angular_acceleration.any()
     # A free beam spun about its middle, tension m w^2 (L^2/4 - s^2) / 2: Rayleigh with the first mode of the beam.
     beta = 4.730041
@@ -344,7 +344,7 @@ def test_blocks_and_groups_change_nothing():
             patch.setattr("morembs.fem.CHUNK_BYTES", 10_000_000 // columns**3)
             reduced = Krylov(shifts_hz=[0.0, 200.0]).reduce(problem)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
-            found.append(stiffening(problem, reduced, frame))
+            found.append(geometric_stiffening(problem, reduced, frame))
     assert found[1].rotation == pytest.approx(found[0].rotation, rel=1e-6, abs=1e-9 * np.abs(found[0].rotation).max())
 
 
@@ -356,11 +356,11 @@ def test_what_has_no_stress_or_no_frame_is_refused_with_a_reason():
         reduced = CraigBampton(modes=2).reduce(problem)
         frame = floating_frame(problem, reduced)
         with pytest.raises(InputError, match="matrices only"):
-            stiffening(problem, reduced, frame)
+            geometric_stiffening(problem, reduced, frame)
     with Problem(model, interfaces) as problem:
         other = CraigBampton(modes=3).reduce(problem)
         with pytest.raises(InputError, match="same reduction"):
-            stiffening(problem, other, frame)
+            geometric_stiffening(problem, other, frame)
     with pytest.raises(InputError, match="speed = -1"):
         Envelope(speed=-1.0)
     with pytest.raises(InputError, match=r"expected \(.*, k\)"):

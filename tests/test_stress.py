@@ -23,15 +23,8 @@ from morembs.model import Mesh
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
 from morembs.residual import static_response
-from morembs.stress import (
-    principal,
-    read_recovery,
-    recovery,
-    stress_operator,
-    stress_shapes,
-    von_mises,
-    write_recovery,
-)
+from morembs.stress import read_recovery, stress_recovery, write_recovery
+from morembs.stress_operator import principal, stress_operator, stress_shapes, von_mises
 from morembs.units import parse_units
 
 TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
@@ -104,7 +97,7 @@ def test_average_weighs_elements_by_volume_and_chunks_change_nothing(monkeypatch
         mean = volume[at] @ strain[at] / volume[at].sum()
         assert whole.reshape(-1, 6)[node] == pytest.approx(mean, rel=1e-11, abs=1e-12)
     monkeypatch.setattr(fem, "CHUNK_BYTES", 1)
-    monkeypatch.setattr("morembs.stress._COLLECTED", 1)
+    monkeypatch.setattr("morembs.stress_operator._COLLECTED", 1)
     assert np.abs(stress_operator(model, "all").strain(u) - whole).max() < 1e-12 * np.abs(whole).max()
     some = stress_operator(model, np.array([20, 7, 7]))
     assert some.nodes.tolist() == [7, 20]
@@ -158,7 +151,7 @@ def test_bending_beam(kind):
                   for n, x in (("root", 0.0), ("tip", L))]  # fmt: skip
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=0).reduce(problem)
-        its = recovery(problem, reduced, single=False)
+        its = stress_recovery(problem, reduced, single=False)
     root, tip = reduced.B[:, :6], reduced.B[:, 6:]
     K = np.block([[reduced.K, root], [root.T, np.zeros((6, 6))]])
     q = np.linalg.solve(K, np.concatenate([F * tip[:, 2], np.zeros(6)]))[: reduced.order]
@@ -202,7 +195,7 @@ def full_static(problem, operator, loads):
 def test_correction_makes_static_stress_exact(problem, reducer):
     operator = stress_operator(problem.model)
     reduced = reducer.reduce(problem)
-    its = recovery(problem, reduced, single=False, operator=operator)
+    its = stress_recovery(problem, reduced, single=False, operator=operator)
     loads = np.sin(1.0 + np.arange(problem.B.shape[1])) * 100
     exact = full_static(problem, operator, loads)
     values, Y = reduced.modes()
@@ -227,7 +220,7 @@ def test_correction_of_bases_that_are_no_modes(problem, reducer):
     """What the reduced model gives and what is added make the static response, also where V is not the test space."""
     operator = stress_operator(problem.model, where(problem.model, 2, 0.0))
     reduced = reducer.reduce(problem)
-    its = recovery(problem, reduced, nodes=where(problem.model, 2, 0.0), single=False)
+    its = stress_recovery(problem, reduced, nodes=where(problem.model, 2, 0.0), single=False)
     static = stress_shapes(problem, static_response(problem), operator)
     r = reduced.rigid_count
     own = its.stress[:, r:] @ np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
@@ -239,14 +232,14 @@ def test_rigid_motion_gives_no_stress_even_in_single_precision(problem):
     """A craig-bampton body has no rigid coordinates; moved by 100 m and turned by 1 rad it stays free of stress."""
     for reducer in (CraigBampton(modes=4), Modal(modes=4)):
         reduced = reducer.reduce(problem)
-        its = recovery(problem, reduced)
+        its = stress_recovery(problem, reduced)
         assert its.stress.dtype == its.correction.dtype == np.float32
         assert not its.stress[:, np.array(reduced.mode_kind) == "rigid"].any()
         Z = np.linalg.lstsq(reduced.V, problem.coupling.R, rcond=None)[0]
         q = Z @ np.array([100.0, -50.0, 20.0, 1.0, 0.5, -0.3])
         # 1e-9 of the strain that such displacements make when they are not rigid.
         assert np.abs(its.at(q[None])).max() < 1e-9 * STEEL["young"] * 100 / 0.5
-        double = recovery(problem, reduced, single=False)
+        double = stress_recovery(problem, reduced, single=False)
         q = q + np.linspace(-1, 1, reduced.order) * 1e-6
         assert np.abs(its.at(q[None]) - double.at(q[None])).max() < 1e-6 * np.abs(double.at(q[None])).max()
 
@@ -254,7 +247,7 @@ def test_rigid_motion_gives_no_stress_even_in_single_precision(problem):
 def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_path):
     reduced = CraigBampton(modes=2).reduce(problem)
     for single, correction in ((True, True), (False, False)):
-        its, check = recovery(problem, reduced, single=single, correction=correction), Mock()
+        its, check = stress_recovery(problem, reduced, single=single, correction=correction), Mock()
         with h5py.File(tmp_path / "r.h5", "w") as file:
             write_recovery(file.create_group("r"), its, check)
             assert check.call_count >= reduced.order
@@ -292,7 +285,7 @@ def rod(small_meshes):
     interfaces = [make_interface(model, name=n, nodes=mesh.nodes.sets[n]) for n in ("BIGEND", "SMALLEND")]
     with Problem(model, interfaces) as problem:
         reduced, operator = Modal(modes=20).reduce(problem), stress_operator(model)
-        its = recovery(problem, reduced, operator=operator)
+        its = stress_recovery(problem, reduced, operator=operator)
         yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, its=its)
 
 
@@ -316,7 +309,7 @@ def test_connecting_rod_at_its_ten_most_loaded_points(rod):
 def test_correction_in_slow_motion(rod):
     """Harmonic loads at a tenth of the first frequency left out: the error falls by far."""
     problem, reduced = rod.problem, Modal(modes=6).reduce(rod.problem)
-    its = recovery(problem, reduced, operator=rod.operator)
+    its = stress_recovery(problem, reduced, operator=rod.operator)
     left_out = 2 * np.pi * problem.elastic_modes(count=7).frequencies_hz[6]
     loads = np.array([1.0, 2.0, 0.5, 0, 0, 0, -1.5, 1.0, 1.0, 0, 0, 0]) * 500
     omega = 0.1 * left_out
@@ -335,7 +328,7 @@ def test_a_small_memory_budget_changes_nothing(rod, monkeypatch):
     monkeypatch.setattr(Budget, "columns", lambda *_, **__: 5)
     with Budget(10**9) as budget:
         monkeypatch.setattr(rod.problem, "budget", budget)
-        again = recovery(rod.problem, rod.reduced)
+        again = stress_recovery(rod.problem, rod.reduced)
         for name in ("stress", "correction"):
             a, b = getattr(again, name), getattr(rod.its, name)
             assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()

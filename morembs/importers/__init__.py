@@ -13,20 +13,26 @@ from typing import Any
 
 from morembs.errors import InputError, nearest
 from morembs.imported import Imported
-from morembs.importers.abaqus import read_abaqus
+from morembs.importers.abaqus import import_abaqus, read_abaqus
+from morembs.importers.ansys_cdb import import_ansys_cdb
+from morembs.importers.ansys_full import import_ansys_full
+from morembs.importers.ansys_text import import_ansys_matrices
 from morembs.importers.exudyn import import_exudyn
 from morembs.importers.hdf5_sparse import import_hdf5
 from morembs.importers.matlab import import_matlab
 from morembs.importers.matrix_files import import_abaqus_matrix, import_calculix, import_dmig, import_op4
 from morembs.importers.matrix_market import import_matrix_market
 from morembs.importers.meshes import import_mesh, read_with_meshio
+from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
 from morembs.units import Units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
-READERS: dict[str, Callable[[Path], Mesh]] = {".inp": read_abaqus}
+READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +46,20 @@ class Importer:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options."""
+        return tuple(one.name for one in self._parameters())
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Names of the options that must be given."""
+        return tuple(one.name for one in self._parameters() if one.default is one.empty)
+
+    def kind(self, option: str) -> str:
+        """The type of an option as it is written."""
+        return next((str(one.annotation) for one in self._parameters() if one.name == option), "")
+
+    def _parameters(self) -> list[inspect.Parameter]:
         parameters = inspect.signature(self.read).parameters.values()
-        return tuple(one.name for one in parameters if one.kind is one.KEYWORD_ONLY and one.name != "budget")
+        return [one for one in parameters if one.kind is one.KEYWORD_ONLY and one.name != "budget"]
 
 
 # The first format with the ending of a file is taken; formats without endings must be named.
@@ -56,6 +74,21 @@ IMPORTERS: dict[str, Importer] = {
     ),
     "op4": Importer(about="Nastran OP4, binary or text", endings=(".op4",), read=import_op4),
     "dmig": Importer(about="Nastran DMIG entries", endings=(".pch", ".dmig"), read=import_dmig),
+    "abaqus": Importer(
+        about="Abaqus or CalculiX deck: mesh, materials, couplings, masses", endings=(".inp",), read=import_abaqus
+    ),
+    "nastran": Importer(
+        about="Nastran bulk data: mesh, materials, RBE2, RBE3, CONM2",
+        endings=(".bdf", ".nas", ".dat", ".fem"),
+        read=import_nastran,
+    ),
+    "ansys": Importer(about="ANSYS archive (.cdb): mesh, materials, masses", endings=(".cdb",), read=import_ansys_cdb),
+    "ansys-full": Importer(about="ANSYS .full: K and M", endings=(".full",), read=import_ansys_full),
+    "ansys-matrices": Importer(
+        about="K of ANSYS as text (MMF, HBMAT); M, D and the mapping are options",
+        endings=(),
+        read=import_ansys_matrices,
+    ),
     "matlab": Importer(about="MATLAB .mat, v4 to v7.3", endings=(".mat",), read=import_matlab),
     "npz": Importer(about="NumPy or SciPy .npz", endings=(".npz",), read=import_npz),
     "exudyn": Importer(about="FEMinterface of Exudyn in HDF5", endings=(), read=import_exudyn),
@@ -63,8 +96,8 @@ IMPORTERS: dict[str, Importer] = {
         about="sparse matrices in HDF5 groups (SciPy, MATLAB, Octave)", endings=(".h5", ".hdf5"), read=import_hdf5
     ),
     "mesh": Importer(
-        about="solid mesh: .inp, and what meshio reads (.msh, .vtk, .vtu, .med, ...)",
-        endings=(".msh", ".vtk", ".vtu", ".med", ".xdmf", ".mesh", ".unv", ".inp", ".bdf", ".nas", ".dat", ".fem"),
+        about="solid mesh without materials, all that meshio reads",
+        endings=(".msh", ".vtk", ".vtu", ".med", ".xdmf", ".mesh", ".unv"),
         read=import_mesh,
     ),
 }
@@ -151,12 +184,28 @@ def import_file(path: str | Path, format: str | None = None, options: Mapping[st
     """
     path, options = Path(path), dict(options or {})
     importer = IMPORTERS[format_of(path, format)]
-    for key in options:
+    for key, value in options.items():
         if key not in importer.options:
             raise InputError(f"{path.name}: the format has no option {key!r}; {_known(key, importer.options)}")
+        options[key] = _typed(importer, key, value)
+    missing = [name for name in importer.required if name not in options]
+    if missing:
+        raise InputError(f"{path.name}: the format needs the option {missing[0]!r}; give --set {missing[0]}=VALUE")
     return importer.read(path, **options)
 
 
 def _known(key: str, options: Iterable[str]) -> str:
     options = list(options)
     return nearest(key, options) if options else "it has none"
+
+
+def _typed(importer: Importer, key: str, value: Any) -> Any:
+    """The text of an option as the value that the importer takes."""
+    if not isinstance(value, str):
+        return value
+    kind = importer.kind(key)
+    if kind == "bool":
+        if value not in ("true", "false"):
+            raise InputError(f"--set {key}={value} was given; expected true or false")
+        return value == "true"
+    return [part for part in value.split(",") if part] if "Sequence" in kind else value

@@ -119,7 +119,10 @@ def _three_columns(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
-    """Name -> {cell block: rows}, from named sets, and from integer cell data as "key:value"."""
+    """Name -> {cell block: rows}, from named sets, and from integer cell data as "key:value".
+
+    Physical groups of gmsh without names are "physical:value".
+    """
     named: dict[str, dict[int, Ints]] = {}
     for name, per_block in data.cell_sets.items():
         if name.startswith("gmsh:"):
@@ -127,13 +130,14 @@ def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
         rows = {i: np.asarray(r, dtype=np.int64) for i, r in enumerate(per_block) if r is not None and len(r)}
         if rows:
             named[name] = rows
+    unnamed = "gmsh:physical" in data.cell_data and not named
     for key, arrays in data.cell_data.items():
-        if key.startswith("gmsh:"):
+        if key.startswith("gmsh:") and not (unnamed and key == "gmsh:physical"):
             continue
         for i, values in enumerate(np.asarray(a) for a in arrays):
             if values.ndim == 1 and np.issubdtype(values.dtype, np.integer):
                 for value in np.unique(values):
-                    named.setdefault(f"{key}:{value}", {})[i] = np.flatnonzero(values == value)
+                    named.setdefault(f"{key.removeprefix('gmsh:')}:{value}", {})[i] = np.flatnonzero(values == value)
     return named
 
 

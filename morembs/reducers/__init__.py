@@ -12,13 +12,25 @@ from morembs.reducers.guyan import Guyan
 from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
+from morembs.reducers.static_modes_switching import StaticModesSwitching
 
 REDUCERS: dict[str, type[Reducer]] = {
     reducer.method: reducer
-    for reducer in (Automatic, Modal, Guyan, CraigBampton, FreeInterface, Krylov, Gramian, Balanced, Irka)
+    for reducer in (
+        Automatic,
+        Modal,
+        Guyan,
+        CraigBampton,
+        FreeInterface,
+        Krylov,
+        Gramian,
+        Balanced,
+        Irka,
+        StaticModesSwitching,
+    )
 }
 
 __all__ = [
     "MODE_KINDS", "REDUCERS", "Automatic", "Balanced", "Basis", "CraigBampton", "FreeInterface", "Gramian", "Guyan",
-    "Irka", "Krylov", "Modal", "ReducedModel", "Reducer",
+    "Irka", "Krylov", "Modal", "ReducedModel", "Reducer", "StaticModesSwitching",
 ]  # fmt: skip

@@ -24,7 +24,10 @@ Floats = NDArray[np.float64]
 
 MOST_HZ = 1e12
 # What a reduced coordinate is; the body file stores the index in this table.
-MODE_KINDS = ("rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced")
+MODE_KINDS = (
+    "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
+    "characteristic",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

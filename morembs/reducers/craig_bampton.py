@@ -7,11 +7,13 @@ constrains the patch only in the mean.
 With ``inertia_modes`` the deformation under the inertia of the constraint modes, K_ii^-1 M psi, joins the
 basis (quasi-static mode compensation, Shyu, Ma and Hulbert 1997): what the cut fixed-interface modes
 would have contributed at low frequency. It usually lowers the errors by orders of magnitude.
+
+With many interface motions, characteristic modes take the place of the constraint modes (``interface_modes``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,8 +23,9 @@ from morembs.errors import InputError
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, add_residual_modes, chosen_modes
 from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.interface_modes import Inside, interface_modes, static_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,26 +34,45 @@ class CraigBampton(Reducer):
 
     ``inertia_modes`` takes as many internal coordinates as there are interface motions for the inertia
     deformation, and the rest for fixed-interface modes; with ``up_to_hz`` it adds them.
+
+    ``interface_modes`` elastic characteristic modes, or all ``interface_up_to_hz``, and the rigid-body modes replace
+    the constraint modes; ``inertia_modes`` then counts these. Statics at the interfaces are not exact any more, and
+    the notes say by how much.
+
+    Raises:
+        InputError: both limits of the interfaces were given, or one out of range.
     """
 
     method: ClassVar[str] = "craig-bampton"
     modes: int | None = None
     up_to_hz: float | None = None
     inertia_modes: bool = False
+    interface_modes: int | None = None
+    interface_up_to_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        count, limit = self.interface_modes, self.interface_up_to_hz
+        if count is not None and limit is not None:
+            raise InputError("interface_modes and interface_up_to_hz were both given; choose one")
+        if count is not None and count < 0:
+            raise InputError(f"interface_modes = {count} was given; expected a count, zero or more")
+        if limit is not None and not 0 < limit < MOST_HZ:
+            raise InputError(
+                f"interface_up_to_hz = {limit} was given; expected a positive frequency in Hz below {MOST_HZ:g}"
+            )
+
+    @property
+    def reduces_interfaces(self) -> bool:
+        """Whether characteristic modes replace the constraint modes."""
+        return self.interface_modes is not None or self.interface_up_to_hz is not None
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         chosen_modes(self.modes, self.up_to_hz, self.method)
         require_interfaces(problem, self.method)
-        below = None if self.up_to_hz is None else (2 * np.pi * self.up_to_hz) ** 2
-        count = self.modes
-        inputs = problem.B.shape[1]
-        if self.inertia_modes and count is not None:
-            count -= inputs
-            if count < 0:
-                raise InputError(
-                    f"modes = {self.modes} was given with inertia_modes; expected at least {inputs}, one for each "
-                    "interface motion"
-                )
+        if self.reduces_interfaces:
+            return self._on_few(problem, progress)
+        below, inputs = _squared(self.up_to_hz), problem.B.shape[1]
+        count = self._beside_inertia(inputs, "interface motion")
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.internal.impose()
         basis = Basis(
@@ -65,3 +87,50 @@ class CraigBampton(Reducer):
             return basis
         deformation = problem.internal.flexibility(problem.M @ constraint)
         return add_residual_modes(problem, basis, deformation, fixed.vectors)
+
+    def _on_few(self, problem: Problem, progress: Progress) -> Basis:
+        """Rigid-body, characteristic and fixed-interface modes: all K-orthogonal."""
+        r = problem.rigid.shape[1]
+        with Inside(problem) as inside:
+            few = interface_modes(
+                problem, inside, count=self.interface_modes, below=_squared(self.interface_up_to_hz), progress=progress
+            )
+            k = r + len(few.eigenvalues)
+            count = self._beside_inertia(k, "rigid-body and characteristic mode")
+            fixed = inside.modes(count, _squared(self.up_to_hz), progress)
+            m = len(fixed.eigenvalues)
+            notes: dict[str, object] = {"interface_motions": problem.B.shape[1], "characteristic_modes": k - r}
+            if few.next_hz is not None:
+                lost = static_error(problem, inside, few)
+                notes["next_characteristic_hz"] = few.next_hz
+                notes["interface_static_error"] = lost
+                notes["statics"] = (
+                    f"not exact at the interfaces: up to {lost:.1e} of the compliance under resultant loads is "
+                    "missing, and more under loads that vary within an interface"
+                )
+            basis = Basis(
+                V=beside(problem.rigid, few.vectors, fixed.vectors, budget=problem.budget),
+                kinds=("rigid",) * r + ("characteristic",) * (k - r) + ("fixed-interface",) * m,
+                K=np.diag(np.concatenate([np.zeros(r), few.eigenvalues, fixed.eigenvalues])),
+                rigid=np.eye(k + m, r),
+                notes=notes,
+            )
+            if not self.inertia_modes:
+                return basis
+            deformation = inside.flexibility(problem.M @ basis.V[:, :k])
+            return replace(add_residual_modes(problem, basis, deformation, fixed.vectors), notes=notes)
+
+    def _beside_inertia(self, inertia: int, what: str) -> int | None:
+        """How many of ``modes`` are left for fixed-interface modes."""
+        if not self.inertia_modes or self.modes is None:
+            return self.modes
+        if self.modes < inertia:
+            raise InputError(
+                f"modes = {self.modes} was given with inertia_modes; expected at least {inertia}, one for each {what}"
+            )
+        return self.modes - inertia
+
+
+def _squared(hz: float | None) -> float | None:
+    """(rad/s)2 of a frequency in Hz."""
+    return None if hz is None else (2 * np.pi * hz) ** 2

@@ -1,0 +1,134 @@
+"""Sparse matrices in HDF5 files: groups of scipy, MATLAB v7.3 and Octave, and dense datasets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.imported import Imported
+from morembs.importers.named import Matrices, matrices_by_name
+
+Array = NDArray[Any]
+
+
+def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+    """Matrices of an HDF5 file, found in its groups by name ("stiffness/K"); MATLAB files of version 7.3 too.
+
+    A sparse matrix is a group {data, indices, indptr[, shape]} (CSR, or CSC where an attribute ``format`` or
+    ``h5sparse_format`` says so), {data, ir, jc} (MATLAB), or {data, ridx, cidx, nr, nc} (Octave, also under "value").
+
+    Raises:
+        InputError: not an HDF5 file, no such matrix, or one that is damaged.
+    """
+    path = Path(path)
+    try:
+        with h5py.File(path, "r") as file:
+            found: Matrices = {}
+            _collect(path.name, file, "", found, {K, M, D} - {None})
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{path.name} cannot be read as an HDF5 file ({error}); check the file") from error
+    return matrices_by_name(path.name, found, K=K, M=M, D=D)
+
+
+def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str | None]) -> None:
+    """All matrices below ``group`` by their path."""
+    for name, item in group.items():
+        here = f"{at}{name}"
+        if here.startswith("#refs#") or item is None:
+            continue
+        if isinstance(item, h5py.Group):
+            inner = item["value"] if isinstance(item.get("value"), h5py.Group) else item
+            matrix = sparse_group(f"{source}: {here}", inner)
+            if matrix is None and isinstance(item.get("value"), h5py.Dataset):
+                matrix = _dense(item["value"], "MATLAB_class" in item.attrs or "OCTAVE_NEW_FORMAT" in item.attrs)
+            if matrix is not None:
+                found[here] = matrix
+            else:
+                _collect(source, item, f"{here}/", found, wanted)
+        elif isinstance(item, h5py.Dataset):
+            matrix = _dense(item, "MATLAB_class" in item.attrs)
+            if matrix is not None:
+                found[here] = matrix
+
+
+def _dense(item: Any, transposed: bool) -> sp.csr_array | None:
+    """A square dense dataset; MATLAB and Octave show their arrays transposed here."""
+    if item.ndim != 2 or item.shape[0] != item.shape[1] or item.dtype.kind not in "fiuV":
+        return None
+    values = _complex(item[()])
+    if values.dtype.kind not in "fiuc":
+        return None
+    return sp.csr_array(values.T if transposed else values)
+
+
+def _complex(values: Array) -> Array:
+    """Numbers of a compound (real, imag) as complex ones."""
+    names = values.dtype.names
+    if names and len(names) == 2:
+        return np.asarray(values[names[0]] + 1j * values[names[1]])
+    return values
+
+
+def sparse_group(source: str, group: Any) -> sp.csr_array | None:
+    """The sparse matrix of a group, None if it is no such group.
+
+    Raises:
+        InputError: indices that do not fit.
+    """
+    if all(key in group for key in ("data", "indices", "indptr")):
+        data, indices, indptr = (np.asarray(group[key][()]) for key in ("data", "indices", "indptr"))
+        kind = group.attrs.get("format", group.attrs.get("h5sparse_format", group.attrs.get("datatype", "csr")))
+        csc = (kind.decode() if isinstance(kind, bytes) else str(kind)).lower().startswith("csc")
+        shape = group["shape"][()] if "shape" in group else group.attrs.get("shape", group.attrs.get("h5sparse_shape"))
+        rows = len(indptr) - 1
+        if shape is None:
+            shape = (rows, rows)
+    elif all(key in group for key in ("data", "ir", "jc")):
+        data, indices, indptr = (np.asarray(group[key][()]) for key in ("data", "ir", "jc"))
+        csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
+    elif all(key in group for key in ("ridx", "cidx", "nr", "nc")):
+        data = np.asarray(group["data"][()]) if "data" in group else np.empty(0)
+        indices, indptr = (np.asarray(group[key][()]).ravel() for key in ("ridx", "cidx"))
+        csc, shape = True, (int(np.ravel(group["nr"][()])[0]), int(np.ravel(group["nc"][()])[0]))
+    elif "MATLAB_sparse" in group.attrs and "jc" in group:  # without any entry
+        indptr = np.asarray(group["jc"][()])
+        data, indices = np.empty(0), np.empty(0, dtype=np.int64)
+        csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
+    else:
+        return None
+    shape = (int(shape[0]), int(shape[1]))
+    data = _complex(data.ravel())
+    if data.dtype.kind not in "fiuc":
+        raise InputError(f"{source} does not hold numbers; expected a sparse matrix")
+    if not csc:
+        return checked_csr(source, data, indices, indptr, shape)
+    turned = checked_csr(source, data, indices, indptr, (shape[1], shape[0]))
+    return sp.csr_array(turned.T)
+
+
+def checked_csr(source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int]) -> sp.csr_array:
+    """CSR matrix of arrays that were looked at.
+
+    Raises:
+        InputError: lengths that do not fit, or indices outside the matrix.
+    """
+    bad = (
+        indptr.ndim != 1 or len(indptr) != shape[0] + 1 or indices.shape != data.shape or data.ndim != 1
+        or indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu"
+    )  # fmt: skip
+    if bad or int(indptr[0]) != 0 or int(indptr[-1]) != len(data) or (np.diff(indptr.astype(np.int64)) < 0).any():
+        raise InputError(f"{source} is damaged: its row pointers do not fit {len(data)} entries; write the file again")
+    if len(indices) and not (int(indices.min()) >= 0 and int(indices.max()) < shape[1]):
+        raise InputError(f"{source} is damaged: indices lie outside the shape {shape}; write the file again")
+    number = np.int32 if max(len(data), *shape) < np.iinfo(np.int32).max else np.int64
+    if indices.dtype not in (np.int32, np.int64) or indices.dtype != indptr.dtype:
+        indices, indptr = indices.astype(number), indptr.astype(number)
+    return sp.csr_array((data, indices, indptr), shape=shape)

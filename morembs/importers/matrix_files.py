@@ -1,0 +1,126 @@
+"""Matrices in text and OP4 files as ``Imported``: nodes known by label only have no coordinates (NaN) yet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.imported import Imported
+from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
+from morembs.importers.calculix_matrices import read_calculix_matrices
+from morembs.importers.dmig import DmigMatrix, read_dmig
+from morembs.importers.named import matrices_by_name, square_csr
+from morembs.importers.op4 import read_op4
+from morembs.model import DofMap, Nodes
+
+Ints = NDArray[np.int64]
+# Rows of the two scalar kinds of dof that have no component of their own.
+_SCALAR = 0
+# Names that Nastran gives the matrices of a superelement, and those by which it takes them.
+_USUAL = {
+    "K": ("KAAX", "KAA", "K2GG", "K2PP"), "M": ("MAAX", "MAA", "M2GG", "M2PP"), "D": ("BAAX", "BAA", "B2GG", "B2PP")
+}  # fmt: skip
+
+
+def import_op4(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+    """Matrices of a Nastran OP4 file by their names; the file does not say which dofs its rows are.
+
+    Raises:
+        InputError: not such a file, or no matrix of a name.
+    """
+    path = Path(path)
+    asked = {name for name in (K, M, D) if name is not None and name != "identity"}
+    names = asked if K is not None and M is not None else None
+    found = {name: one.matrix for name, one in read_op4(path, names).items()}
+    square = {name: A for name, A in found.items() if A.shape[0] == A.shape[1]}
+    notes = tuple(f"{name} is not square and was left out" for name in found if name not in square)
+    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
+
+
+def import_dmig(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+    """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
+
+    Raises:
+        InputError: not such a file, no matrix of a name, or scalar points.
+    """
+    path = Path(path)
+    found = {name: one for name, one in read_dmig(path).items() if one.matrix.shape[0] == one.matrix.shape[1]}
+    labels = np.unique(
+        np.concatenate([np.empty((0, 2), dtype=np.int64), *(one.rows for one in found.values())]), axis=0
+    )
+    if (labels[:, 1] == _SCALAR).any():
+        raise InputError(f"{path.name} has rows of scalar points, which have no place in space; leave them out")
+    grown = {name: _spread(one, labels) for name, one in found.items()}
+    nodes, dofs = labelled(labels[:, 0], labels[:, 1] - 1)
+    given = {"K": K, "M": M, "D": D}
+    for role, names in _USUAL.items():
+        given[role] = given[role] or next((name for name in names if name in grown), None)
+    return matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
+
+
+def _spread(one: DmigMatrix, labels: Ints) -> sp.csr_array:
+    """The matrix with a row for every label."""
+    codes, rows = labels[:, 0] * 16 + labels[:, 1], one.rows[:, 0] * 16 + one.rows[:, 1]
+    at = np.searchsorted(codes, rows)
+    A = one.matrix.tocoo()
+    return sp.csr_array(sp.coo_array((A.data, (at[A.row], at[A.col])), shape=(len(labels),) * 2))
+
+
+def import_abaqus_matrix(path: Path, *, mass: str | None = None, damping: str | None = None) -> Imported:
+    """The matrix of one *MATRIX OUTPUT file as K; ``mass`` and ``damping`` are further files beside it.
+
+    Raises:
+        InputError: not such files, internal dofs (Lagrange multipliers, connectors), or files that do not fit.
+    """
+    path = Path(path)
+    files = {"K": path} | {role: path.parent / name for role, name in (("M", mass), ("D", damping)) if name is not None}
+    return abaqus_matrices(files)
+
+
+def abaqus_matrices(files: dict[str, Path]) -> Imported:
+    """K, M and D of Abaqus files by role, on the union of their dofs."""
+    read = {role: read_abaqus_matrix(path) for role, path in files.items()}
+    source = files.get("K", next(iter(files.values()))).name
+    notes = tuple(_noted(files[role].name, one) for role, one in read.items())
+    for role, one in read.items():
+        if one.internal:
+            raise InputError(
+                f"{files[role].name} has {one.internal} internal dofs (Lagrange multipliers, connectors, hybrid "
+                "elements), which a body cannot carry; replace these elements"
+            )
+    matrices, node, dof = aligned(*read.values())
+    whole = {role: square_csr(source, role, A) for role, A in zip(read, matrices, strict=True)}
+    if node is None or dof is None:
+        return Imported(source=source, notes=notes, **whole)
+    if len(dof) and not (dof.min() >= 1 and dof.max() <= 6):
+        raise InputError(f"{source} has dofs beyond 6 (temperature, warping), which no body carries; leave them out")
+    nodes, dofs = labelled(node, dof - 1)
+    return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **whole)
+
+
+def _noted(name: str, one: AbaqusMatrix) -> str:
+    return f"{name}: {'one of each pair of entries, the other was filled in' if one.half else 'all entries'}"
+
+
+def import_calculix(path: Path) -> Imported:
+    """job.sti, job.mas and job.dof of CalculiX (MATRIXSTORAGE).
+
+    Raises:
+        InputError: a file is missing or damaged, or has directions beyond x, y, z.
+    """
+    path = Path(path)
+    read = read_calculix_matrices(path)
+    if len(read.dof) and read.dof.max() > 3:
+        raise InputError(f"{path.name} has directions beyond 3; only displacements can be read")
+    nodes, dofs = labelled(read.node, read.dof - 1)
+    return Imported(source=path.name, K=read.K, M=read.M, nodes=nodes, dofs=dofs)
+
+
+def labelled(labels: Ints, components: Ints) -> tuple[Nodes, DofMap]:
+    """Nodes with labels but without coordinates, and dofs on them, of the label and component of each row."""
+    ids, row = np.unique(labels, return_inverse=True)
+    return Nodes(ids=ids, xyz=np.full((len(ids), 3), np.nan)), DofMap(node=row, component=components)

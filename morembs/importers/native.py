@@ -1,0 +1,165 @@
+"""The native model file: HDF5, SI units; written by ``morembs.model_file``, described in docs/formats.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.elements import TYPES
+from morembs.errors import InputError
+from morembs.imported import AverageElement, Imported, RigidElement
+from morembs.importers.hdf5_sparse import checked_csr
+from morembs.material import Material
+from morembs.model import DofMap, ElementBlock, Mesh, Nodes
+
+Ints = NDArray[np.int64]
+FORMAT = "morembs-model"
+FORMAT_VERSION = 1
+
+
+def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
+    """All that a native model file holds, in SI units. Peak memory: that of the matrices.
+
+    Raises:
+        InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
+    """
+    path = Path(path)
+    with opened(path) as file:
+        size = int(file["dofs/node"].shape[0])
+        K, M, D = (_matrix(path, file, name, size, budget) for name in ("K", "M", "D"))
+        nodes = Nodes(ids=file["nodes/ids"][:], xyz=file["nodes/coordinates"][:], sets=_sets(file, "node_sets"))
+        for name, rows in nodes.sets.items():
+            _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
+        dofs = DofMap(node=file["dofs/node"][:], component=file["dofs/component"][:])
+        rigid, average = _couplings(path, file, len(nodes))
+        return Imported(
+            source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
+            mesh=_mesh(path, file, nodes), materials=_materials(file), rigid=rigid, average=average,
+            notes=tuple(_words(file["source/notes"])),
+        )  # fmt: skip
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """The HDF5 file, open for reading, once it is known to be a model file of a known version."""
+    if not path.is_file():
+        raise InputError(f"{path} was given as a model file; there is no such file")
+    try:
+        if not h5py.is_hdf5(path):
+            path.open("rb").close()  # says why, where it cannot be read at all
+            raise InputError(f"{path} is not an HDF5 file; expected a model file that morembs import wrote")
+        with h5py.File(path, "r") as file:
+            found = file.get("format")
+            if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
+                raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
+            version = int(file["format_version"][()])
+            if not 1 <= version <= FORMAT_VERSION:
+                raise InputError(
+                    f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
+                    "newer one, or import the model again"
+                )
+            yield file
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
+        raise InputError(f"{path} cannot be read ({error}); if it is damaged, import the model again") from error
+
+
+def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
+    if f"matrices/{name}" not in file:
+        return None
+    group = file[f"matrices/{name}"]
+    parts = []
+    for part in ("data", "indices", "indptr"):
+        array = budget.empty(group[part].shape, group[part].dtype)
+        if len(array):
+            group[part].read_direct(array)
+        parts.append(array)
+    data, indices, indptr = parts
+    if "data_imag" in group:
+        data = data + 1j * group["data_imag"][:]
+    shape = tuple(int(n) for n in group["shape"][:])
+    if shape != (size, size):
+        raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; import the model again")
+    return checked_csr(f"{path}: {name}", data, indices, indptr, (size, size))
+
+
+def _words(item: Any) -> list[str]:
+    """Text of a dataset."""
+    return [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(item[()])]
+
+
+def _sets(file: Any, group: str) -> dict[str, Ints]:
+    offsets, rows = file[f"{group}/offsets"][:], file[f"{group}/rows"][:]
+    names = _words(file[f"{group}/names"])
+    return {name: rows[offsets[i] : offsets[i + 1]] for i, name in enumerate(names)}
+
+
+def _refuse_outside(path: Path, rows: Ints, count: int, what: str) -> None:
+    if len(rows) and not (rows.min() >= 0 and rows.max() < count):
+        raise InputError(f"{path}: {what} names rows that do not exist; import the model again")
+
+
+def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
+    if "elements" not in file:
+        return None
+    group = file["elements"]
+    blocks = []
+    for number, kind in enumerate(_words(group["types"])):
+        connectivity = group[f"block_{number}/nodes"][:]
+        if kind not in TYPES or connectivity.ndim != 2 or connectivity.shape[1] != TYPES[kind].n_nodes:
+            raise InputError(f"{path}: elements of type {kind!r} are damaged; import the model again")
+        _refuse_outside(path, connectivity.ravel(), len(nodes), f"an element of type {kind}")
+        blocks.append(ElementBlock(type=kind, nodes=connectivity, ids=group[f"block_{number}/ids"][:]))
+    starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in blocks])])
+    sets = {}
+    for name, rows in _sets(file, "element_sets").items():
+        _refuse_outside(path, rows, int(starts[-1]), f"element set {name!r}")
+        block = np.searchsorted(starts, rows, side="right") - 1
+        sets[name] = tuple(rows[block == b] - starts[b] for b in range(len(blocks)))
+    count = int(group["node_count"][()])
+    own = nodes
+    if count < len(nodes):
+        kept = {name: rows[rows < count] for name, rows in nodes.sets.items()}
+        own = Nodes(
+            ids=nodes.ids[:count], xyz=nodes.xyz[:count], sets={name: rows for name, rows in kept.items() if len(rows)}
+        )
+    return Mesh(nodes=own, blocks=tuple(blocks), element_sets=sets, source=_words(group["source"])[0])
+
+
+def _materials(file: Any) -> tuple[Material, ...]:
+    if "materials" not in file:
+        return ()
+    stiffness, density = file["materials/stiffness"][:], file["materials/density"][:]
+    names = _words(file["materials/sets"])
+    return tuple(
+        Material(set=n, stiffness=C, density=float(d)) for n, C, d in zip(names, stiffness, density, strict=True)
+    )
+
+
+def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, ...], tuple[AverageElement, ...]]:
+    rigid, average = [], []
+    for number, name in enumerate(_words(file["couplings/names"]) if "couplings" in file else []):
+        group = file[f"couplings/coupling_{number}"]
+        reference, nodes = int(group["reference"][()]), group["nodes"][:]
+        components = tuple(group["components"][:].tolist())
+        _refuse_outside(path, np.append(nodes, reference), count, f"coupling {name!r}")
+        if not set(components) <= set(range(6)):
+            raise InputError(f"{path}: coupling {name!r} has components {components}; expected some of 0 to 5")
+        if _words(group["kind"])[0] == "rigid":
+            rigid.append(RigidElement(name=name, master=reference, slaves=nodes, components=components))
+        else:
+            average.append(
+                AverageElement(
+                    name=name, reference=reference, nodes=nodes, weights=group["weights"][:], components=components
+                )
+            )
+    return tuple(rigid), tuple(average)
