@@ -19,8 +19,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, Part
-from morembs.doctor_delivered import Delivered, delivered
-from morembs.doctor_findings import MOTIONS, Diagnosis, Finding, listed
+from morembs.delivered import Delivered, delivered
+from morembs.doctor.findings import MOTIONS, Diagnosis, Finding, listed
 from morembs.mass import mass_properties
 from morembs.model import skew
 from morembs.reducers.base import ReducedModel

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from morembs.budget import UNLIMITED, Budget
 from morembs.coupled_model import CoupledModel, refuse_complex, refuse_unsymmetric
 from morembs.doctor import examine
-from morembs.doctor_findings import Diagnosis
+from morembs.doctor.findings import Diagnosis
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
 

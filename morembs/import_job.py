@@ -11,7 +11,7 @@ import numpy as np
 
 from morembs.coupled_model import CoupledModel
 from morembs.doctor import repaired
-from morembs.doctor_findings import Diagnosis
+from morembs.doctor.findings import Diagnosis
 from morembs.errors import InputError
 from morembs.examination import diagnosis_of
 from morembs.from_import import model_of, rows_of_labels

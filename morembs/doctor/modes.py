@@ -9,9 +9,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
-from morembs.doctor_findings import Finding, Names, listed
-from morembs.doctor_matrices import WORDS
-from morembs.doctor_rigid import motion
+from morembs.doctor.findings import Finding, Names, listed
+from morembs.doctor.matrices import WORDS
+from morembs.doctor.rigid import motion
 from morembs.errors import MorembsError
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.select import select_solver

@@ -13,13 +13,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs import doctor_matrices as matrices
 from morembs.budget import UNLIMITED, Budget
-from morembs.doctor_findings import Diagnosis, Finding, Names, listed
-from morembs.doctor_mass import against_mesh, mass_findings
-from morembs.doctor_modes import mode_findings
-from morembs.doctor_parts import part_of_dofs, parts_findings
-from morembs.doctor_rigid import (
+from morembs.doctor import matrices
+from morembs.doctor.findings import Diagnosis, Finding, Names, listed
+from morembs.doctor.mass import against_mesh, mass_findings
+from morembs.doctor.modes import mode_findings
+from morembs.doctor.parts import part_of_dofs, parts_findings
+from morembs.doctor.rigid import (
     MANY,
     fitting_order,
     free_motions,
@@ -28,7 +28,7 @@ from morembs.doctor_rigid import (
     rotation_factor,
     rotation_finding,
 )
-from morembs.doctor_units import estimate, unit_findings
+from morembs.doctor.units import estimate, unit_findings
 from morembs.errors import InputError
 from morembs.linalg.solver import LinearSolver
 from morembs.material import Material

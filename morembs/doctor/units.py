@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.doctor_findings import Finding
+from morembs.doctor.findings import Finding
 from morembs.material import Material
 from morembs.model import DofMap, Nodes
 from morembs.units import Units, parse_units

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, Part
-from morembs.doctor_findings import MOTIONS
+from morembs.doctor.findings import MOTIONS
 from morembs.errors import InputError
 from morembs.model import rigid_motion
 from morembs.reducers.base import ReducedModel

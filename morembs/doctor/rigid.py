@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.doctor_findings import Finding, Names, listed
-from morembs.doctor_matrices import pieces, sizes
+from morembs.doctor.findings import Finding, Names, listed
+from morembs.doctor.matrices import pieces, sizes
 from morembs.model import DofMap, Nodes, rigid_motion
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
-from morembs.doctor_findings import Finding, Names, listed
+from morembs.doctor.findings import Finding, Names, listed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.doctor_findings import Finding, Names
-from morembs.doctor_rigid import motion, orders
+from morembs.doctor.findings import Finding, Names
+from morembs.doctor.rigid import motion, orders
 from morembs.elements import TYPES
 from morembs.fem import chunks, geometry, material_of_elements
 from morembs.mass import mass_properties

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from morembs.doctor_findings import Finding, Names, listed
+from morembs.doctor.findings import Finding, Names, listed
 from morembs.model import DofMap, Nodes
 
 Ints = NDArray[np.int64]
