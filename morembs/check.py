@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,24 +19,25 @@ from morembs.forecast import Cost, JobForecast, forecast_cost
 from morembs.importers import read_mesh
 from morembs.interface import Interface, couple
 from morembs.job import Job
-from morembs.linalg.solver import LinearSolver
-from morembs.linalg.threads import blas_threads, limit_threads
-from morembs.model import DofMap, FEModel, Mesh, rigid_motion
-from morembs.model_file import read_model
-from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
-from morembs.run import (
-    count_elements,
+from morembs.job_inputs import (
     damping_of,
     interfaces_of,
     materials_of,
+    preload_of,
     prepare_output,
     refuse_reductions_that_do_not_fit,
     solver_of,
     source_of,
     units_of,
     wants_modes,
-)
+)  # fmt: skip
+from morembs.linalg.solver import LinearSolver
+from morembs.linalg.threads import blas_threads, limit_threads
+from morembs.model import DofMap, FEModel, Mesh, rigid_motion
+from morembs.model_file import read_model
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.run import count_elements
 from morembs.scratch import free_bytes
 
 Floats = NDArray[np.float64]
@@ -68,6 +70,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     dofs = DofMap.translations(len(mesh.nodes))
     model = FEModel(K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, source=mesh.source)
     interfaces = interfaces_of(job, model)
+    _check_preload(job, interfaces)
     coupling = couple(model, interfaces)
     coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
     refuse_reductions_that_do_not_fit(job, coupled, inputs)
@@ -99,6 +102,12 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     )  # fmt: skip
 
 
+def _check_preload(job: Job, interfaces: Sequence[Interface]) -> None:
+    load = preload_of(job)
+    if load is not None:
+        load.check(interfaces)
+
+
 def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
@@ -106,6 +115,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         progress.stage("examine")
         warnings = examined(model, budget=budget)
         interfaces = interfaces_of(job, model)
+        _check_preload(job, interfaces)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
             coupling, rigid = problem.coupling, problem.rigid.shape[1]
         coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]

@@ -27,6 +27,8 @@ from morembs.reducers.base import ReducedModel
 from morembs.stored import StoredBodies, StoredBody
 
 Floats = NDArray[np.float64]
+# Against the largest eigenvalue, in units of the mass.
+ROUND_OFF = 1e-12
 Ints = NDArray[np.int64]
 # Difference of two entries against the diagonal; negative part of an eigenvalue of the scaled matrix.
 SYMMETRIC, NEGATIVE = 1e-9, 1e-8
@@ -108,11 +110,21 @@ def _definite(given: Delivered, found: list[Finding], facts: dict[str, Any]) -> 
         s[s == 0] = 1.0
         lowest = float(np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(s, s)).min(initial=1.0))
         facts[f"lowest_of_scaled_{name}"] = lowest
+        if name != "M" and lowest < -NEGATIVE and _round_off(A, given.M):
+            continue
         if lowest < -NEGATIVE or (name == "M" and lowest <= 0):
             what = "positive definite" if name == "M" else "positive semidefinite"
             cure = "it feeds energy into a simulation; check the damping" if name == "D" else "check the full matrix"
             sentence = f"{name} of the reduced body is not {what} (lowest scaled eigenvalue {lowest:.2e})"
             found.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
+
+
+def _round_off(A: Floats, M: Floats) -> bool:
+    """Whether what is negative in A lies in coordinates that it hardly resists, as rigid-body motion."""
+    m = _scale(M)
+    m[m == 0] = 1.0
+    values = np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(m, m))
+    return bool(values.min(initial=0.0) > -ROUND_OFF * np.abs(values).max(initial=0.0))
 
 
 def _modes(given: Delivered) -> tuple[Floats, Floats]:

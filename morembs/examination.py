@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.body import ElasticBody
 from morembs.budget import UNLIMITED, Budget
 from morembs.coupled_model import CoupledModel, refuse_complex, refuse_unsymmetric
+from morembs.delivery_check import check_delivery
 from morembs.doctor import examine
-from morembs.doctor.findings import Diagnosis
+from morembs.doctor.findings import Diagnosis, Finding
+from morembs.doctor.units import unit_findings
+from morembs.errors import SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
+from morembs.units import Units
 
 
 def diagnosis_of(model: FEModel, *, deep: bool = False, budget: Budget = UNLIMITED) -> Diagnosis:
@@ -42,4 +49,30 @@ def examined(model: FEModel, *, budget: Budget = UNLIMITED) -> tuple[str, ...]:
     # Interfaces may join parts; the coupled model is looked at later.
     Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
     refuse_unsymmetric(model)
-    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in diagnosis.warnings)
+    return _sentences(diagnosis.warnings)
+
+
+def examined_mesh(model: FEModel) -> tuple[str, ...]:
+    """Warnings about a model that was assembled here: its matrices are sound by construction, its units may not be."""
+    size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
+    found = unit_findings(None, model.materials, size, Units())
+    return _sentences(tuple(one for one in found if one.severity == "warning"))
+
+
+def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
+    """Warnings about reduced bodies, those of each named after it.
+
+    Raises:
+        SolverError: a body that is wrong.
+    """
+    found: list[str] = []
+    for body in bodies:
+        diagnosis = check_delivery(body)
+        if diagnosis.errors:
+            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
+        found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
+    return tuple(found)
+
+
+def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
+    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)

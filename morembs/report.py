@@ -66,6 +66,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
             }
             for body in result.bodies
         },
+        "warnings": list(result.warnings),
         "seconds": {stage.name: stage.seconds for stage in result.stages},
         "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
     }
@@ -117,6 +118,8 @@ def print_result(console: Console, result: JobResult) -> None:
                 highlight=False,
                 soft_wrap=True,
             )
+    for warning in result.warnings:
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
     written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
     console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
 

@@ -9,6 +9,10 @@ result.position(rod.marker("end")), result.reaction(joint), result.energy().tota
 
 from morembs.multibody.bodies import BodyMarker, FlexibleBody, FloatingBody, RigidBody
 from morembs.multibody.component import Component, Ground, Marker, Place, VectorComponent
+from morembs.multibody.contact import Compliant, Contact
+from morembs.multibody.contact_patches import TriangleSurface
+from morembs.multibody.contact_result import ContactError, ContactResult, Impact
+from morembs.multibody.contact_run import simulate_contact
 from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
 from morembs.multibody.integrate import State
 from morembs.multibody.joints import (
@@ -24,6 +28,7 @@ from morembs.multibody.joints import (
 from morembs.multibody.result import Energy, Result, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import Restart, Switch, simulate
+from morembs.multibody.surfaces import GridSurface, Path, Plane, Sphere, Surface
 from morembs.multibody.system import Assembly, System
 
 ground = Ground()
@@ -31,8 +36,12 @@ ground = Ground()
 __all__ = [
     "Assembly",
     "BodyMarker",
+    "Compliant",
     "Component",
     "Constraint",
+    "Contact",
+    "ContactError",
+    "ContactResult",
     "DrivenAngle",
     "DrivenPosition",
     "Energy",
@@ -40,10 +49,14 @@ __all__ = [
     "FlexibleBody",
     "FloatingBody",
     "Force",
+    "GridSurface",
     "Ground",
+    "Impact",
     "Marker",
     "Motion",
+    "Path",
     "Place",
+    "Plane",
     "PointLoad",
     "PrismaticJoint",
     "Restart",
@@ -51,14 +64,18 @@ __all__ = [
     "RevoluteJoint",
     "RigidBody",
     "Segment",
+    "Sphere",
     "SphericalJoint",
     "SpringDamper",
     "State",
+    "Surface",
     "Switch",
     "System",
     "TorsionSpring",
+    "TriangleSurface",
     "VectorComponent",
     "ground",
     "rotation",
     "simulate",
+    "simulate_contact",
 ]

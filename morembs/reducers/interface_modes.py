@@ -1,0 +1,239 @@
+"""Interface reduction: characteristic constraint modes instead of one constraint mode for each interface motion.
+
+They are the eigenvectors of the Craig-Bampton constraint part (Castanier, Tan and Pierre 2001): (K, M) on the span of
+the constraint modes Psi. Rigid-body motion lies in that span and is always kept. With the elastic flexibility G_e of
+the free body and that of the body held at its interfaces, G_i,
+
+    Psi (Psi'K Psi)^+ Psi' = P (G_e - G_i) P',   P = I - Z Z'M for the rigid modes Z,
+
+since a static solution is the constraint modes under its own interface motions plus what the loads do to the held
+body. So block Lanczos finds the modes from two sparse solves for each vector, and Psi (N, m) is never formed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.linalg.eigen import GAP, Modes, lowest_modes, signed
+from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.orthogonal import combine, dot, remove
+from morembs.linalg.statics import Restricted, Statics
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Up to this many interface motions, or where so large a part of them is wanted, all constraint modes are made.
+DENSE = 400
+PART = 4
+# Above this many interface motions the body is held by leaving their rows out, not by solving for each.
+MANY = 100
+# Scaled condition of the rigid motions on rows above which these rows do not hold the body.
+LOOSE = 1e6
+BLOCK = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InterfaceModes:
+    """Elastic characteristic modes: ``eigenvalues`` (k,) in (rad/s)2 ascending, ``vectors`` (Nc, k) M-orthonormal and
+    free of rigid-body motion; ``next_hz`` the frequency of the first that was left out, None where that is unknown or
+    none was."""
+
+    eigenvalues: Floats
+    vectors: Floats
+    next_hz: float | None
+
+
+class Inside:
+    """The body held at its interfaces. Interface motions that are single dofs are rows left out of the matrices.
+
+    A context manager, as it may own a factor. Peak memory: K and M without those rows, and the factor.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.statics: Statics | None = None
+        rows, mixed = _single(problem.B)
+        if len(rows) <= MANY or not _holds(problem, rows):
+            self.rows, self.pencil, self.M = None, problem.internal, problem.M
+            return
+        kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
+        self.rows = kept
+        self.M = sp.csr_array(problem.M[kept][:, kept])
+        inner = DynamicStiffness(
+            sp.csr_array(problem.K[kept][:, kept]), self.M, solver=problem.solver, budget=problem.budget
+        )
+        self.statics = Statics(inner, np.zeros((len(kept), 0)))
+        C = sp.csc_array(sp.csr_array(problem.B[:, mixed])[kept])
+        self.pencil = Restricted(self.statics, C, "the interfaces")
+
+    def flexibility(self, F: Floats) -> Floats:
+        """Displacements (Nc, k) under the loads ``F`` (Nc, k) with the interfaces at rest."""
+        if self.rows is None:
+            return self.pencil.flexibility(F)
+        return self._whole(self.pencil.flexibility(F[self.rows]))
+
+    def modes(self, count: int | None, below: float | None, progress: Progress) -> Modes:
+        """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
+        if self.rows is None:
+            return self.problem.fixed_modes(count=count, below=below)
+        found = lowest_modes(
+            self.pencil, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
+        )
+        if count is None and below is not None:
+            count = int((found.eigenvalues <= below * (1 + GAP)).sum())
+        found = found.first(len(found.eigenvalues) if count is None else count)
+        return Modes(
+            eigenvalues=found.eigenvalues, vectors=self._whole(found.vectors), verified_below=found.verified_below
+        )
+
+    def close(self) -> None:
+        """Release the factor, where there is one of its own."""
+        if self.statics is not None:
+            self.statics.close()
+            self.statics.pencil.close()
+
+    def __enter__(self) -> Inside:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _whole(self, inner: Floats) -> Floats:
+        whole = self.problem.budget.empty((self.problem.K.shape[0], inner.shape[1]), order="F")
+        whole[self.rows] = inner
+        return np.asarray(whole)
+
+
+def interface_modes(
+    problem: Problem, inside: Inside, *, count: int | None = None, below: float | None = None,
+    progress: Progress = SILENT,
+) -> InterfaceModes:  # fmt: skip
+    """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
+
+    Peak memory: some three times as many columns of length Nc as modes, where the budget wants them; with up to
+    ``DENSE`` interface motions, or where a large part of the modes is wanted, all constraint modes (Nc, m).
+
+    Raises:
+        InputError: more modes than there are.
+    """
+    most = problem.B.shape[1] - problem.rigid.shape[1]
+    if count is not None and count > most:
+        raise InputError(
+            f"interface_modes = {count} was given, but {problem.B.shape[1]} interface motions have {most} elastic "
+            "characteristic modes; ask for fewer"
+        )
+    if problem.B.shape[1] <= DENSE or (count is not None and PART * count > most):
+        return _all(problem, count, below)
+    return _lowest(problem, inside, most, count, below, progress)
+
+
+def static_error(problem: Problem, inside: Inside, modes: InterfaceModes) -> float:
+    """Largest part of the compliance of all constraint modes that ``modes`` miss, over six resultant loads on each
+    interface in mean axes.
+
+    Nodes of a direct interface share the load evenly.
+    """
+    F = np.hstack(
+        [
+            np.asarray(B @ (B.T @ (problem.coupling.R * np.array([1.0] * 3 + [1 / problem.length] * 3))))
+            for B in (problem.B[:, columns] for columns in problem.coupling.columns.values())
+        ]
+    )
+    whole = np.einsum("ij,ij->j", F, _flexibility(problem, inside)(F))
+    kept = dot(modes.vectors, F, problem.budget)
+    known = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(whole))
+    # A load that inertia alone balances, or that is zero, has no compliance to speak of.
+    real = whole > 1e-10 * whole.max(initial=0.0)
+    return float(np.clip(1.0 - known[real] / whole[real], 0.0, 1.0).max(initial=0.0))
+
+
+def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceModes:
+    Psi, K = problem.internal.impose()
+    M = np.zeros_like(K)
+    width = problem.budget.columns(len(Psi))
+    for at in range(0, Psi.shape[1], width):
+        M[:, at : at + width] = dot(Psi, problem.M @ Psi[:, at : at + width], problem.budget)
+    r = problem.rigid.shape[1]
+    # Rigid-body motion is known and goes out before the eigenvalues are computed, which it would blur.
+    scale = 1.0 / np.sqrt(np.diag(M))
+    H = (problem.B.T @ problem.rigid) / scale[:, None]
+    Ms, Ks = (0.5 * (A + A.T) * np.outer(scale, scale) for A in (M, K))
+    Q = sl.qr(Ms @ H)[0][:, r:]
+    values, Y = sl.eigh(Q.T @ Ks @ Q, Q.T @ Ms @ Q)
+    kept = len(values) if count is None else count
+    if below is not None:
+        kept = int((values <= below * (1 + GAP)).sum())
+    out = problem.budget.empty((len(Psi), kept), order="F")
+    V = combine(Psi, scale[:, None] * (Q @ Y[:, :kept]), out, problem.budget)
+    remove(problem.rigid, V, problem.M)
+    return InterfaceModes(
+        eigenvalues=values[:kept], vectors=signed(V, problem.budget),
+        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
+    )  # fmt: skip
+
+
+def _lowest(
+    problem: Problem, inside: Inside, most: int, count: int | None, below: float | None, progress: Progress
+) -> InterfaceModes:
+    flexibility = _flexibility(problem, inside)
+    rng = np.random.default_rng(3)
+    start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], BLOCK)))
+    wanted = 4 * BLOCK if count is None else count + 1
+    lanczos = BlockLanczos(flexibility, problem.M, start, capacity=_capacity(wanted, most), budget=problem.budget)
+    while True:
+        theta, V = largest(lanczos, wanted, progress=progress, what="characteristic modes")
+        values = 1.0 / theta
+        if below is None or values[-1] > below * (1 + GAP):
+            break
+        wanted *= 2
+        if PART * wanted > most:
+            return _all(problem, count, below)
+        lanczos.enlarge(_capacity(wanted, most))
+    kept = count if count is not None else int((values <= below * (1 + GAP)).sum()) if below is not None else wanted
+    V = V[:, :kept]
+    remove(problem.rigid, V, problem.M)
+    return InterfaceModes(
+        eigenvalues=values[:kept], vectors=signed(V, problem.budget),
+        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
+    )  # fmt: skip
+
+
+def _capacity(wanted: int, most: int) -> int:
+    return min(2 * wanted + 8 * BLOCK, most)
+
+
+def _flexibility(problem: Problem, inside: Inside) -> Callable[[Floats], Floats]:
+    """P (G_e - G_i) P' of loads (Nc, k)."""
+    Z, M = problem.rigid, problem.M
+    MZ = M @ Z
+
+    def apply(F: Floats) -> Floats:
+        F = F - MZ @ (Z.T @ F)
+        U = problem.elastic.flexibility(F) - inside.flexibility(F)
+        return np.asarray(U - Z @ (MZ.T @ U))
+
+    return apply
+
+
+def _single(B: sp.csc_array) -> tuple[Ints, Ints]:
+    """Rows of the columns of ``B`` that have one entry, and the other columns."""
+    B = sp.csc_array(B)
+    single = np.diff(B.indptr) == 1
+    return np.unique(B.indices[B.indptr[:-1][single]]).astype(np.int64), np.flatnonzero(~single)
+
+
+def _holds(problem: Problem, rows: Ints) -> bool:
+    """Whether holding ``rows`` holds the body."""
+    Z = problem.rigid
+    size = np.linalg.norm(Z, axis=0) / np.sqrt(len(Z))
+    s = np.linalg.svd(Z[rows] / size, compute_uv=False)
+    return bool(len(s) == Z.shape[1] and (not len(s) or s[-1] * LOOSE > s[0]))
