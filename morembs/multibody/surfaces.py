@@ -1,0 +1,316 @@
+"""Curves and surfaces that points touch: planes, spheres, Overhauser curves and grids, with continuous normals.
+
+A curve through points P_i with cubic pieces whose slopes are (P_i+1 - P_i-1) / 2 is the blend of two parabolas of
+Overhauser (1968) and the spline of Catmull and Rom (1974): it interpolates, its tangent is continuous, and the ends
+follow the parabola of the last three points. Grids take it in both directions.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from morembs.errors import InputError
+from morembs.multibody.component import direction, vector
+from morembs.multibody.rotations import cross
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+_ITERATIONS = 60
+_CLOSE = 1e-14
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
+class Foot:
+    """The nearest point of a surface: ``gap`` m (negative inside), ``point`` (3,), unit ``normal`` (3,) outwards.
+
+    ``vertices`` (v,) and ``weights`` (v,), of sum one: how the displacements of vertices move the point.
+    """
+
+    gap: float
+    point: Floats
+    normal: Floats
+    vertices: Ints
+    weights: Floats
+
+
+_NO_VERTICES, _NO_WEIGHTS = np.zeros(0, dtype=int), np.zeros(0)
+
+
+class Surface(ABC):
+    """A surface in the axes of the marker that carries it."""
+
+    name: str
+
+    @abstractmethod
+    def nearest(self, point: Floats) -> Foot:
+        """The foot of ``point`` (3,)."""
+
+
+class NodalSurface(Surface):
+    """A surface through ``points`` (n, 3), which may move."""
+
+    points: Floats
+
+    @abstractmethod
+    def displaced(self, displacements: Floats) -> NodalSurface:
+        """The same surface with its points displaced by (n, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane(Surface):
+    """All that is below ``point`` (3,) against ``normal`` (3,)."""
+
+    point: ArrayLike = (0.0, 0.0, 0.0)
+    normal: ArrayLike = (0.0, 0.0, 1.0)
+    _: KW_ONLY
+    name: str = "plane"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", vector(f"point of {self.name!r}", self.point))
+        object.__setattr__(self, "normal", direction(f"normal of {self.name!r}", self.normal))
+
+    def nearest(self, point: Floats) -> Foot:
+        normal = np.asarray(self.normal, dtype=float)
+        gap = float(normal @ (point - np.asarray(self.point, dtype=float)))
+        return Foot(gap=gap, point=point - gap * normal, normal=normal, vertices=_NO_VERTICES, weights=_NO_WEIGHTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere(Surface):
+    """A ball of ``radius`` m about ``center`` (3,), or where ``hollow`` all that is outside."""
+
+    center: ArrayLike
+    radius: float
+    _: KW_ONLY
+    hollow: bool = False
+    name: str = "sphere"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", vector(f"center of {self.name!r}", self.center))
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise InputError(f"radius = {self.radius} m of {self.name!r} was given; expected a positive length")
+
+    def nearest(self, point: Floats) -> Foot:
+        center = np.asarray(self.center, dtype=float)
+        arm = point - center
+        distance = float(np.linalg.norm(arm))
+        # From the centre all directions are as near.
+        out = arm / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+        sign = -1.0 if self.hollow else 1.0
+        return Foot(
+            gap=sign * (distance - self.radius), point=center + self.radius * out, normal=sign * out,
+            vertices=_NO_VERTICES, weights=_NO_WEIGHTS,
+        )  # fmt: skip
+
+
+def _points(what: str, value: ArrayLike, ndim: int) -> Floats:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: expected an array of points, with three numbers in its last axis") from None
+    if array.ndim != ndim or array.shape[-1] != 3 or not np.isfinite(array).all():
+        shape = "(n, 3)" if ndim == 2 else "(n, m, 3)"
+        raise InputError(f"{what}: points of shape {array.shape} were given; expected finite numbers of shape {shape}")
+    array.flags.writeable = False
+    return array
+
+
+def _check_spacing(what: str, points: Floats, closed: bool) -> None:
+    """Points along the first axis must differ."""
+    steps = np.diff(np.concatenate((points, points[:1])) if closed else points, axis=0)
+    lengths = np.linalg.norm(steps, axis=-1)
+    short = np.argwhere(lengths <= 1e-9 * lengths.max())
+    if len(short):
+        raise InputError(f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart")
+
+
+def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats, Floats]:
+    """Numbers (w,) of the points that matter at parameter u (0 to count - 1, or to count where closed), their weights
+    (w,) and the derivatives of weights."""
+    pieces = count if closed else count - 1
+    u = u % pieces if closed else u
+    i = min(max(int(np.floor(u)), 0), pieces - 1)
+    s = u - i
+    value = 0.5 * np.array(
+        [-s + 2 * s**2 - s**3, 2 - 5 * s**2 + 3 * s**3, s + 4 * s**2 - 3 * s**3, s**3 - s**2]
+    )  # fmt: skip
+    slope = 0.5 * np.array([-1 + 4 * s - 3 * s**2, -10 * s + 9 * s**2, 1 + 8 * s - 9 * s**2, 3 * s**2 - 2 * s])
+    near = np.arange(i - 1, i + 3)
+    if closed:
+        return near % count, value, slope
+    for end, inner, at in ((-1, 1, 0), (count, -1, 3)):
+        if near[at] == end:
+            # The point beyond the end is that of the parabola (a line for two points).
+            factors = (3.0, -3.0, 1.0) if count > 2 else (2.0, -1.0)
+            for k, f in enumerate(factors):
+                where = at + inner * (k + 1)
+                value[where] += f * value[at]
+                slope[where] += f * slope[at]
+            value[at] = slope[at] = 0.0
+            near[at] = near[at + inner]
+    return near, value, slope
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Overhauser curve through ``points`` (n, 3), ``closed`` to a loop or not; u runs from 0 to n - 1 (n)."""
+
+    points: ArrayLike
+    _: KW_ONLY
+    closed: bool = False
+    name: str = "path"
+
+    def __post_init__(self) -> None:
+        points, least = _points(f"{self.name!r}", self.points, 2), 3 if self.closed else 2
+        if len(points) < least:
+            raise InputError(f"{self.name!r}: {len(points)} points were given; expected {least} or more")
+        _check_spacing(f"{self.name!r}", points, self.closed)
+        object.__setattr__(self, "points", points)
+
+    @property
+    def end(self) -> float:
+        """Largest parameter."""
+        return float(len(np.asarray(self.points)) - (0 if self.closed else 1))
+
+    def at(self, u: float) -> tuple[Floats, Floats]:
+        """Point (3,) and derivative by u (3,)."""
+        points = np.asarray(self.points)
+        near, value, slope = overhauser(len(points), u, self.closed)
+        return value @ points[near], slope @ points[near]
+
+    def nearest(self, point: ArrayLike) -> float:
+        """Parameter of the nearest point of the path."""
+        target, points = vector("point", point), np.asarray(self.points)
+        u = float(np.argmin(np.linalg.norm(points - target, axis=1)))
+        best = min((u + s for s in (-0.5, -0.25, 0.0, 0.25, 0.5)), key=lambda k: self._distance(k, target))
+        return float(_descend(lambda k: self.at(float(k[0])), np.array([best]), target, self._kept)[0])
+
+    def _distance(self, u: float, target: Floats) -> float:
+        return float(np.linalg.norm(self.at(self._kept(np.array([u]))[0])[0] - target))
+
+    def _kept(self, u: Floats) -> Floats:
+        return u % self.end if self.closed else np.clip(u, 0.0, self.end)
+
+
+def _descend(
+    at: Callable[[Floats], tuple[Floats, ...]], start: Floats, target: Floats, kept: Callable[[Floats], Floats]
+) -> Floats:
+    """Gauss-Newton to the nearest point, with parameters ``kept`` in their range; halved steps where it overshoots."""
+    u = kept(start)
+    for _ in range(_ITERATIONS):
+        point, *slopes = at(u)
+        J, miss = np.stack(slopes), target - point
+        gradient, hessian = J @ miss, J @ J.T
+        step = np.linalg.solve(hessian + 1e-14 * np.trace(hessian) * np.eye(len(u)), gradient)
+        # A parameter held at its end leaves the others free.
+        held = (kept(u + 1e-9 * np.sign(step)) == u) & (step != 0)
+        if held.any() and not held.all():
+            free = ~held
+            step = np.where(held, 0.0, step)
+            step[free] = np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
+        size, distance = 1.0, float(miss @ miss)
+        moved = kept(u + step)
+        while size > 1e-3 and float(np.sum((target - at(moved)[0]) ** 2)) > distance * (1 + 1e-12):
+            size *= 0.5
+            moved = kept(u + size * step)
+        done = float(np.abs(moved - u).max()) < _CLOSE * 10
+        u = moved
+        if done:
+            break
+    return u
+
+
+@dataclass(frozen=True, eq=False)
+class GridSurface(NodalSurface):
+    """Surface through a grid of ``points`` (n, m, 3), Overhauser curves in both directions; its normal is continuous.
+
+    The normal is along (first direction) x (second direction), or against it where ``flip``. ``closed`` joins the
+    last row of points to the first. Weights of the points do not depend on their place: a moved grid is as smooth.
+
+    Raises:
+        InputError: fewer than two points along a direction, points that coincide, folded cells.
+    """
+
+    grid: ArrayLike
+    _: KW_ONLY
+    closed: bool = False
+    flip: bool = False
+    name: str = "grid"
+
+    def __post_init__(self) -> None:
+        grid = _points(f"surface {self.name!r}", self.grid, 3)
+        if grid.shape[0] < (3 if self.closed else 2) or grid.shape[1] < 2:
+            raise InputError(f"surface {self.name!r}: a grid {grid.shape[:2]} was given; expected two points each way")
+        object.__setattr__(self, "grid", grid)
+        self._check(grid)
+        object.__setattr__(self, "points", grid.reshape(-1, 3))
+
+    def _check(self, grid: Floats) -> None:
+        rows = np.concatenate((grid, grid[:1])) if self.closed else grid
+        a, b = rows[1:, 1:] - rows[:-1, :-1], rows[:-1, 1:] - rows[1:, :-1]
+        area = np.linalg.norm(np.cross(a, b), axis=-1)
+        bad = np.argwhere(area <= 1e-9 * (np.linalg.norm(a, axis=-1) ** 2 + np.linalg.norm(b, axis=-1) ** 2))
+        if len(bad):
+            i, j = bad[0].tolist()
+            raise InputError(
+                f"surface {self.name!r}: {len(bad)} cells have no area, the first at ({i}, {j}) near "
+                f"{np.array2string(grid[i, j], precision=6)} m; expected cells with four points apart"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Points along both directions."""
+        n, m, _ = np.shape(self.grid)
+        return n, m
+
+    def at(self, u: Floats) -> tuple[Floats, Floats, Floats]:
+        """Point (3,) and both derivatives at the parameters u (2,)."""
+        grid, (n, m) = np.asarray(self.grid), self.shape
+        rows, a, da = overhauser(n, float(u[0]), self.closed)
+        columns, b, db = overhauser(m, float(u[1]))
+        near = grid[np.ix_(rows, columns)]
+        along = np.tensordot(b, near, (0, 1))
+        return a @ along, da @ along, a @ np.tensordot(db, near, (0, 1))
+
+    def normal(self, u: Floats) -> Floats:
+        """Unit normal (3,)."""
+        _, first, second = self.at(u)
+        across = cross(first, second)
+        return np.asarray((-1.0 if self.flip else 1.0) * across / np.linalg.norm(across))
+
+    def _kept(self, u: Floats) -> Floats:
+        n, m = self.shape
+        first = u[0] % n if self.closed else min(max(u[0], 0.0), n - 1.0)
+        return np.array([first, min(max(u[1], 0.0), m - 1.0)])
+
+    def nearest(self, point: Floats) -> Foot:
+        n, m = self.shape
+        start = np.array(np.unravel_index(int(np.argmin(np.sum((self.points - point) ** 2, axis=1))), (n, m)), float)
+        u = _descend(self.at, start, point, self._kept)
+        rows, a, _ = overhauser(n, float(u[0]), self.closed)
+        columns, b, _ = overhauser(m, float(u[1]))
+        numbers, weights = np.add.outer(rows * m, columns).ravel(), np.outer(a, b).ravel()
+        return foot_at(point, self.at(u)[0], self.normal(u), numbers, weights)
+
+    def displaced(self, displacements: Floats) -> GridSurface:
+        moved = object.__new__(GridSurface)
+        grid = np.asarray(self.grid) + displacements.reshape(np.shape(self.grid))
+        for key, value in (("grid", grid), ("closed", self.closed), ("flip", self.flip), ("name", self.name)):
+            object.__setattr__(moved, key, value)
+        object.__setattr__(moved, "points", grid.reshape(-1, 3))
+        return moved
+
+
+def foot_at(point: Floats, foot: Floats, normal: Floats, vertices: Ints, weights: Floats) -> Foot:
+    """The foot with its gap; over an edge the gap is the distance, along the line to the point."""
+    arm = point - foot
+    gap, distance = float(normal @ arm), float(np.linalg.norm(arm))
+    beside = float(np.linalg.norm(arm - gap * normal))
+    if beside > 1e-7 * max(distance, 1e-300) and beside > 1e-12:
+        gap, normal = distance, arm / distance
+    return Foot(gap=gap, point=foot, normal=normal, vertices=vertices, weights=weights)

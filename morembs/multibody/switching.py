@@ -1,0 +1,339 @@
+"""A body with static modes that are switched on and off as loads slide along it (Heirman, Tamarozzi, Desmet 2011).
+
+The constant basis is another component: ``LinearBody`` for a body that is held or moves little, ``FlexibleBody`` in its
+floating frame. Quasi-static variant: static modes have no state, their amplitudes are the loads on the candidates.
+Dynamic variant: they keep their mass, in coordinates that diagonalise each active set. The places of the active sets
+belong to the configuration, so markers, joints and forces stay as they are at a switch. In a floating frame the static
+modes take part in no Coriolis or centrifugal force.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.multibody.bodies import FlexibleBody
+from morembs.multibody.component import Component, FixedMarker, Marker, Place
+from morembs.multibody.linear_body import LinearBody
+from morembs.multibody.rotations import hat
+from morembs.switching import INTERPOLATIONS, ActiveSet, Switching, active_set
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+VARIANTS = ("quasi-static", "dynamic")
+# Active sets that are kept for reuse.
+_KEPT = 64
+# Nodes of the path that one place of it depends on.
+_SUPPORT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Active:
+    """The static modes of one choice of windows: their coordinates, and the candidates that each window reads.
+
+    ``on_q`` (n, r) is the mass between elastic coordinates of the body and z; ``read`` the window's candidates,
+    ``q_rows`` (k, n) and ``z_rows`` (k, r) their displacements, ``R`` (k, k) of the window by itself.
+    """
+
+    set: ActiveSet | None
+    on_q: Floats
+    read: tuple[Ints, ...]
+    q_rows: tuple[Floats, ...]
+    z_rows: tuple[Floats, ...]
+    R: tuple[Floats, ...]
+
+
+class SwitchingBody(Component):
+    """``inner`` (the constant basis) with the static modes of ``switching``.
+
+    ``at`` (one number for each load or slider that moves along the path): positions along the path at the start, m.
+    Each has an active window: the nodes that its place depends on, ``look_ahead`` nodes ahead and as many behind.
+    ``damping_ratio`` belongs to the coordinates of the dynamic ``variant``. Configuration: that of ``inner``, z, and
+    the first node of each window.
+
+    Raises:
+        InputError: a start outside the path, data that do not belong to the body, a window without look-ahead.
+    """
+
+    def __init__(
+        self, inner: LinearBody | FlexibleBody, switching: Switching, *, at: Sequence[float] | float = (0.0,),
+        variant: str = "quasi-static", look_ahead: int = 1, damping_ratio: float = 0.1,
+        interpolation: str = "catmull-rom",
+    ) -> None:  # fmt: skip
+        label = f"body {inner.name!r}"
+        for what, given, known in (("variant", variant, VARIANTS), ("interpolation", interpolation, INTERPOLATIONS)):
+            if given not in known:
+                raise InputError(f"{label}: {what} = {given!r} was given; expected one of {', '.join(known)}")
+        if look_ahead < 1:
+            raise InputError(f"{label}: look_ahead = {look_ahead} was given; expected 1 node or more")
+        if not 0 <= damping_ratio < 10:
+            raise InputError(
+                f"{label}: damping_ratio = {damping_ratio} was given; expected a number from 0, such as 0.1"
+            )
+        self.name, self.inner, self.switching = inner.name, inner, switching
+        self.variant, self.look_ahead, self.interpolation = variant, look_ahead, interpolation
+        self.damping_ratio = damping_ratio
+        floating = isinstance(inner, FlexibleBody)
+        # Elastic coordinates among the velocities and the configuration of the inner body.
+        self.in_v, self.in_x = (slice(6, inner.size), slice(12, inner.configuration_size)) if floating else (
+            slice(0, inner.size), slice(0, inner.size)
+        )  # fmt: skip
+        self.map = inner.frame.elastic if isinstance(inner, FlexibleBody) else np.eye(inner.size)
+        self.origin = inner.frame.origin if isinstance(inner, FlexibleBody) else np.zeros(3)
+        if len(self.map) != switching.modes.shape[1]:
+            raise InputError(
+                f"{label} has {len(self.map)} reduced coordinates, but its static modes were made beside "
+                f"{switching.modes.shape[1]}; take both from one reduction"
+            )
+        nodes = len(switching.node_ids)
+        self.width = min(_SUPPORT + 2 * look_ahead, nodes)
+        places = np.atleast_1d(np.asarray(at, dtype=float))
+        self.windows = len(places)
+        for s in places:
+            self.refuse_outside(float(s), "at the start")
+        per_window = max(
+            int(switching.starts[f + self.width] - switching.starts[f]) for f in range(nodes - self.width + 1)
+        )
+        self.extra = min(per_window * self.windows, switching.count) if variant == "dynamic" else 0
+        self.size = inner.size + self.extra
+        self.configuration_size = inner.configuration_size + self.extra + self.windows
+        self._active: OrderedDict[tuple[int, ...], Active] = OrderedDict()
+        self._first = np.array([self.window_about(float(s)) for s in places], dtype=float)
+
+    def refuse_outside(self, s: float, when: str) -> None:
+        """Raise InputError where ``s`` is not on the path."""
+        length = self.switching.length
+        if not -1e-9 * length <= s <= length * (1 + 1e-9):
+            raise InputError(
+                f"body {self.name!r}: the load is outside all candidates {when}: s = {s:.9g} m on a path of "
+                f"{length:.9g} m; end the run before, add candidates there, or take the load away"
+            )
+
+    def window_about(self, s: float) -> int:
+        """First node of the window about ``s`` (m)."""
+        centred = self.switching.interval(s) - 1 - self.look_ahead
+        return int(np.clip(centred, 0, len(self.switching.node_ids) - self.width))
+
+    def firsts(self, x: Floats) -> tuple[int, ...]:
+        """First node of each window in a configuration."""
+        return tuple(int(k) for k in x[self.configuration_size - self.windows :])
+
+    def split(self, x: Floats) -> tuple[Floats, Floats]:
+        """Configuration of the inner body, and z."""
+        k = self.inner.configuration_size
+        return x[:k], x[k : k + self.extra]
+
+    def active(self, x: Floats) -> Active:
+        """The active set of a configuration."""
+        return self.active_of(self.firsts(x))
+
+    def active_of(self, firsts: tuple[int, ...]) -> Active:
+        """The active set of windows that begin at these nodes."""
+        found = self._active.get(firsts)
+        if found is None:
+            found = self._active[firsts] = self._make(firsts)
+            if len(self._active) > _KEPT:
+                self._active.popitem(last=False)
+        return found
+
+    def _make(self, firsts: tuple[int, ...]) -> Active:
+        its = self.switching
+        read = tuple(its.of_nodes(first, self.width) for first in firsts)
+        # Beyond this many elastic coordinates nothing here grows: neither with all candidates nor with the model.
+        q_rows = tuple(its.modes[one] @ self.map for one in read)
+        R = tuple(its.R(one) for one in read)
+        if self.variant != "dynamic":
+            none = np.zeros((0, 0))
+            return Active(None, none, read, q_rows, tuple(np.zeros((len(one), 0)) for one in read), R)
+        together = np.unique(np.concatenate(read))
+        chosen = active_set(its, together)
+        pad = self.extra - chosen.rank
+        Y = np.hstack([chosen.Y, np.zeros((len(together), pad))])
+        chosen = ActiveSet(together, Y, np.concatenate([chosen.omega, np.full(pad, chosen.omega[0])]))
+        on_q = self.map.T @ (its.coupling[:, together] @ Y)
+        return Active(chosen, on_q, read, q_rows, tuple(its.R(one, together) @ Y for one in read), R)
+
+    def start(self) -> tuple[Floats, Floats]:
+        x, v = self.inner.start()
+        none = np.zeros(self.extra)
+        return np.concatenate((x, none, self._first)), np.concatenate((v, none))
+
+    def moved(self, x: Floats, step: Floats) -> Floats:
+        inner, z = self.split(x)
+        moved = self.inner.moved(inner, step[: self.inner.size])
+        return np.concatenate((moved, z + step[self.inner.size :], x[self.configuration_size - self.windows :]))
+
+    def tangent(self, step: Floats) -> Floats | None:
+        inner = self.inner.tangent(step[: self.inner.size])
+        if inner is None:
+            return None
+        T = np.eye(self.size)
+        T[: self.inner.size, : self.inner.size] = inner
+        return T
+
+    def bracket(self, a: Floats, b: Floats) -> Floats:
+        value = np.zeros(self.size)
+        value[: self.inner.size] = self.inner.bracket(a[: self.inner.size], b[: self.inner.size])
+        return value
+
+    def dynamics(self, t: float, x: Floats, v: Floats, gravity: Floats) -> tuple[Floats, Floats]:
+        inner, z = self.split(x)
+        k = self.inner.size
+        M_inner, g_inner = self.inner.dynamics(t, inner, v[:k], gravity)
+        if not self.extra:
+            return M_inner, g_inner
+        active = self.active(x)
+        M, g = np.zeros((self.size, self.size)), np.empty(self.size)
+        M[:k, :k] = M_inner
+        M[self.in_v, k:] = active.on_q
+        M[k:, self.in_v] = active.on_q.T
+        M[k:, k:] = np.eye(self.extra)
+        g[:k] = g_inner
+        its = active.set
+        if its is not None:
+            g[k:] = its.omega * (its.omega * z + 2 * self.damping_ratio * v[k:])
+            if gravity.any():
+                g[k:] -= (self._axes(inner).T @ gravity) @ (self.switching.static_weight[its.candidates].T @ its.Y)
+        return M, g
+
+    def _axes(self, inner: Floats) -> Floats:
+        return inner[3:12].reshape(3, 3) if isinstance(self.inner, FlexibleBody) else np.eye(3)
+
+    def energy(self, x: Floats, v: Floats, gravity: Floats) -> tuple[float, float]:
+        inner, z = self.split(x)
+        k = self.inner.size
+        T, U = self.inner.energy(inner, v[:k], gravity)
+        its = self.active(x)
+        if its.set is None:
+            return T, U
+        weight = self._axes(inner).T @ gravity @ self.switching.static_weight[its.set.candidates].T @ its.set.Y
+        T += float(0.5 * v[k:] @ v[k:] + v[self.in_v] @ its.on_q @ v[k:])
+        return T, U + float(0.5 * (its.set.omega * z) @ (its.set.omega * z) - weight @ z)
+
+    def power(self, x: Floats, v: Floats) -> float:
+        inner, _ = self.split(x)
+        k = self.inner.size
+        its = self.active(x).set
+        lost = 0.0 if its is None else 2 * self.damping_ratio * float(its.omega @ v[k:] ** 2)
+        return self.inner.power(inner, v[:k]) - lost
+
+    def path(self, window: int = 0) -> PathMarker:
+        """The path as the slider of that number sees it."""
+        if not 0 <= window < self.windows:
+            raise InputError(
+                f"body {self.name!r}: slider {window} was asked for, but it was made for {self.windows}; give at = "
+                "one position for each"
+            )
+        return PathMarker(self, f"path {window}", window)
+
+    def marker(self, name: str) -> Marker:
+        word, _, number = name.partition(" ")
+        if word == "path" and number.isdigit():
+            return self.path(int(number))
+        found = self.inner.marker(name)
+        return found if isinstance(found, FixedMarker) else InnerMarker(self, name, found)
+
+
+@dataclass(frozen=True, eq=False)
+class InnerMarker(Marker):
+    """A marker of the constant basis; static modes do not move it."""
+
+    component: SwitchingBody
+    name: str
+    inner: Marker
+
+    def place(self, x: Floats) -> Place:
+        place = self.inner.place(self.component.split(x)[0])
+        extra = np.zeros((len(place.jacobian), self.component.extra))
+        return Place(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
+class PathPlace(Place):
+    """A window of the path: ``amplitudes`` (k,) are the displacements of its ``candidates``.
+
+    ``position`` and ``axes`` are those of the frame of the body. Rows of ``jacobian`` (6 + k, .): velocity and angular
+    velocity of the frame along the inertial axes, then the rates of the amplitudes. Forces on these are wrenches.
+    ``R`` (k, k) is the compliance of the static modes, ``offset`` (3,) the origin of the frame in the model.
+    """
+
+    switching: Switching
+    candidates: Ints
+    amplitudes: Floats
+    R: Floats
+    offset: Floats
+    first: int
+    width: int
+    interpolation: str
+
+    def at(self, s: float) -> PointOfPath:
+        """The point of the path at ``s`` (m), beyond the window on the polynomial at its end."""
+        its = self.switching
+        interval = min(max(its.interval(s), self.first), self.first + self.width - 2)
+        curve = its.curve(s, self.interpolation, interval)
+        W = curve.rows(self.candidates)
+        arm = curve.point - self.offset + W @ self.amplitudes
+        dW = curve.rows(self.candidates, derivative=True)
+        slope = curve.tangent + dW @ self.amplitudes
+        turned = self.axes @ arm
+        G = np.hstack((np.eye(3), -hat(turned), self.axes @ W))
+        return PointOfPath(self.position + turned, self.axes @ slope, G, W, dW)
+
+    def nearest(self, point: Floats) -> float:
+        """Position s (m) along the path whose point is nearest to ``point`` (3,), within a little of the window."""
+        its = self.switching
+        inside = self.axes.T @ (point - self.position) + self.offset
+        nodes = its.xyz[self.first : self.first + self.width]
+        s = float(its.s[self.first + int(np.argmin(np.linalg.norm(nodes - inside, axis=1)))])
+        for _ in range(30):
+            here = self.at(s)
+            step = float(here.slope @ (point - here.position) / (here.slope @ here.slope))
+            s += step
+            if abs(step) <= 1e-14 * max(its.length, abs(s)):
+                break
+        return s
+
+
+@dataclass(frozen=True, eq=False)
+class PointOfPath:
+    """``position`` (3,) m and ``slope`` (3,) by s along the inertial axes; ``G`` (3, 6 + k) of the rows of a window;
+    ``W`` (3, k) displacement along the axes of the body by the candidates, ``dW`` its derivative by s."""
+
+    position: Floats
+    slope: Floats
+    G: Floats
+    W: Floats
+    dW: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class PathMarker(Marker):
+    """A window of the path of a body."""
+
+    component: SwitchingBody
+    name: str
+    window: int
+
+    def place(self, x: Floats) -> PathPlace:
+        body = self.component
+        inner, z = body.split(x)
+        active, k = body.active(x), body.inner.size
+        read, q_rows, z_rows = active.read[self.window], active.q_rows[self.window], active.z_rows[self.window]
+        jacobian = np.zeros((6 + len(read), body.size))
+        position, axes = np.zeros(3), np.eye(3)
+        if isinstance(body.inner, FlexibleBody):
+            position, axes = inner[:3], inner[3:12].reshape(3, 3)
+            jacobian[:3, :3] = np.eye(3)
+            jacobian[3:6, 3:6] = axes
+        jacobian[6:, body.in_v] = q_rows
+        jacobian[6:, k:] = z_rows
+        return PathPlace(
+            position=position, axes=axes, jacobian=jacobian, switching=body.switching, candidates=read,
+            amplitudes=q_rows @ inner[body.in_x] + z_rows @ z, R=active.R[self.window], offset=body.origin,
+            first=body.firsts(x)[self.window], width=body.width, interpolation=body.interpolation,
+        )  # fmt: skip
