@@ -113,11 +113,11 @@ def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
     (tmp_path / "body.h5").write_text("old")
     code = (
         "import os, signal, sys\n"
-        "from morembs import cli, run\n"
+        "from morembs import cli, job_inputs\n"
         "from morembs.linalg.mumps import EmbeddedMumps\n"
         "from morembs.problem import Problem\n"
         # A budget would not do: it is that of the whole process, whose libraries take more than this factor.
-        "run.select_solver = lambda name, memory, scratch: EmbeddedMumps(scratch=scratch, out_of_core=True)\n"
+        "job_inputs.select_solver = lambda name, memory, scratch: EmbeddedMumps(scratch=scratch, out_of_core=True)\n"
         "def end(self, **options):\n"
         "    print(len(os.listdir('scratch')), self.statics.factor.stats.out_of_core, flush=True)\n"
         "    os.kill(os.getpid(), signal.SIGTERM)\n"

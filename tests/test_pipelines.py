@@ -1,6 +1,7 @@
 """Every job in pipelines/ runs as a user runs it, and the numbers that matter hold."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -67,3 +68,11 @@ def test_connecting_rod_body_file_is_what_was_reported(connecting_rod):
     assert np.abs(body.stiffness_matrix - body.stiffness_matrix.T).max() == 0
     # Its interface motions are its first coordinates.
     assert np.array_equal(body.input_matrix, np.eye(42, 12))
+
+
+def test_the_falling_beam_touches_when_it_must(tmp_path):
+    """Free fall of the gap takes sqrt(2 gap / g); the pipeline prints the time of its first touch."""
+    text = run(PIPELINES / "falling_beam.py", "--quick", "--folder", tmp_path)
+    first = float(re.search(r"first touch[^0-9]*([0-9.]+)", text)[1])
+    assert first == pytest.approx(0.100964, rel=1e-4)
+    assert (tmp_path / "falling_beam.png").stat().st_size > 20_000

@@ -92,7 +92,7 @@ class SlidingSwitch(Switch):
         first, last = firsts[window], firsts[window] + body.width - 1
         i, end = its.interval(s), len(its.node_ids) - 1
         low, high = max(i - 1, 0), min(i + 2, end)
-        if low < first - 99 or high > last + 99:
+        if low < first or high > last:
             old = slider.along(before)
             raise InputError(
                 f"body {body.name!r}: in the step from t = {before.time:.9g} s to {after.time:.9g} s the slider "
