@@ -171,7 +171,7 @@ class PathSupport(Force, Slider):
         here = place.at(s)
         normal = _across(here, self.e)[0][0]
         w = (place.axes.T @ normal) @ here.W
-        value = 0.01 * float(w @ place.R @ w) + self.compliance
+        value = float(w @ place.R @ w) + self.compliance
         floor = 1e-10 * float(np.abs(place.switching.stiffness[0]).max()) + self.compliance
         if not value > floor:
             raise InputError(

@@ -1,0 +1,199 @@
+"""Candidate loads of static modes: which dofs, in which order, along which directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.model import DofMap, FEModel
+from morembs.problem import Problem
+from morembs.selection import select_nodes
+from morembs.stress_operator import StressOperator, stress_operator
+from morembs.surface import outer_faces
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+NORMALS = "normals"
+# A step along the path that is longer than this many usual ones is a gap in it.
+GAP = 3.5
+
+
+class Candidates:
+    """Candidate dofs of a problem: ``rows`` of their nodes, ``node``, ``direction``, ``turns`` and ``loads`` (N, c).
+
+    ``nodes`` is a selection in units of ``length`` m; ``directions`` are components 0..5, or "normals".
+
+    Raises:
+        InputError: nothing selected, nodes on an interface, a path with gaps, directions that no node has.
+    """
+
+    def __init__(
+        self, problem: Problem, nodes: str, directions: list[int] | str, *, kind: str, band: int | None, length: float
+    ) -> None:  # fmt: skip
+        self.problem, self.kind, self.band = problem, kind, band
+        model = problem.model
+        try:
+            rows = select_nodes(model, nodes, length=length)
+        except InputError as error:
+            raise InputError(f"candidates: {error}") from error
+        self._refuse_interfaces(rows)
+        if kind == "path":
+            rows = rows[chain(model.nodes.xyz[rows], model.nodes.ids[rows])]
+        self.rows = rows
+        table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
+        table[model.dofs.node, model.dofs.component] = np.arange(model.size)
+        if isinstance(directions, str):
+            self._along_normals(table)
+        else:
+            self._along_axes(table, list(directions))
+
+    def _refuse_interfaces(self, rows: Ints) -> None:
+        for interface in self.problem.interfaces:
+            shared = np.intersect1d(rows, interface.nodes) if interface.coupling != "average" else rows[:0]
+            if len(shared):
+                raise InputError(
+                    f"candidates: {len(shared)} of {len(rows)} nodes, such as node "
+                    f"{self.problem.model.nodes.ids[shared[0]]}, belong to the interface {interface.name!r}, which "
+                    "carries loads already; leave them out of the candidates"
+                )
+
+    def _along_axes(self, table: Ints, components: list[int]) -> None:
+        dofs = table[self.rows][:, components]
+        there = np.asarray(dofs >= 0)
+        lost = [k for column, k in enumerate(components) if not there[:, column].any()]
+        if lost:
+            raise InputError(f"directions = {components} was given, but no candidate node has the component {lost[0]}")
+        self.node, which = np.nonzero(there)
+        component = np.array(components)[which]
+        self.direction, self.turns = np.eye(3)[component % 3], component > 2
+        columns = np.arange(len(which))
+        data = (np.ones(len(which)), (dofs[there], columns))
+        self.loads = sp.csc_array(data, shape=(self.problem.model.size, len(which)))
+
+    def _along_normals(self, table: Ints) -> None:
+        model = self.problem.model
+        if model.mesh is None:
+            raise InputError('directions = "normals" needs elements; this model has matrices only, take components')
+        normal = vertex_normals(model)[self.rows]
+        bare = np.linalg.norm(normal, axis=1) == 0
+        if bare.any() or (table[self.rows, :3] < 0).any():
+            bad = bare | (table[self.rows, :3] < 0).any(axis=1)
+            raise InputError(
+                f'directions = "normals": node {model.nodes.ids[self.rows[bad][0]]} is not on the free surface of the '
+                "model; leave it out of the candidates"
+            )
+        self.node, self.direction = np.arange(len(self.rows)), normal
+        self.turns = np.zeros(len(self.rows), dtype=bool)
+        data = (normal.ravel(), (table[self.rows, :3].ravel(), np.repeat(self.node, 3)))
+        self.loads = sp.csc_array(data, shape=(model.size, len(self.rows)))
+
+    @property
+    def count(self) -> int:
+        """Number of candidates."""
+        return len(self.node)
+
+    def width(self) -> int:
+        """Largest distance of two candidates in the band."""
+        band, nodes = self.band, len(self.rows)
+        if band is None or band >= nodes:
+            return self.count - 1
+        starts = np.searchsorted(self.node, np.arange(nodes + 1))
+        return int(max(starts[band + 1 :] - 1 - starts[: nodes - band]))
+
+    def stress_rows(self, operator: StressOperator | None) -> Callable[[Floats], Floats]:
+        """Stress (nc, 6, k) at the nodes of the path for displacements (Nc, k) in coupled dofs."""
+        problem, rows = self.problem, self.rows
+        its = operator if operator is not None else _operator(problem, rows)
+        order = np.argsort(its.nodes, kind="stable")
+        at = np.searchsorted(its.nodes[order], rows)
+        found = its.nodes[order][np.minimum(at, len(order) - 1)] == rows
+        if not found.all():
+            raise InputError(
+                f"stress: node {problem.model.nodes.ids[rows[~found][0]]} is not among those of the stress"
+            )
+        if len(np.unique(its.nodes)) < len(its.nodes):
+            raise InputError("stress: materials meet at a candidate node; leave such nodes out, or leave stress out")
+        place, model = order[at], problem.model
+        into = np.flatnonzero(model.dofs.component < 3)
+        target = 3 * model.dofs.node[into] + model.dofs.component[into]
+
+        def stress(X: Floats) -> Floats:
+            u = np.zeros((3 * len(model.nodes), X.shape[1]))
+            u[target] = (problem.coupling.T @ X)[into]
+            return its.stress(u).reshape(len(its.nodes), 6, -1)[place]
+
+        return stress
+
+
+def _operator(problem: Problem, rows: Ints) -> StressOperator:
+    model = problem.model
+    if model.mesh is None or not model.materials:
+        raise InputError("stress needs elements and their materials, and this model has matrices only; leave it out")
+    # A model that is held lacks dofs; the operator needs elements and materials only.
+    N = 3 * len(model.nodes)
+    empty = sp.csr_array((N, N))
+    whole = FEModel(
+        K=empty, M=empty, nodes=model.nodes, dofs=DofMap.translations(len(model.nodes)), mesh=model.mesh,
+        materials=model.materials,
+    )  # fmt: skip
+    return stress_operator(whole, rows, budget=problem.budget)
+
+
+def chain(xyz: Floats, ids: Ints) -> Ints:
+    """Order (n,) of points along an open line, from the end of smallest coordinates: each next is the nearest left.
+
+    Raises:
+        InputError: less than two points, or points that do not lie on one line without gaps.
+    """
+    n = len(xyz)
+    if n < 2:
+        raise InputError(f'candidates: {n} node was given; a path needs two or more (or take kind = "surface")')
+    order = _walk(xyz, _walk(xyz, 0)[-1])
+    if tuple(xyz[order[-1]]) < tuple(xyz[order[0]]):
+        order = order[::-1]
+    steps = np.linalg.norm(np.diff(xyz[order], axis=0), axis=1)
+    usual = float(np.median(steps))
+    if steps.min() <= 1e-9 * max(usual, np.finfo(float).tiny):
+        k = int(steps.argmin())
+        raise InputError(f"candidates: nodes {ids[order[k]]} and {ids[order[k + 1]]} of the path lie in one point")
+    if steps.max() > GAP * usual:
+        k = int(steps.argmax())
+        raise InputError(
+            f"candidates: the path jumps by {steps[k]:.4g} m from node {ids[order[k]]} to node {ids[order[k + 1]]}, "
+            f'where {usual:.4g} m is usual; select the nodes of one line, or take kind = "surface"'
+        )
+    return order
+
+
+def _walk(xyz: Floats, start: int) -> Ints:
+    left = np.ones(len(xyz), dtype=bool)
+    order = np.empty(len(xyz), dtype=np.int64)
+    at = start
+    for k in range(len(xyz)):
+        order[k] = at
+        left[at] = False
+        rest = np.flatnonzero(left)
+        if len(rest):
+            at = int(rest[np.argmin(np.linalg.norm(xyz[rest] - xyz[at], axis=1))])
+    return order
+
+
+def vertex_normals(model: FEModel) -> Floats:
+    """Unit outward normals (n, 3) of the nodes on the free surface, mean of their faces; zero inside."""
+    if model.mesh is None:
+        raise InputError("normals need elements; this model has matrices only")
+    xyz = model.nodes.xyz
+    normal = np.zeros_like(xyz)
+    for kind, faces in outer_faces(model.mesh).items():
+        corners = xyz[faces[:, : 3 if kind.startswith("tri") else 4]]
+        area = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1])
+        if kind.startswith("tri"):
+            area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for column in faces.T:
+            np.add.at(normal, column, area)
+    length = np.linalg.norm(normal, axis=1)
+    return np.asarray(normal / np.where(length > 0, length, 1.0)[:, None])

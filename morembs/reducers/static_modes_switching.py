@@ -1,0 +1,233 @@
+"""Static modes switching (Heirman, Tamarozzi and Desmet 2011): a constant basis, and static modes for many loads.
+
+The reduced model is that of the constant basis, which any other reducer makes. The static modes of the candidates,
+psi_i = (G - V K_r^-1 V') b_i, go to tables (``morembs.switching``). G is the flexibility of the free body (mean axes),
+or of the body held at its interfaces where the basis has constraint modes. psi_i is K-orthogonal to V. It is
+M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its size noted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.linalg.orthogonal import dot, subtract
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.reducers.base import Basis, ReducedModel, Reducer
+from morembs.reducers.candidates import NORMALS, Candidates
+from morembs.reducers.craig_bampton import CraigBampton
+from morembs.reducers.free_interface import FreeInterface
+from morembs.reducers.gramian import Gramian
+from morembs.reducers.krylov import Krylov
+from morembs.reducers.modal import Modal
+from morembs.stress_operator import StressOperator
+from morembs.switching import KINDS, Switching
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+BASES: Mapping[str, type[Reducer]] = {one.method: one for one in (Modal, CraigBampton, FreeInterface, Krylov, Gramian)}
+# Static modes with less than this part of the largest static answer are round-off.
+EMPTY = 1e-12
+# Columns solved for at a time.
+WIDEST = 128
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticModesSwitching(Reducer):
+    """Constant basis of ``base`` with ``base_options``, and static modes of ``candidates``.
+
+    ``candidates`` is a selection of nodes, its numbers in units of ``length`` m; ``kind`` "path" puts its nodes in the
+    order of a chain along which loads slide, "surface" leaves them as they are. ``directions`` are components 0..5 of
+    loads at each node, or "normals" of the surface. ``band`` keeps pairs of nodes up to that many places apart, all
+    pairs unless given. ``stress`` keeps the stress at the candidate nodes.
+    """
+
+    method: ClassVar[str] = "static-modes-switching"
+    base: str = "modal"
+    base_options: dict[str, Any] = field(default_factory=dict)
+    candidates: str
+    directions: list[int] | str = field(default_factory=lambda: [0, 1, 2])
+    kind: str = "path"
+    band: int | None = None
+    stress: bool = False
+    length: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.base not in BASES:
+            raise InputError(f"base = {self.base!r} was given; {nearest(self.base, BASES)}")
+        if self.kind not in KINDS:
+            raise InputError(f"kind = {self.kind!r} was given; {nearest(self.kind, KINDS)}")
+        chosen = self.directions
+        plain = not isinstance(chosen, str) and bool(chosen) and set(chosen) <= set(range(6))
+        if not plain and chosen != NORMALS:
+            raise InputError(f'directions = {chosen!r} was given; expected some of 0..5 such as [2], or "normals"')
+        if self.band is not None and self.band < 1:
+            raise InputError(f"band = {self.band} was given; expected a number of neighbouring nodes, 1 or more")
+        if not 0 < self.length < np.inf:
+            raise InputError(f"length = {self.length} was given; expected the unit of lengths in m")
+        self.base_reducer()
+
+    def base_reducer(self) -> Reducer:
+        """The reducer of the constant basis.
+
+        Raises:
+            InputError: options that it does not have or lacks.
+        """
+        try:
+            return BASES[self.base](**self.base_options)
+        except TypeError as error:
+            raise InputError(
+                f"base_options = {self.base_options} does not fit base = {self.base!r} ({error}); give the keys that "
+                "this method has"
+            ) from None
+
+    def _candidates(self, problem: Problem) -> Candidates:
+        return Candidates(problem, self.candidates, self.directions, kind=self.kind, band=self.band, length=self.length)
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        # Before any long work.
+        self._candidates(problem)
+        basis = self.base_reducer()._basis(problem, progress)
+        if basis.left is not None:
+            raise InputError("static modes switching needs a symmetric constant basis; leave two_sided out")
+        return basis
+
+    def switching(
+        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
+        progress: Progress = SILENT,
+    ) -> Switching:  # fmt: skip
+        """Tables of all candidates beside ``reduced``, which this reducer made.
+
+        One solve for each candidate, in blocks. Peak memory: the columns of a block and of the band (all candidates
+        without one) beside the factor, where the budget wants them. ``operator`` gives stress at some nodes that
+        hold all the candidates'; by default it is made where ``stress`` asks for it.
+
+        Raises:
+            InputError: no candidates, candidates on an interface, a path with gaps, stress without elements.
+        """
+        candidates = self._candidates(problem)
+        modes = _constant_flexibility(problem, reduced)
+        stress = candidates.stress_rows(operator) if self.stress or operator is not None else None
+        return _tables(candidates, reduced, modes, stress, progress)
+
+
+def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[Floats], tuple[Floats, Floats]]:
+    """psi = (G - W (W' K W)^-1 W') f, W the elastic columns of V (those that hold the interfaces, if V does);
+    and f' G f."""
+    if "constraint" in reduced.mode_kind:
+        count, pencil = reduced.mode_kind.count("constraint"), problem.internal
+    elif "fixed-interface" in reduced.mode_kind:
+        count, pencil = 0, problem.internal
+    else:
+        count, pencil = reduced.rigid_count, problem.elastic
+    W, K = reduced.V[:, count:], reduced.K[count:, count:]
+    factor = sl.cho_factor(K) if len(K) else None
+
+    def static(F: Floats) -> tuple[Floats, Floats]:
+        X = pencil.flexibility(F)
+        whole = np.einsum("ij,ij->j", F, X)
+        for _ in range(2):
+            # The second time takes round-off of the solve out.
+            if factor is None:
+                break
+            subtract(W, sl.cho_solve(factor, dot(W, problem.K @ X, problem.budget)), X, problem.budget)
+        return X, whole
+
+    return static
+
+
+def _tables(
+    its: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
+    stress: Callable[[Floats], Floats] | None, progress: Progress,
+) -> Switching:  # fmt: skip
+    """All tables, a block of candidates at a time; only the band's columns before the block stay."""
+    problem, budget = its.problem, its.problem.budget
+    T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, its.count, its.width()
+    B = sp.csc_array(T.T @ its.loads)
+    Bt = sp.csr_array(B.T)
+    nodes, size = len(its.rows), len(V)
+    R, Q = budget.empty((w + 1, c)), budget.empty((w + 1, c))
+    coupling, gravity, whole = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
+    width = max(1, min(WIDEST, budget.columns(size, copies=8), c))
+    kept, before = budget.empty((size, w + width), order="F"), 0
+    moving = M @ problem.coupling.R[:, :3]
+    on_stress = _StressTable(its, w) if stress is not None else None
+    for first in range(0, c, width):
+        last = min(first + width, c)
+        old = min(first, w)
+        Psi, whole[first:last] = static(np.asarray(B[:, first:last].toarray()))
+        if first:
+            _keep_last(kept, old, before)
+        kept[:, old : old + last - first] = Psi
+        MPsi = M @ Psi
+        coupling[:, first:last] = dot(V, MPsi, budget)
+        gravity[first:last] = Psi.T @ moving
+        inner = dot(kept[:, : old + last - first], MPsi, budget)
+        rows = np.asarray(Bt[first - old : last] @ Psi)
+        _into_band(R, rows, first - old, first, w)
+        _into_band(Q, inner, first - old, first, w)
+        if on_stress is not None and stress is not None:
+            on_stress.add(stress(Psi), first)
+        before = old + last - first
+        progress.update(f"static modes: {last} of {c} candidates")
+        budget.relax()
+    model = problem.model
+    sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
+    alive = R[0] > EMPTY * whole.max(initial=0.0)
+    if not alive.any():
+        raise InputError(
+            "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"
+        )
+    cosine = np.abs(coupling[:, alive]) / sizes[:, None] / np.sqrt(Q[0, alive])
+    return Switching(
+        kind=its.kind, node_ids=model.nodes.ids[its.rows], xyz=model.nodes.xyz[its.rows],
+        node=its.node, direction=its.direction, turns=its.turns, modes=np.asarray(Bt @ V), stiffness=R, mass=Q,
+        coupling=coupling, weight=V.T @ moving, static_weight=gravity,
+        stress=None if stress is None else np.asarray(stress(V), dtype=np.float32),
+        static_stress=None if on_stress is None else on_stress.values,
+        stress_first=None if on_stress is None else on_stress.first,
+        notes={
+            "mass_coupling": float(cosine.max(initial=0.0)), "empty_candidates": int((~alive).sum()),
+            "nodes": nodes, "candidates": c, "band": w,
+        },
+    )  # fmt: skip
+
+
+def _keep_last(kept: Floats, count: int, filled: int) -> None:
+    """Move the last ``count`` of ``filled`` columns to the front, a column at a time."""
+    for k in range(count):
+        kept[:, k] = kept[:, filled - count + k]
+
+
+def _into_band(table: Floats, rows: Floats, row_first: int, first: int, w: int) -> None:
+    """Entries i <= j of ``rows`` (i from row_first, j from first) into the band."""
+    for column in range(rows.shape[1]):
+        j = first + column
+        top = max(j - w, row_first)
+        table[: j - top + 1, j] = rows[top - row_first : j - row_first + 1, column][::-1]
+
+
+class _StressTable:
+    """Stress at each node of the candidates in its band, single precision."""
+
+    def __init__(self, its: Candidates, w: int) -> None:
+        self.count, nodes = its.count, len(its.rows)
+        self.width = min(its.count, 2 * w + 1)
+        starts = np.searchsorted(its.node, np.arange(nodes))
+        self.first = np.clip(starts - w, 0, its.count - self.width).astype(np.int64)
+        self.values = its.problem.budget.empty((nodes, 6, self.width), np.float32)
+
+    def add(self, stress: Floats, first: int) -> None:
+        """Stresses (nodes, 6, k) of candidates from ``first`` on."""
+        for k in range(stress.shape[2]):
+            at = first + k - self.first
+            here = np.flatnonzero((at >= 0) & (at < self.width))
+            self.values[here, :, at[here]] = stress[here, :, k]

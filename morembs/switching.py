@@ -1,0 +1,316 @@
+"""Static modes of many candidate loads of which few act at a time (Heirman, Tamarozzi and Desmet 2011).
+
+u = V eta + Psi_A a: V is the constant basis, Psi_A the static modes of the active candidates A. A static mode is what
+V leaves out of the static answer to a unit load b_i at one candidate, psi_i = (G - V K_r^-1 V') b_i. It is K-orthogonal
+to V, and psi_i' K psi_j = b_i' psi_j = R_ij: the table R is both their stiffness and their displacements at all
+candidates, so that no static mode itself is needed online.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.model import frozen
+
+Floats = NDArray[np.float64]
+Reals = NDArray[np.float32] | Floats
+Ints = NDArray[np.int64]
+KINDS = ("path", "surface")
+INTERPOLATIONS = ("catmull-rom", "linear")
+# Eigenvalues of the scaled stiffness of an active set below this part of the largest count as zero.
+RANK = 1e-10
+# Intervals, and windows for each, that are kept for reuse.
+_KEPT = 64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Switching:
+    """Tables of c candidate dofs on nc nodes beside a constant basis of n coordinates.
+
+    ``kind`` "path" (nodes in the order in which a load passes them) or "surface". ``node_ids`` (nc,) labels, ``xyz``
+    (nc, 3) m in the model. Candidate i is dof of node ``node[i]`` (ascending places in ``node_ids``) along the unit
+    vector ``direction[i]``, a rotation where ``turns[i]``. ``modes`` (c, n) rows of V at the candidates;
+    ``stiffness`` and ``mass`` (w + 1, c) are bands of R = Psi' K Psi and Q = Psi' M Psi, entry [k, j] that of
+    candidates j - k and j; w = c - 1 holds all pairs. ``coupling`` (n, c) is V' M Psi, zero where V is spanned by
+    eigenmodes. ``weight`` (n, 3) and ``static_weight`` (c, 3) are loads of V and Psi under unit accelerations of
+    gravity. ``stress`` (nc, 6, n) Pa at the nodes per coordinate of V and ``static_stress`` (nc, 6, b) Pa per unit
+    load of the b candidates from ``stress_first[p]`` on, where asked for; components xx, yy, zz, xy, yz, zx.
+    """
+
+    kind: str
+    node_ids: Ints
+    xyz: Floats
+    node: Ints
+    direction: Floats
+    turns: NDArray[np.bool_]
+    modes: Floats
+    stiffness: Floats
+    mass: Floats
+    coupling: Floats
+    weight: Floats
+    static_weight: Floats
+    stress: Reals | None = None
+    static_stress: Reals | None = None
+    stress_first: Ints | None = None
+    notes: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, frozen(value))
+        c, n = self.modes.shape
+        band = len(self.stiffness)
+        shapes = {
+            "xyz": (len(self.node_ids), 3), "node": (c,), "direction": (c, 3), "turns": (c,), "stiffness": (band, c),
+            "mass": (band, c), "coupling": (n, c), "weight": (n, 3), "static_weight": (c, 3),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"switching: {name} has the shape {getattr(self, name).shape}; expected {shape}")
+        if (np.diff(self.node) < 0).any():
+            raise InputError("switching: candidates must come node by node, in the order of their nodes")
+
+    @property
+    def count(self) -> int:
+        """Number c of candidates."""
+        return len(self.node)
+
+    @cached_property
+    def starts(self) -> Ints:
+        """(nc + 1,) first candidate of each node."""
+        return np.searchsorted(self.node, np.arange(len(self.node_ids) + 1)).astype(np.int64)
+
+    def of_nodes(self, first: int, count: int) -> Ints:
+        """Candidates of ``count`` nodes from ``first`` on."""
+        return np.arange(self.starts[first], self.starts[first + count], dtype=np.int64)
+
+    def _pairs(self, table: Floats, rows: Ints, columns: Ints) -> Floats:
+        i, j = rows[:, None], columns[None, :]
+        apart = np.abs(i - j)
+        if apart.size and apart.max() >= len(table):
+            a, b = (int(x) for x in np.unravel_index(int(apart.argmax()), apart.shape))
+            first, second = (int(self.node_ids[self.node[k]]) for k in (rows[a], columns[b]))
+            raise InputError(
+                f"the static modes of nodes {first} and {second} were asked for together, but the table "
+                f"holds pairs of up to {len(table) - 1} candidates apart; reduce again with a larger band, or with none"
+            )
+        return np.asarray(table[apart, np.maximum(i, j)])
+
+    def R(self, rows: Ints, columns: Ints | None = None) -> Floats:
+        """Psi' K Psi of candidates ``rows`` and ``columns`` (the same unless told), m/N.
+
+        Raises:
+            InputError: a pair that the band does not hold.
+        """
+        return self._pairs(self.stiffness, rows, rows if columns is None else columns)
+
+    def Q(self, rows: Ints, columns: Ints | None = None) -> Floats:
+        """Psi' M Psi, as ``R``."""
+        return self._pairs(self.mass, rows, rows if columns is None else columns)
+
+    def stress_at(self, node: int, coordinates: Floats, candidates: Ints, loads: Floats) -> Floats:
+        """Stress (6,) in Pa at place ``node`` for ``coordinates`` (n,) of V and loads (k,) N of ``candidates``.
+
+        Raises:
+            InputError: no stress was stored, or not for a candidate so far away.
+        """
+        if self.stress is None or self.static_stress is None or self.stress_first is None:
+            raise InputError("this switching data holds no stress; reduce again with stress = true")
+        at = candidates - self.stress_first[node]
+        acts = loads != 0
+        if (acts & ((at < 0) | (at >= self.static_stress.shape[2]))).any():
+            raise InputError(
+                f"stress at node {self.node_ids[node]} was asked for under a load that is further away than the band "
+                "holds; reduce again with a larger band, or with none"
+            )
+        found = self.stress[node].astype(np.float64) @ coordinates
+        return np.asarray(found + self.static_stress[node][:, at[acts]].astype(np.float64) @ loads[acts])
+
+    @cached_property
+    def s(self) -> Floats:
+        """(nc,) m: positions of the nodes along the path, chord by chord from the first."""
+        steps = np.linalg.norm(np.diff(self.xyz, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def length(self) -> float:
+        """Length of the path in m."""
+        return float(self.s[-1])
+
+    def interval(self, s: float) -> int:
+        """Place i of the node with s_i <= s < s_i+1; the first or last interval outside the path."""
+        return min(max(int(self.s.searchsorted(s, side="right")) - 1, 0), len(self.s) - 2)
+
+    def curve(self, s: float, interpolation: str = "catmull-rom", interval: int | None = None) -> Curve:
+        """How the path at ``s`` (m) follows its nodes; ``interval`` goes on with the polynomial of that one.
+
+        With rotations among the candidates displacements follow Hermite's cubics of the node rotations.
+        """
+        i = self.interval(s) if interval is None else interval
+        span = self._spans.get((i, interpolation))
+        if span is None:
+            if self.kind != "path" or len(self.s) < 2:
+                raise InputError('these candidates are no path; reduce with kind = "path" and two nodes or more')
+            if len(self._spans) > _KEPT:
+                self._spans.clear()
+            span = self._spans[i, interpolation] = _span(self, i, interpolation)
+        x = (s - float(self.s[i])) / span.length
+        value, rate = _linear(x) if interpolation == "linear" else _hermite(x)
+        return Curve(span, value, rate / span.length)
+
+    @cached_property
+    def _spans(self) -> dict[tuple[int, str], Span]:
+        return {}
+
+
+def _linear(x: float) -> tuple[Floats, Floats]:
+    return np.array([1 - x, 0.0, x, 0.0]), np.array([-1.0, 0.0, 1.0, 0.0])
+
+
+def _hermite(x: float) -> tuple[Floats, Floats]:
+    """Hermite's cubics on 0..1 and their derivatives: value and slope at 0, value and slope at 1."""
+    value = np.array([(1 + 2 * x) * (1 - x) ** 2, x * (1 - x) ** 2, x * x * (3 - 2 * x), x * x * (x - 1)])
+    rate = np.array([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
+    return value, rate
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """One interval of a path: weights ``base`` (4, .) of ``nodes``: value and slope (times ``length``) at its ends."""
+
+    switching: Switching
+    interval: int
+    length: float
+    nodes: Ints
+    base: Floats
+
+    @cached_property
+    def points(self) -> Floats:
+        """(4, 3) of the undeformed path."""
+        return np.asarray(self.base @ self.switching.xyz[self.nodes])
+
+    @cached_property
+    def _rows(self) -> dict[tuple[int, int], Floats]:
+        return {}
+
+    def rows(self, candidates: Ints) -> Floats:
+        """(4, 3, k) of the displacement for a run of ``candidates``; zero for those that it does not depend on."""
+        key = (int(candidates[0]), len(candidates)) if len(candidates) else (0, 0)
+        found = self._rows.get(key)
+        if found is None:
+            if len(self._rows) > _KEPT:
+                self._rows.clear()
+            found = self._rows[key] = self._of(candidates)
+        return found
+
+    def _of(self, candidates: Ints) -> Floats:
+        its = self.switching
+        found = np.zeros((4, 3, len(candidates)))
+        turning = bool(its.turns.any())
+        along = its.xyz[self.interval + 1] - its.xyz[self.interval]
+        for column, j in enumerate(candidates):
+            node, e = int(its.node[j]), its.direction[j]
+            if turning:
+                end = node - self.interval
+                if end in (0, 1) and its.turns[j]:
+                    # The slope that a small rotation gives the path, times the length of the interval.
+                    found[2 * end + 1, :, column] = np.cross(e, along)
+                elif end in (0, 1):
+                    found[2 * end, :, column] = e
+            elif self.nodes[0] <= node <= self.nodes[-1]:
+                found[:, :, column] = np.outer(self.base[:, node - int(self.nodes[0])], e)
+        return found
+
+
+def _span(its: Switching, i: int, interpolation: str) -> Span:
+    length = float(its.s[i + 1] - its.s[i])
+    if interpolation == "linear":
+        base = np.zeros((4, 2))
+        base[0, 0] = base[2, 1] = 1.0
+        return Span(its, i, length, np.array([i, i + 1]), base)
+    low, high = max(i - 1, 0), min(i + 2, len(its.s) - 1)
+    base = np.zeros((4, high + 1 - low))
+    base[0, i - low] = base[2, i + 1 - low] = 1.0
+    for row, j in ((1, i), (3, i + 1)):
+        a, b = max(j - 1, low), min(j + 1, high)
+        base[row, b - low], base[row, a - low] = np.array([length, -length]) / (its.s[b] - its.s[a])
+    return Span(its, i, length, np.arange(low, high + 1), base)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The path at one place: weights ``value`` (4,) of its span and their derivatives ``rate`` by s."""
+
+    span: Span
+    value: Floats
+    rate: Floats
+
+    @property
+    def point(self) -> Floats:
+        """(3,) m, undeformed, in the model."""
+        return np.asarray(self.value @ self.span.points)
+
+    @property
+    def tangent(self) -> Floats:
+        """(3,) derivative of the undeformed point by s."""
+        return np.asarray(self.rate @ self.span.points)
+
+    def rows(self, candidates: Ints, derivative: bool = False) -> Floats:
+        """(3, k): displacement of the path here per unit displacement of each candidate, or its derivative by s.
+
+        ``candidates`` follow each other; those that the place does not depend on give zero.
+        """
+        table = self.span.rows(candidates)
+        weights = self.rate if derivative else self.value
+        return np.asarray((weights @ table.reshape(4, -1)).reshape(3, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveSet:
+    """Static modes of some ``candidates`` (k,), turned to r coordinates z: a = ``Y`` z (k, r).
+
+    Y' R Y = diag(``omega``^2) with omega in rad/s and Y' Q Y = 1. Directions of no stiffness or mass are left out.
+    """
+
+    candidates: Ints
+    Y: Floats
+    omega: Floats
+
+    @property
+    def rank(self) -> int:
+        """Number r of coordinates."""
+        return len(self.omega)
+
+
+def active_set(its: Switching, candidates: Ints) -> ActiveSet:
+    """Coordinates of the static modes of ``candidates``.
+
+    Raises:
+        InputError: nothing is left of them: the constant basis holds these loads already, or the candidates do not
+            move at all.
+    """
+    R, Q = its.R(candidates), its.Q(candidates)
+    size = np.sqrt(np.maximum(np.diag(R), 0.0))
+    least = np.sqrt(RANK * float(np.max(its.stiffness[0], initial=0.0)))
+    alive = size > least
+    if not alive.any():
+        named = ", ".join(str(int(k)) for k in np.unique(its.node_ids[its.node[candidates]]))
+        raise InputError(
+            f"the active set at nodes {named} has lost its rank: the constant basis gives the static answer to these "
+            "loads already, or the nodes are held; take other candidates or fewer modes"
+        )
+    D = np.where(alive, 1.0 / np.where(alive, size, 1.0), 0.0)
+    values, U = np.linalg.eigh(D[:, None] * R * D)
+    good = values > RANK * values[-1]
+    # Unit strain energy, then modes of the mass: what has none would be infinitely fast.
+    X = D[:, None] * U[:, good] / np.sqrt(values[good])
+    inverse, W = np.linalg.eigh(X.T @ Q @ X)
+    heavy = inverse > RANK * inverse[-1]
+    omega = 1.0 / np.sqrt(inverse[heavy])
+    return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)
