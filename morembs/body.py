@@ -20,6 +20,7 @@ from morembs.ranking import RankedTerm
 from morembs.reducers.base import ReducedModel
 from morembs.stress import Recovery
 from morembs.surface import outer_faces
+from morembs.switching import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,7 +66,7 @@ class ElasticBody:
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
     rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
-    ``recovery`` gives stresses, where these were asked for.
+    ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads.
     """
 
     part: Part
@@ -76,6 +77,7 @@ class ElasticBody:
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
     recovery: Recovery | None = None
+    switching: Switching | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property

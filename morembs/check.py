@@ -20,9 +20,11 @@ from morembs.importers import read_mesh
 from morembs.interface import Interface, couple
 from morembs.job import Job
 from morembs.job_inputs import (
+    check_candidates,
     damping_of,
     interfaces_of,
     materials_of,
+    modelling,
     preload_of,
     prepare_output,
     refuse_reductions_that_do_not_fit,
@@ -71,6 +73,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     model = FEModel(K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, source=mesh.source)
     interfaces = interfaces_of(job, model)
     _check_preload(job, interfaces)
+    check_candidates(job, model, interfaces)
     coupling = couple(model, interfaces)
     coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
     refuse_reductions_that_do_not_fit(job, coupled, inputs)
@@ -82,7 +85,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
             "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
         )
     progress.stage("analyse")
-    columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
+    columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
     columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         cost = forecast_cost(
@@ -116,12 +119,13 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         warnings = examined(model, budget=budget)
         interfaces = interfaces_of(job, model)
         _check_preload(job, interfaces)
+        check_candidates(job, model, interfaces)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
             coupling, rigid = problem.coupling, problem.rigid.shape[1]
         coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
         refuse_reductions_that_do_not_fit(job, coupled, inputs)
         progress.stage("analyse")
-        columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in job.reducers.values())
+        columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
         columns = max(columns, job.tables.check.full_modes)
         cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
         threads = blas_threads()

@@ -18,6 +18,7 @@ from morembs.stiffening import Envelope
 from morembs.stiffening_terms import geometric_stiffening, why_no_stiffening
 from morembs.stress import stress_recovery
 from morembs.stress_operator import StressOperator, stress_operator
+from morembs.switching import Switching
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +73,10 @@ class Delivery:
 
 def deliver(
     problem: Problem, reduced: ReducedModel, part: Part, wanted: Delivery, *, certificate: Certificate | None = None,
-    operator: StressOperator | None = None, progress: Progress = SILENT,
+    operator: StressOperator | None = None, switching: Switching | None = None, progress: Progress = SILENT,
 ) -> ElasticBody:  # fmt: skip
-    """The body of ``reduced`` with all that is ``wanted``; ``operator`` is that of the wanted stress.
+    """The body of ``reduced`` with all that is ``wanted``; ``operator`` is that of the wanted stress,
+    ``switching`` what its reducer made of candidate loads.
 
     Raises:
         InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
@@ -86,6 +88,7 @@ def deliver(
     floating = None if reason else _frame(problem, reduced, wanted, progress)
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
+        switching=switching,
         ranking=() if floating is None or wanted.envelope is None else ranked_terms(floating, wanted.envelope),
         recovery=None if wanted.stress is None or operator is None else stress_recovery(
             problem, reduced, single=wanted.stress.single, correction=wanted.stress.correction, operator=operator,

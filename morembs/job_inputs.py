@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel
 from morembs.preload import Preload
 from morembs.problem import Damping
-from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal
+from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal, Reducer, StaticModesSwitching
 from morembs.schema import MaterialTable
 from morembs.selection import select_nodes
 from morembs.stiffening import Envelope
@@ -57,6 +58,25 @@ def _material(table: MaterialTable, units: Units) -> Material:
     if isinstance(table.young, list) or isinstance(table.poisson, list):
         raise InputError(f"material of set {table.set!r}: young and poisson must be one number each")
     return isotropic(set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density)
+
+
+def reducers_of(job: Job) -> dict[str, Reducer]:
+    """Name -> reducer, selections of nodes in the declared units."""
+    length = units_of(job).length
+    return {
+        name: replace(reducer, length=length if reducer.length is None else reducer.length)
+        if isinstance(reducer, StaticModesSwitching)
+        else reducer
+        for name, reducer in job.reducers.items()
+    }
+
+
+def modelling(job: Job) -> dict[str, Reducer]:
+    """Name -> the reducer that makes the coordinates of the body."""
+    return {
+        name: reducer.base_reducer() if isinstance(reducer, StaticModesSwitching) else reducer
+        for name, reducer in job.reducers.items()
+    }
 
 
 def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
@@ -159,6 +179,20 @@ def prepare_output(job: Job) -> None:
         inputs[name] = path
 
 
+def check_candidates(job: Job, model: FEModel, interfaces: Sequence[Interface]) -> None:
+    """Check the candidate loads of all reductions.
+
+    Raises:
+        InputError: none, on an interface, a path with gaps, directions that do not fit, stress without elements.
+    """
+    for name, reducer in reducers_of(job).items():
+        if isinstance(reducer, StaticModesSwitching):
+            try:
+                reducer.chosen(model, interfaces)
+            except InputError as error:
+                raise InputError(f"[[reduce]] {name!r}: {error}") from error
+
+
 def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
     """Check options against a model of ``size`` coupled dofs and ``inputs`` interface motions.
 
@@ -173,7 +207,7 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
                 f"[{table}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
                 f"and at most {MOST_MOTIONS} motions fit; leave [{table}] out, or take rigid or average couplings"
             )
-    for name, reducer in job.reducers.items():
+    for name, reducer in modelling(job).items():
         modes = getattr(reducer, "modes", None)
         if modes is not None and modes > size:
             raise InputError(
@@ -212,4 +246,4 @@ def source_of(job: Job) -> Path:
 def wants_modes(job: Job) -> bool:
     """Whether any modes are computed, and so counted."""
     wanted = bool(job.tables.check.full_modes) or job.tables.certify is not None
-    return wanted or any(isinstance(reducer, WITH_MODES) for reducer in job.reducers.values())
+    return wanted or any(isinstance(reducer, WITH_MODES) for reducer in modelling(job).values())

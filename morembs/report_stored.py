@@ -49,6 +49,7 @@ def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
                 "frame": None if body.floating is None else body.floating.kind,
                 "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
                 "stress_recovery": body.has_recovery,
+                "switching": body.has_switching,
             }
             for name, body in stored.bodies.items()
         },
@@ -79,6 +80,8 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
             console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
         if body.has_recovery:
             console.print("    stress recovery", highlight=False)
+        if body.has_switching:
+            console.print("    static modes of candidate loads", highlight=False)
         if body.certificate is not None:
             hz, error, bound = (body.certificate[key] for key in ("frequencies_hz", "error", "bound"))
             known = f", {body.certificate['bound_kind']} {bound.max():.1e}" if np.isfinite(bound).all() else ""

@@ -21,12 +21,14 @@ from morembs.importers import read_mesh
 from morembs.job import Job
 from morembs.job_inputs import (
     MOST_MOTIONS,
+    check_candidates,
     damping_of,
     delivery_of,
     interfaces_of,
     materials_of,
     preload_of,
     prepare_output,
+    reducers_of,
     refuse_reductions_that_do_not_fit,
     solver_of,
     source_of,
@@ -42,7 +44,7 @@ from morembs.picture import draw
 from morembs.preload import preloaded
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
-from morembs.reducers import Automatic
+from morembs.reducers import Automatic, StaticModesSwitching
 from morembs.reducers.base import ReducedModel
 from morembs.storage import write_body
 
@@ -95,6 +97,7 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
+        check_candidates(job, model, interfaces)
         wanted = delivery_of(job)
         wanted.check(problem)
     preload, preload_notes = preload_of(job), {}
@@ -159,7 +162,7 @@ def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> t
         with watch.stage("solve modes"):
             problem.elastic_modes(count=count)
     reduced = []
-    for name, reducer in job.reducers.items():
+    for name, reducer in reducers_of(job).items():
         with watch.stage(f"reduce {name}"):
             try:
                 reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
@@ -187,10 +190,18 @@ def _delivered(
     part, progress = make_part(problem, job.tables.output.nodes), watch.progress
     with watch.stage("deliver"):
         operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
-        return tuple(
-            deliver(problem, one, part, wanted, certificate=its, operator=operator, progress=progress)
-            for one, its in zip(reduced, certificates, strict=True)
-        )
+        bodies = []
+        for one, its, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
+            switching = None
+            if isinstance(reducer, StaticModesSwitching):
+                switching = reducer.switching(problem, one, progress=progress)
+            bodies.append(
+                deliver(
+                    problem, one, part, wanted, certificate=its, operator=operator, switching=switching,
+                    progress=progress,
+                )
+            )  # fmt: skip
+        return tuple(bodies)
 
 
 def _certified_band(job: Job) -> Sequence[float] | None:

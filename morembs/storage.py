@@ -31,7 +31,9 @@ from morembs.stored import (
 )  # fmt: skip
 from morembs.stored_certificate import write_certificate
 from morembs.stored_frame import write_frame, write_ranking
+from morembs.stored_switching import read_switching, write_switching
 from morembs.stress import write_recovery
+from morembs.switching import Switching
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -196,6 +198,8 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     if body.floating is not None:
         write_frame(out.put, f"{group}/floating_frame", body.floating)
         write_ranking(out.put, f"{group}/ranking", body.ranking)
+    if body.switching is not None:
+        write_switching(out.put, f"{group}/switching", body.switching)
     if body.recovery is not None:
         out.safe.doing = f"{group}/recovery"
         write_recovery(out.file.create_group(f"{group}/recovery"), body.recovery, out.safe.check)
@@ -231,8 +235,12 @@ def read_body(path: str | Path) -> StoredBodies:
         with _opened(place) as file:
             return basis_columns(file[f"bodies/{name}/basis"], columns)
 
+    def switching(name: str) -> Switching:
+        with _opened(place) as file:
+            return read_switching(file[f"bodies/{name}/switching"])
+
     with _opened(place) as file:
-        return stored_bodies(place, file, read_basis)
+        return stored_bodies(place, file, read_basis, switching)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from morembs.errors import InputError
 from morembs.floating_frame import FloatingFrame
 from morembs.ranking import RankedTerm
 from morembs.stored_frame import read_frame, read_ranking
+from morembs.switching import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,7 +46,8 @@ class StoredBody:
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
     transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
     ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric,
-    ``ranking`` says which of its terms matter; ``has_recovery`` says whether the file has stress shapes.
+    ``ranking`` says which of its terms matter; ``has_recovery`` says whether the file has stress shapes,
+    ``has_switching`` whether it has static modes of candidate loads.
     """
 
     name: str
@@ -61,9 +63,11 @@ class StoredBody:
     recipe: dict[str, Any]
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
+    read_switching: Callable[[str], Switching]
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
     has_recovery: bool = False
+    has_switching: bool = False
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
@@ -72,6 +76,19 @@ class StoredBody:
             InputError: the file is gone or damaged.
         """
         return self.read_basis(self.name, columns)
+
+    def switching(self) -> Switching:
+        """Static modes of candidate loads, read from the file at each call.
+
+        Raises:
+            InputError: the body has none, or the file is gone or damaged.
+        """
+        if not self.has_switching:
+            raise InputError(
+                f"body {self.name!r} has no static modes of candidate loads; reduce with "
+                'method = "static-modes-switching"'
+            )
+        return self.read_switching(self.name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,8 +115,10 @@ class StoredBodies:
     provenance: dict[str, Any]
 
 
-def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floats]) -> StoredBodies:
-    """Everything but the bases of an open body file.
+def stored_bodies(
+    path: Path, file: Any, read_basis: Callable[[str, slice], Floats], read_switching: Callable[[str], Switching],
+) -> StoredBodies:  # fmt: skip
+    """Everything but the bases and the static modes of an open body file.
 
     Raises:
         InputError: some dataset is missing.
@@ -120,7 +139,7 @@ def stored_bodies(path: Path, file: Any, read_basis: Callable[[str, slice], Floa
         input_interface=file["inputs/interface_index"][()],
         input_component=file["inputs/component"][()],
         input_node_id=file["inputs/node_id"][()],
-        bodies={name: _body(name, file[f"bodies/{name}"], kinds, read_basis) for name in names},
+        bodies={name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names},
         recipe=json.loads(file["recipe"][()]),
         provenance=_tree(file["provenance"]) if "provenance" in file else {},
     )
@@ -169,7 +188,10 @@ def _interface(group: Any) -> StoredInterface:
     )
 
 
-def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats]) -> StoredBody:
+def _body(
+    name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats],
+    read_switching: Callable[[str], Switching],
+) -> StoredBody:  # fmt: skip
     full, output = group.get("full_frequencies_hz"), group.get("output_matrix")
     return StoredBody(
         name=name,
@@ -181,9 +203,11 @@ def _body(name: str, group: Any, kinds: list[str], read_basis: Callable[[str, sl
         output_matrix=group["input_matrix"][()].T if output is None else output[()],
         certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
         read_basis=read_basis,
+        read_switching=read_switching,
         floating=read_frame(group["floating_frame"]) if "floating_frame" in group else None,
         ranking=read_ranking(group["ranking"]) if "ranking" in group else (),
         has_recovery="recovery" in group,
+        has_switching="switching" in group,
         **{matrix: group[matrix][()] for matrix in MATRICES},
     )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.interface import Interface
 from morembs.model import DofMap, FEModel
 from morembs.problem import Problem
 from morembs.selection import select_nodes
@@ -23,7 +24,7 @@ GAP = 3.5
 
 
 class Candidates:
-    """Candidate dofs of a problem: ``rows`` of their nodes, ``node``, ``direction``, ``turns`` and ``loads`` (N, c).
+    """Candidate dofs of a model: ``rows`` of their nodes, ``node``, ``direction``, ``turns`` and ``loads`` (N, c).
 
     ``nodes`` is a selection in units of ``length`` m; ``directions`` are components 0..5, or "normals".
 
@@ -32,15 +33,15 @@ class Candidates:
     """
 
     def __init__(
-        self, problem: Problem, nodes: str, directions: list[int] | str, *, kind: str, band: int | None, length: float
+        self, model: FEModel, interfaces: Sequence[Interface], nodes: str, directions: list[int] | str, *, kind: str,
+        band: int | None, length: float,
     ) -> None:  # fmt: skip
-        self.problem, self.kind, self.band = problem, kind, band
-        model = problem.model
+        self.model, self.kind, self.band = model, kind, band
         try:
             rows = select_nodes(model, nodes, length=length)
         except InputError as error:
             raise InputError(f"candidates: {error}") from error
-        self._refuse_interfaces(rows)
+        self._refuse_interfaces(rows, interfaces)
         if kind == "path":
             rows = rows[chain(model.nodes.xyz[rows], model.nodes.ids[rows])]
         self.rows = rows
@@ -51,13 +52,13 @@ class Candidates:
         else:
             self._along_axes(table, list(directions))
 
-    def _refuse_interfaces(self, rows: Ints) -> None:
-        for interface in self.problem.interfaces:
+    def _refuse_interfaces(self, rows: Ints, interfaces: Sequence[Interface]) -> None:
+        for interface in interfaces:
             shared = np.intersect1d(rows, interface.nodes) if interface.coupling != "average" else rows[:0]
             if len(shared):
                 raise InputError(
                     f"candidates: {len(shared)} of {len(rows)} nodes, such as node "
-                    f"{self.problem.model.nodes.ids[shared[0]]}, belong to the interface {interface.name!r}, which "
+                    f"{self.model.nodes.ids[shared[0]]}, belong to the interface {interface.name!r}, which "
                     "carries loads already; leave them out of the candidates"
                 )
 
@@ -72,10 +73,10 @@ class Candidates:
         self.direction, self.turns = np.eye(3)[component % 3], component > 2
         columns = np.arange(len(which))
         data = (np.ones(len(which)), (dofs[there], columns))
-        self.loads = sp.csc_array(data, shape=(self.problem.model.size, len(which)))
+        self.loads = sp.csc_array(data, shape=(self.model.size, len(which)))
 
     def _along_normals(self, table: Ints) -> None:
-        model = self.problem.model
+        model = self.model
         if model.mesh is None:
             raise InputError('directions = "normals" needs elements; this model has matrices only, take components')
         normal = vertex_normals(model)[self.rows]
@@ -104,9 +105,9 @@ class Candidates:
         starts = np.searchsorted(self.node, np.arange(nodes + 1))
         return int(max(starts[band + 1 :] - 1 - starts[: nodes - band]))
 
-    def stress_rows(self, operator: StressOperator | None) -> Callable[[Floats], Floats]:
+    def stress_rows(self, problem: Problem, operator: StressOperator | None) -> Callable[[Floats], Floats]:
         """Stress (nc, 6, k) at the nodes of the path for displacements (Nc, k) in coupled dofs."""
-        problem, rows = self.problem, self.rows
+        rows = self.rows
         its = operator if operator is not None else _operator(problem, rows)
         order = np.argsort(its.nodes, kind="stable")
         at = np.searchsorted(its.nodes[order], rows)

@@ -8,7 +8,7 @@ M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its siz
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -17,8 +17,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.budget import Budget
 from morembs.errors import InputError, nearest
+from morembs.interface import Interface
 from morembs.linalg.orthogonal import dot, subtract
+from morembs.model import FEModel
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import Basis, ReducedModel, Reducer
@@ -44,10 +47,10 @@ WIDEST = 128
 class StaticModesSwitching(Reducer):
     """Constant basis of ``base`` with ``base_options``, and static modes of ``candidates``.
 
-    ``candidates`` is a selection of nodes, its numbers in units of ``length`` m; ``kind`` "path" puts its nodes in the
-    order of a chain along which loads slide, "surface" leaves them as they are. ``directions`` are components 0..5 of
-    loads at each node, or "normals" of the surface. ``band`` keeps pairs of nodes up to that many places apart, all
-    pairs unless given. ``stress`` keeps the stress at the candidate nodes.
+    ``candidates`` is a selection of nodes, its numbers in units of ``length`` m (1 by default, in a job the unit of the
+    job); ``kind`` "path" puts its nodes in the order of a chain along which loads slide, "surface" leaves them as they
+    are. ``directions`` are components 0..5 of loads at each node, or "normals" of the surface. ``band`` keeps pairs of
+    nodes up to that many places apart, all pairs unless given. ``stress`` keeps the stress at the candidate nodes.
     """
 
     method: ClassVar[str] = "static-modes-switching"
@@ -58,7 +61,7 @@ class StaticModesSwitching(Reducer):
     kind: str = "path"
     band: int | None = None
     stress: bool = False
-    length: float = 1.0
+    length: float | None = None
 
     def __post_init__(self) -> None:
         if self.base not in BASES:
@@ -71,7 +74,7 @@ class StaticModesSwitching(Reducer):
             raise InputError(f'directions = {chosen!r} was given; expected some of 0..5 such as [2], or "normals"')
         if self.band is not None and self.band < 1:
             raise InputError(f"band = {self.band} was given; expected a number of neighbouring nodes, 1 or more")
-        if not 0 < self.length < np.inf:
+        if self.length is not None and not 0 < self.length < np.inf:
             raise InputError(f"length = {self.length} was given; expected the unit of lengths in m")
         self.base_reducer()
 
@@ -89,12 +92,20 @@ class StaticModesSwitching(Reducer):
                 "this method has"
             ) from None
 
-    def _candidates(self, problem: Problem) -> Candidates:
-        return Candidates(problem, self.candidates, self.directions, kind=self.kind, band=self.band, length=self.length)
+    def chosen(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:
+        """The candidate dofs.
+
+        Raises:
+            InputError: as ``switching`` for its candidates.
+        """
+        return Candidates(
+            model, interfaces, self.candidates, self.directions, kind=self.kind, band=self.band,
+            length=self.length or 1.0,
+        )  # fmt: skip
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         # Before any long work.
-        self._candidates(problem)
+        self.chosen(problem.model, problem.interfaces)
         basis = self.base_reducer()._basis(problem, progress)
         if basis.left is not None:
             raise InputError("static modes switching needs a symmetric constant basis; leave two_sided out")
@@ -113,10 +124,10 @@ class StaticModesSwitching(Reducer):
         Raises:
             InputError: no candidates, candidates on an interface, a path with gaps, stress without elements.
         """
-        candidates = self._candidates(problem)
+        candidates = self.chosen(problem.model, problem.interfaces)
         modes = _constant_flexibility(problem, reduced)
-        stress = candidates.stress_rows(operator) if self.stress or operator is not None else None
-        return _tables(candidates, reduced, modes, stress, progress)
+        stress = candidates.stress_rows(problem, operator) if self.stress or operator is not None else None
+        return _tables(problem, candidates, reduced, modes, stress, progress)
 
 
 def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[Floats], tuple[Floats, Floats]]:
@@ -145,11 +156,11 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
 
 
 def _tables(
-    its: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
+    problem: Problem, its: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
     stress: Callable[[Floats], Floats] | None, progress: Progress,
 ) -> Switching:  # fmt: skip
     """All tables, a block of candidates at a time; only the band's columns before the block stay."""
-    problem, budget = its.problem, its.problem.budget
+    budget = problem.budget
     T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, its.count, its.width()
     B = sp.csc_array(T.T @ its.loads)
     Bt = sp.csr_array(B.T)
@@ -159,7 +170,7 @@ def _tables(
     width = max(1, min(WIDEST, budget.columns(size, copies=8), c))
     kept, before = budget.empty((size, w + width), order="F"), 0
     moving = M @ problem.coupling.R[:, :3]
-    on_stress = _StressTable(its, w) if stress is not None else None
+    on_stress = _StressTable(its, w, budget) if stress is not None else None
     for first in range(0, c, width):
         last = min(first + width, c)
         old = min(first, w)
@@ -218,12 +229,12 @@ def _into_band(table: Floats, rows: Floats, row_first: int, first: int, w: int) 
 class _StressTable:
     """Stress at each node of the candidates in its band, single precision."""
 
-    def __init__(self, its: Candidates, w: int) -> None:
+    def __init__(self, its: Candidates, w: int, budget: Budget) -> None:
         self.count, nodes = its.count, len(its.rows)
         self.width = min(its.count, 2 * w + 1)
         starts = np.searchsorted(its.node, np.arange(nodes))
         self.first = np.clip(starts - w, 0, its.count - self.width).astype(np.int64)
-        self.values = its.problem.budget.empty((nodes, 6, self.width), np.float32)
+        self.values = budget.empty((nodes, 6, self.width), np.float32)
 
     def add(self, stress: Floats, first: int) -> None:
         """Stresses (nodes, 6, k) of candidates from ``first`` on."""
