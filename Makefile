@@ -14,8 +14,9 @@ demo: setup
 	@$(RUN)/python pipelines/connecting_rod.py
 	@$(RUN)/morembs reduce pipelines/connecting_rod.toml
 
+# As many workers as cores, so one thread for each.
 test: setup lint
-	@$(RUN)/python -m pytest
+	@OPENBLAS_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: setup
 	@$(RUN)/ruff check .
