@@ -260,6 +260,13 @@ def frames(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def switching(spec: Spec) -> Row:
+    """See switching.py."""
+    from switching import measure
+
+    return measure(spec, steel)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -274,7 +281,7 @@ def part(spec: Spec) -> Row:
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "job": write_job, "made_factor": made_factor, "interpolation": interpolation, "frames": frames,
-    "part": part,
+    "switching": switching, "part": part,
 }  # fmt: skip
 
 

@@ -212,19 +212,20 @@ class Span:
     def _of(self, candidates: Ints) -> Floats:
         its = self.switching
         found = np.zeros((4, 3, len(candidates)))
-        turning = bool(its.turns.any())
+        node = its.node[candidates]
+        if not its.turns.any():
+            near = np.flatnonzero((node >= self.nodes[0]) & (node <= self.nodes[-1]))
+            weights = self.base[:, node[near] - self.nodes[0]]
+            found[:, :, near] = weights[:, None, :] * its.direction[candidates[near]].T
+            return found
         along = its.xyz[self.interval + 1] - its.xyz[self.interval]
-        for column, j in enumerate(candidates):
-            node, e = int(its.node[j]), its.direction[j]
-            if turning:
-                end = node - self.interval
-                if end in (0, 1) and its.turns[j]:
-                    # The slope that a small rotation gives the path, times the length of the interval.
-                    found[2 * end + 1, :, column] = np.cross(e, along)
-                elif end in (0, 1):
-                    found[2 * end, :, column] = e
-            elif self.nodes[0] <= node <= self.nodes[-1]:
-                found[:, :, column] = np.outer(self.base[:, node - int(self.nodes[0])], e)
+        for column in np.flatnonzero((node == self.interval) | (node == self.interval + 1)):
+            j, end = candidates[column], int(node[column]) - self.interval
+            if its.turns[j]:
+                # The slope that a small rotation gives the path, times the length of the interval.
+                found[2 * end + 1, :, column] = np.cross(its.direction[j], along)
+            else:
+                found[2 * end, :, column] = its.direction[j]
         return found
 
 

@@ -15,8 +15,9 @@ from morembs.multibody.component import Marker, Place, direction
 from morembs.multibody.forces import Force, Load, _load
 from morembs.multibody.integrate import State
 from morembs.multibody.joints import Constraint, Rows
+from morembs.multibody.path_place import PathPlace, PointOfPath
 from morembs.multibody.rotations import cross
-from morembs.multibody.switching import PathMarker, PathPlace, PointOfPath
+from morembs.multibody.switching import PathMarker
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -62,7 +63,7 @@ class MovingLoad(Force, Slider):
         force = self._law(t)
         if not force.any():
             return (np.zeros(len(places[0].jacobian)),)
-        return (force @ _path(places[0]).at(float(self.position(t))).G,)
+        return (_path(places[0]).at(float(self.position(t))).wrench(force),)
 
     def stored(self, places: Sequence[Place]) -> float:
         return 0.0
@@ -197,7 +198,7 @@ class PathSupport(Force, Slider):
         force, _, _, here = self._law(places)
         on_rider = np.zeros(len(places[1].jacobian))
         on_rider[:3] = force
-        return -force @ here.G, on_rider
+        return here.wrench(-force), on_rider
 
     def stored(self, places: Sequence[Place]) -> float:
         _, gap, value, _ = self._law(places)

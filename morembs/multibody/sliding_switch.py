@@ -72,7 +72,6 @@ class SlidingSwitch(Switch):
     def time(self, before: State, after: State) -> float | None:
         if not self.runs or self.runs[-1][-1] is not before:
             self.runs.append([before])
-        self.runs[-1].append(after)
         self._wanted = []
         for body in self.bodies:
             number = after.assembly.index(body)
@@ -81,6 +80,8 @@ class SlidingSwitch(Switch):
             firsts = body.firsts(after.x[after.assembly.in_x[number]])
             for slider in self._sliders(after.assembly, body):
                 self._look(body, slider, firsts, before, after)
+        # A step that left its window is none to keep.
+        self.runs[-1].append(after)
         return after.time if self._wanted else None
 
     def _look(self, body: SwitchingBody, slider: Slider, firsts: tuple[int, ...], before: State, after: State) -> None:
@@ -180,13 +181,22 @@ class SlidingSwitch(Switch):
         M, _ = body.inner.dynamics(state.time, inner, v[:k], np.zeros(3))
         whole = np.eye(body.size)
         whole[:k, :k] = M
-        whole[body.in_v, k:], whole[k:, body.in_v] = new.on_q, new.on_q.T
+        shared = body.on_inner(new, inner)
+        whole[:k, k:], whole[k:, :k] = shared, shared.T
         momentum = np.empty(body.size)
-        momentum[:k] = M @ v[:k]
-        momentum[body.in_v] += old.on_q @ rate
+        momentum[:k] = M @ v[:k] + body.on_inner(old, inner) @ rate
         cross = body.switching.Q(new.set.candidates, old.set.candidates)
-        momentum[k:] = new.on_q.T @ v[body.in_v] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
+        momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
         return np.asarray(np.linalg.solve(whole, momentum))
+
+    def places(self) -> str:
+        """Where all sliders were at the last state, in words."""
+        if not self.runs:
+            return "at the start"
+        state = self.runs[-1][-1]
+        found = [(one.name or "joint", one.along(state)) for body in self.bodies
+                 for one in self._sliders(state.assembly, body)]  # fmt: skip
+        return ", ".join(f"{name} at s = {s:.9g} m" for name, s in found if s is not None) or "no load on the path"
 
     def so_far(self) -> Result | None:
         """What was integrated, None for nothing."""
@@ -219,7 +229,11 @@ def simulate_sliding(
             system, end=end, step=step, rho=rho, begin=begin, tolerance=tolerance, switch=switch, corrected_start=slow
         )
     except MorembsError as error:
-        raise UnfinishedRunError(f"{error}", switch.so_far()) from error
+        found, text = switch.so_far(), f"{error}"
+        if found is not None and not ("t = " in text and "s = " in text):
+            # What a force or the integrator says while a step is tried.
+            text = f"in the step from t = {found.time[-1]:.9g} s on, {switch.places()}: {text}"
+        raise UnfinishedRunError(text, found) from error
 
 
 def _refuse_mixed(system: System, switch: SlidingSwitch) -> None:

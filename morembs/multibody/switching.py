@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.model import frozen
 from morembs.multibody.bodies import FlexibleBody
 from morembs.multibody.component import Component, FixedMarker, Marker, Place
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.rotations import hat
+from morembs.multibody.path_place import PathPlace
 from morembs.switching import INTERPOLATIONS, ActiveSet, Switching, active_set
 
 Floats = NDArray[np.float64]
@@ -36,15 +37,15 @@ _SUPPORT = 4
 class Active:
     """The static modes of one choice of windows: their coordinates, and the candidates that each window reads.
 
-    ``on_q`` (n, r) is the mass between elastic coordinates of the body and z; ``read`` the window's candidates,
-    ``q_rows`` (k, n) and ``z_rows`` (k, r) their displacements, ``R`` (k, k) of the window by itself.
+    ``on_inner`` (., r) is the mass between velocities of the inner body, all along its own axes, and z; ``read`` the
+    window's candidates, ``rows`` (6 + k, .) their rates by velocities of the body below those of its frame, which are
+    zero here, ``R`` (k, k) of the window by itself.
     """
 
     set: ActiveSet | None
-    on_q: Floats
+    on_inner: Floats
     read: tuple[Ints, ...]
-    q_rows: tuple[Floats, ...]
-    z_rows: tuple[Floats, ...]
+    rows: tuple[Floats, ...]
     R: tuple[Floats, ...]
 
 
@@ -84,6 +85,8 @@ class SwitchingBody(Component):
             slice(0, inner.size), slice(0, inner.size)
         )  # fmt: skip
         self.map = inner.frame.elastic if isinstance(inner, FlexibleBody) else np.eye(inner.size)
+        # Reduced coordinates by velocities of the inner body: static modes beside constraint modes push its frame too.
+        self.all_inner = np.hstack((inner.frame.rigid, self.map)) if isinstance(inner, FlexibleBody) else self.map
         self.origin = inner.frame.origin if isinstance(inner, FlexibleBody) else np.zeros(3)
         if len(self.map) != switching.modes.shape[1]:
             raise InputError(
@@ -145,18 +148,28 @@ class SwitchingBody(Component):
         its = self.switching
         read = tuple(its.of_nodes(first, self.width) for first in firsts)
         # Beyond this many elastic coordinates nothing here grows: neither with all candidates nor with the model.
-        q_rows = tuple(its.modes[one] @ self.map for one in read)
+        rows = tuple(np.zeros((6 + len(one), self.size)) for one in read)
+        for table, one in zip(rows, read, strict=True):
+            table[6:, self.in_v] = its.modes[one] @ self.map
         R = tuple(its.R(one) for one in read)
         if self.variant != "dynamic":
-            none = np.zeros((0, 0))
-            return Active(None, none, read, q_rows, tuple(np.zeros((len(one), 0)) for one in read), R)
+            return Active(None, np.zeros((self.inner.size, 0)), read, tuple(map(frozen, rows)), R)
         together = np.unique(np.concatenate(read))
         chosen = active_set(its, together)
         pad = self.extra - chosen.rank
         Y = np.hstack([chosen.Y, np.zeros((len(together), pad))])
         chosen = ActiveSet(together, Y, np.concatenate([chosen.omega, np.full(pad, chosen.omega[0])]))
-        on_q = self.map.T @ (its.coupling[:, together] @ Y)
-        return Active(chosen, on_q, read, q_rows, tuple(its.R(one, together) @ Y for one in read), R)
+        for table, one in zip(rows, read, strict=True):
+            table[6:, self.inner.size :] = its.R(one, together) @ Y
+        on_inner = self.all_inner.T @ (its.coupling[:, together] @ Y)
+        return Active(chosen, on_inner, read, tuple(map(frozen, rows)), R)
+
+    def on_inner(self, active: Active, inner: Floats) -> Floats:
+        """(., r) mass between velocities of the inner body and z."""
+        if not isinstance(self.inner, FlexibleBody):
+            return active.on_inner
+        # Velocities of the frame are along the inertial axes.
+        return np.vstack((self._axes(inner) @ active.on_inner[:3], active.on_inner[3:]))
 
     def start(self) -> tuple[Floats, Floats]:
         x, v = self.inner.start()
@@ -190,8 +203,8 @@ class SwitchingBody(Component):
         active = self.active(x)
         M, g = np.zeros((self.size, self.size)), np.empty(self.size)
         M[:k, :k] = M_inner
-        M[self.in_v, k:] = active.on_q
-        M[k:, self.in_v] = active.on_q.T
+        M[:k, k:] = self.on_inner(active, inner)
+        M[k:, :k] = M[:k, k:].T
         M[k:, k:] = np.eye(self.extra)
         g[:k] = g_inner
         its = active.set
@@ -212,7 +225,7 @@ class SwitchingBody(Component):
         if its.set is None:
             return T, U
         weight = self._axes(inner).T @ gravity @ self.switching.static_weight[its.set.candidates].T @ its.set.Y
-        T += float(0.5 * v[k:] @ v[k:] + v[self.in_v] @ its.on_q @ v[k:])
+        T += float(0.5 * v[k:] @ v[k:] + v[:k] @ self.on_inner(its, inner) @ v[k:])
         return T, U + float(0.5 * (its.set.omega * z) @ (its.set.omega * z) - weight @ z)
 
     def power(self, x: Floats, v: Floats) -> float:
@@ -253,64 +266,6 @@ class InnerMarker(Marker):
         return Place(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class PathPlace(Place):
-    """A window of the path: ``amplitudes`` (k,) are the displacements of its ``candidates``.
-
-    ``position`` and ``axes`` are those of the frame of the body. Rows of ``jacobian`` (6 + k, .): velocity and angular
-    velocity of the frame along the inertial axes, then the rates of the amplitudes. Forces on these are wrenches.
-    ``R`` (k, k) is the compliance of the static modes, ``offset`` (3,) the origin of the frame in the model.
-    """
-
-    switching: Switching
-    candidates: Ints
-    amplitudes: Floats
-    R: Floats
-    offset: Floats
-    first: int
-    width: int
-    interpolation: str
-
-    def at(self, s: float) -> PointOfPath:
-        """The point of the path at ``s`` (m), beyond the window on the polynomial at its end."""
-        its = self.switching
-        interval = min(max(its.interval(s), self.first), self.first + self.width - 2)
-        curve = its.curve(s, self.interpolation, interval)
-        W = curve.rows(self.candidates)
-        arm = curve.point - self.offset + W @ self.amplitudes
-        dW = curve.rows(self.candidates, derivative=True)
-        slope = curve.tangent + dW @ self.amplitudes
-        turned = self.axes @ arm
-        G = np.hstack((np.eye(3), -hat(turned), self.axes @ W))
-        return PointOfPath(self.position + turned, self.axes @ slope, G, W, dW)
-
-    def nearest(self, point: Floats) -> float:
-        """Position s (m) along the path whose point is nearest to ``point`` (3,), within a little of the window."""
-        its = self.switching
-        inside = self.axes.T @ (point - self.position) + self.offset
-        nodes = its.xyz[self.first : self.first + self.width]
-        s = float(its.s[self.first + int(np.argmin(np.linalg.norm(nodes - inside, axis=1)))])
-        for _ in range(30):
-            here = self.at(s)
-            step = float(here.slope @ (point - here.position) / (here.slope @ here.slope))
-            s += step
-            if abs(step) <= 1e-14 * max(its.length, abs(s)):
-                break
-        return s
-
-
-@dataclass(frozen=True, eq=False)
-class PointOfPath:
-    """``position`` (3,) m and ``slope`` (3,) by s along the inertial axes; ``G`` (3, 6 + k) of the rows of a window;
-    ``W`` (3, k) displacement along the axes of the body by the candidates, ``dW`` its derivative by s."""
-
-    position: Floats
-    slope: Floats
-    G: Floats
-    W: Floats
-    dW: Floats
-
-
 @dataclass(frozen=True, eq=False)
 class PathMarker(Marker):
     """A window of the path of a body."""
@@ -323,17 +278,15 @@ class PathMarker(Marker):
         body = self.component
         inner, z = body.split(x)
         active, k = body.active(x), body.inner.size
-        read, q_rows, z_rows = active.read[self.window], active.q_rows[self.window], active.z_rows[self.window]
-        jacobian = np.zeros((6 + len(read), body.size))
+        read, jacobian = active.read[self.window], active.rows[self.window]
+        amplitudes = jacobian[6:, body.in_v] @ inner[body.in_x] + jacobian[6:, k:] @ z
         position, axes = np.zeros(3), np.eye(3)
         if isinstance(body.inner, FlexibleBody):
-            position, axes = inner[:3], inner[3:12].reshape(3, 3)
+            position, axes, jacobian = inner[:3], inner[3:12].reshape(3, 3), jacobian.copy()
             jacobian[:3, :3] = np.eye(3)
             jacobian[3:6, 3:6] = axes
-        jacobian[6:, body.in_v] = q_rows
-        jacobian[6:, k:] = z_rows
         return PathPlace(
             position=position, axes=axes, jacobian=jacobian, switching=body.switching, candidates=read,
-            amplitudes=q_rows @ inner[body.in_x] + z_rows @ z, R=active.R[self.window], offset=body.origin,
+            amplitudes=amplitudes, R=active.R[self.window], offset=body.origin,
             first=body.firsts(x)[self.window], width=body.width, interpolation=body.interpolation,
         )  # fmt: skip

@@ -1,0 +1,409 @@
+#!/usr/bin/env python3
+"""Teeth of two spur gears mesh: switched static modes of all flank nodes beside a few modes, against all of the model.
+
+Each gear is a solid sector of three involute teeth, reduced by static modes switching with its flank nodes as
+candidates. Along one pitch the contact of all tooth pairs is solved (no pulling forces, a given torque) with the static
+modes of the touched elements alone. Draws gear_teeth.png: transmission error, sharing of the load, active candidates.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from numpy.typing import NDArray
+
+from morembs.fem import assemble
+from morembs.interface import make_interface
+from morembs.material import isotropic
+from morembs.model import ElementBlock, FEModel, Mesh, Nodes
+from morembs.multibody.lemke import lemke
+from morembs.problem import Problem
+from morembs.reducers import ReducedModel, StaticModesSwitching
+from morembs.switching import Switching
+
+MODULE, PRESSURE, WIDTH = 5e-3, math.radians(20.0), 0.02  # m, rad, m
+TEETH = (24, 36)
+STEEL = {"young": 2.06e11, "poisson": 0.3, "density": 7850.0}
+MODES = 20
+FORCE = 4000.0  # N along the line of action, 200 N/mm
+RELIEF, RELIEVED = 20e-6, 3e-3  # m at the ends of the path of contact, m of roll
+CHAMFER = 0.25e-3  # m below the tip
+PLACES, QUICK_PLACES = 81, 13
+STRIP = 8  # samples over the width of an element
+# Elements: across a tooth, in the fillet, along the flank, in the rim, between teeth, over the width.
+CELLS = (6, 3, 8, 3, 1, 6)
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Gear:
+    """A spur gear with involute teeth; ``lowest`` (m of roll) is where its partner's tip touches it."""
+
+    teeth: int
+    lowest: float
+
+    @property
+    def pitch(self) -> float:
+        """Pitch radius, m."""
+        return 0.5 * MODULE * self.teeth
+
+    @property
+    def base(self) -> float:
+        """Base radius, m."""
+        return self.pitch * math.cos(PRESSURE)
+
+    @property
+    def root(self) -> float:
+        """Root radius, m."""
+        return self.pitch - 1.25 * MODULE
+
+    @property
+    def highest(self) -> float:
+        """Roll, m, where the chamfer of the tip begins."""
+        return highest(self.teeth)
+
+    def radius(self, roll: Floats) -> Floats:
+        """Radius (m) where the tangent to the base circle has the length ``roll``."""
+        return np.hypot(self.base, roll)
+
+    def half_angle(self, radius: Floats) -> Floats:
+        """Half of the angle of a tooth, rad: involute, with a fillet below it."""
+        form = float(self.radius(np.array(self.form)))
+        inside = np.maximum(radius, form)
+        a = np.arccos(self.base / inside)
+        angle = math.pi / (2 * self.teeth) + math.tan(PRESSURE) - PRESSURE - np.tan(a) + a
+        below = np.clip((form - radius) / (form - self.root), 0.0, 1.0)
+        slope = self.form / self.base / form
+        return np.asarray(angle + slope * (inside - radius) + self._fillet * (1 - np.sqrt(1 - (0.85 * below) ** 2)))
+
+    @property
+    def form(self) -> float:
+        """Roll, m, where the involute ends."""
+        return self.lowest - 0.6e-3
+
+    @property
+    def _fillet(self) -> float:
+        return 0.45 * MODULE / self.root
+
+
+def highest(teeth: int) -> float:
+    """Roll, m, at the begin of the chamfer."""
+    pitch = 0.5 * MODULE * teeth
+    return math.sqrt((pitch + MODULE - CHAMFER) ** 2 - (pitch * math.cos(PRESSURE)) ** 2)
+
+
+def pair() -> tuple[Gear, Gear]:
+    """Both gears."""
+    along = 0.5 * MODULE * sum(TEETH) * math.sin(PRESSURE)
+    one, two = (Gear(teeth, along - highest(other)) for teeth, other in (TEETH, TEETH[::-1]))
+    return one, two
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sector:
+    """Mesh of three teeth; ``flank`` (3, rows, lines) places of nodes on the flanks, teeth -1, 0, 1, from the root up;
+    ``roll`` (rows,) m, even; ``bore`` places of the nodes at the hub."""
+
+    gear: Gear
+    model: FEModel
+    flank: Ints
+    roll: Floats
+    bore: Ints
+
+
+def sector(gear: Gear) -> Sector:
+    """Three teeth and their rim, of 20-node hexahedra."""
+    across, fillet, along, rim, between, layers = CELLS
+    roll = np.linspace(gear.form, gear.highest, 2 * along + 1)
+    # Equal angles of an ellipse in the fillet.
+    t = np.sin(np.linspace(math.asin(0.85), 0.0, 2 * fillet + 1))[:-1] / 0.85
+    form, tip = float(gear.radius(roll[0])), gear.pitch + MODULE
+    rows = np.concatenate((form - t * (form - gear.root), gear.radius(roll), [tip - CHAMFER / 2, tip]))
+    u = np.linspace(-1, 1, 2 * across + 1)
+    pitch = 2 * math.pi / gear.teeth
+    foot = float(gear.half_angle(np.array(gear.root)))
+    gap = np.linspace(foot, pitch / 2, 2 * between + 1)
+    inner = gear.root - 2 * MODULE
+    plane: list[Floats] = []
+    for tooth in (-1, 0, 1):
+        plane.append(_polar(rows[:, None], tooth * pitch + u * gear.half_angle(rows)[:, None]))
+        angles = np.concatenate((-gap[::-1], foot * u[1:-1], gap))
+        plane.append(_polar(np.linspace(inner, gear.root, 2 * rim + 1)[:, None], tooth * pitch + angles[None, :]))
+    z = np.linspace(0.0, WIDTH, 2 * layers + 1)
+    blocks = [_hexahedra(np.concatenate(
+        (np.broadcast_to(p[:, :, None], (*p.shape[:2], len(z), 2)),
+         np.broadcast_to(z[None, None, :, None], (*p.shape[:2], len(z), 1))), axis=-1)) for p in plane]  # fmt: skip
+    corners = np.concatenate(blocks)
+    _, first, numbers = np.unique(
+        np.round(corners.reshape(-1, 3) / 1e-8).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    xyz, cells = corners.reshape(-1, 3)[first], numbers.reshape(corners.shape[:2])
+    mesh = Mesh(
+        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        blocks=(ElementBlock(type="hex20", nodes=cells, ids=np.arange(1, len(cells) + 1)),),
+    )
+    model = assemble(mesh, [isotropic(set="all", **STEEL)])
+    # Lines of element edges inside the width: nodes at its sides have normals that lean outwards.
+    r, half = gear.radius(roll), gear.half_angle(gear.radius(roll))
+    points = np.array([[[*_polar(a, tooth * pitch + b), h] for h in z[2:-1:2]] for tooth in (-1, 0, 1)
+                       for a, b in zip(r, half, strict=True)]).reshape(3, len(r), -1, 3)  # fmt: skip
+    flank = np.array([int(np.argmin(np.sum((xyz - p) ** 2, axis=1))) for p in points.reshape(-1, 3)])
+    bore = np.flatnonzero(np.abs(np.hypot(xyz[:, 0], xyz[:, 1]) - inner) < 1e-7)
+    return Sector(gear=gear, model=model, flank=flank.reshape(points.shape[:3]), roll=roll, bore=bore)
+
+
+def _polar(radius: Floats, angle: Floats) -> Floats:
+    return np.stack(np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
+
+
+_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+_CORNERS = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, 2], [2, 0, 2], [2, 2, 2], [0, 2, 2]])
+
+
+def _hexahedra(points: Floats) -> Floats:
+    """(cells, 20, 3) from points at half steps (2 a + 1, 2 b + 1, 2 c + 1, 3)."""
+    local = np.vstack([_CORNERS, [(_CORNERS[a] + _CORNERS[b]) // 2 for a, b in _EDGES]])
+    cells = [np.arange((k - 1) // 2) for k in points.shape[:3]]
+    first = 2 * np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    i, j, k = np.moveaxis(first + local, -1, 0)
+    return points[i, j, k]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reduced:
+    """A gear, held at its hub: its modes and the tables of its flank nodes."""
+
+    sector: Sector
+    reduced: ReducedModel
+    tables: Switching
+
+    @cached_property
+    def elastic(self) -> Ints:
+        """Coordinates that move while the hub stays."""
+        return np.flatnonzero([kind == "fixed-interface" for kind in self.reduced.mode_kind])
+
+    @cached_property
+    def candidate(self) -> Ints:
+        """(3, rows, lines): that of each flank node."""
+        ids = self.sector.model.nodes.ids[self.sector.flank]
+        return np.searchsorted(self.tables.node_ids, ids)
+
+    def by_modes(self, some: Ints) -> Floats:
+        """(k, k) m/N compliance of the modes at candidates."""
+        rows = self.tables.modes[np.ix_(some, self.elastic)]
+        return np.asarray(rows @ np.linalg.solve(self.reduced.K[np.ix_(self.elastic, self.elastic)], rows.T))
+
+    def compliance(self, some: Ints) -> Floats:
+        """(k, k) m/N of modes and the static modes of these candidates alone."""
+        return self.by_modes(some) + self.tables.R(some)
+
+
+def reduce(gear: Gear, modes: int = MODES) -> Reduced:
+    """Modes of the held sector, and static modes of all flank nodes along their normals."""
+    made = sector(gear)
+    ids = ",".join(map(str, made.model.nodes.ids[np.sort(made.flank.ravel())]))
+    reducer = StaticModesSwitching(
+        base="craig-bampton", base_options={"modes": modes}, candidates=f"ids:{ids}", directions="normals",
+        kind="surface",
+    )  # fmt: skip
+    with Problem(made.model, [make_interface(made.model, name="hub", nodes=made.bore)]) as problem:
+        reduced = reducer.reduce(problem)
+        return Reduced(sector=made, reduced=reduced, tables=reducer.switching(problem, reduced))
+
+
+def whole_compliance(gear: Reduced) -> Floats:
+    """(c, c) m/N of all candidates: the whole model, held at its bore, solved for each of them."""
+    model, tables = gear.sector.model, gear.tables
+    free = np.flatnonzero(~np.isin(model.dofs.node, gear.sector.bore))
+    place = np.full(3 * len(model.nodes), -1)
+    place[3 * model.dofs.node[free] + model.dofs.component[free]] = np.arange(len(free))
+    rows = place[3 * (tables.node_ids - 1)[:, None] + np.arange(3)]
+    B = np.zeros((len(free), tables.count))
+    B[rows, np.arange(tables.count)[:, None]] = tables.direction
+    K = sp.csc_matrix(model.K)[free][:, free]
+    factor = spl.splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return np.asarray(B.T @ factor.solve(B))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touch:
+    """One place of the gears: points that may touch, of ``pair`` (p,) -1, 0, 1, with ``gap`` (p,) m; for each gear the
+    active candidates and the weights (p, active) of the points."""
+
+    pair: Ints
+    gap: Floats
+    active: tuple[Ints, Ints]
+    weights: tuple[Floats, Floats]
+
+
+def base_pitch() -> float:
+    """Distance of tooth pairs along the line of action, m."""
+    return math.pi * MODULE * math.cos(PRESSURE)
+
+
+def touch(gears: tuple[Reduced, Reduced], place: float) -> Touch:
+    """Points on the line of action where the middle pair is ``place`` m behind the pitch point."""
+    one, two = (g.sector.gear for g in gears)
+    along = (one.pitch + two.pitch) * math.sin(PRESSURE)
+    pairs, gaps = [], []
+    rolls: list[tuple[float, float]] = []
+    for k in (-1, 0, 1):
+        first = one.pitch * math.sin(PRESSURE) + place + k * base_pitch()
+        second = along - first
+        if one.lowest <= first <= one.highest and two.lowest <= second <= two.highest:
+            nearest = min(one.highest - first, two.highest - second)
+            pairs.append(k)
+            rolls.append((first, second))
+            gaps.append(RELIEF * max(0.0, 1 - nearest / RELIEVED) ** 2)
+    active, weights = [], []
+    for number, gear in enumerate(gears):
+        # The driven gear turns the other way, so its teeth come in the other order.
+        teeth = [k if number == 0 else -k for k in pairs]
+        some, W = _weights(gear, teeth, [r[number] for r in rolls])
+        active.append(some)
+        weights.append(W)
+    lines = gears[0].sector.flank.shape[2]
+    return Touch(
+        pair=np.repeat(pairs, lines), gap=np.repeat(gaps, lines), active=(active[0], active[1]),
+        weights=(weights[0], weights[1]),
+    )  # fmt: skip
+
+
+def _weights(gear: Reduced, teeth: Sequence[int], rolls: Sequence[float]) -> tuple[Ints, Floats]:
+    """Candidates of the touched elements, and how they move the points.
+
+    A point is the mean of a strip as wide as an element: such elements do not resolve what is narrower, such as Hertz's
+    pressure. Along the strip the shape functions of element edges hold.
+    """
+    its = gear.sector
+    lines, step = its.flank.shape[2], 2 * (its.roll[1] - its.roll[0])
+    strip = step * ((np.arange(STRIP) + 0.5) / STRIP - 0.5)
+    rows = []
+    for roll in rolls:
+        x = (np.clip(roll + strip, its.roll[0], its.roll[-1]) - its.roll[0]) / step
+        element = np.minimum(x.astype(int), (len(its.roll) - 1) // 2 - 1)
+        x -= element
+        row = np.zeros(len(its.roll))
+        for k, values in enumerate(((2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1))):
+            np.add.at(row, 2 * element + k, values / STRIP)
+        rows.append(row)
+    used = [gear.candidate[tooth + 1, row != 0] for tooth, row in zip(teeth, rows, strict=True)]
+    some = np.unique(np.concatenate([one.ravel() for one in used]))
+    W = np.zeros((lines * len(used), len(some)))
+    for number, (one, row) in enumerate(zip(used, rows, strict=True)):
+        for line in range(lines):
+            W[number * lines + line, np.searchsorted(some, one[:, line])] = row[row != 0]
+    return some, W
+
+
+def solve(at: Touch, C: Sequence[Floats], force: float = FORCE) -> tuple[float, Floats]:
+    """Approach (m) along the line of action and forces (p,) N: 0 <= gap + C f - approach, 0 <= f, sum f = force."""
+    A = sum(W @ one @ W.T for W, one in zip(at.weights, C, strict=True))
+    p, unit = len(A), float(np.abs(A).max())
+    M = np.zeros((p + 1, p + 1))
+    # The approach is the last unknown; its row says that the forces carry the torque.
+    M[:p, :p], M[:p, p], M[p, :p] = A / unit, -1.0, 1.0
+    found = lemke(M, np.concatenate((at.gap / (unit * force), [-1.0]))).z
+    return float(found[p] * unit * force), found[:p] * force
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cycle:
+    """Over a pitch: approach (s,) m, load of the three pairs (s, 3) N, active candidates (s,), seconds."""
+
+    approach: Floats
+    load: Floats
+    active: Ints
+    seconds: float
+
+
+def cycle(gears: tuple[Reduced, Reduced], places: Floats, whole: Sequence[Floats] | None, static: bool = True) -> Cycle:
+    """With all of the ``whole`` compliance, or that of modes with (or without) active static modes."""
+    approach, load, active, begin = [], [], [], time.process_time()
+    for place in places:
+        at = touch(gears, float(place))
+        if whole is not None:
+            C = [one[np.ix_(some, some)] for one, some in zip(whole, at.active, strict=True)]
+        else:
+            C = [g.compliance(some) if static else g.by_modes(some) for g, some in zip(gears, at.active, strict=True)]
+        near, f = solve(at, C)
+        approach.append(near)
+        load.append([f[at.pair == k].sum() for k in (-1, 0, 1)])
+        active.append(sum(map(len, at.active)))
+    return Cycle(
+        approach=np.array(approach), load=np.array(load), active=np.array(active),
+        seconds=time.process_time() - begin,
+    )  # fmt: skip
+
+
+def standard() -> float:
+    """Stiffness of one pair of teeth, N/(mm micrometre), by ISO 6336-1 (method B, spur gears of solid discs)."""
+    q = 0.04723 + 0.15551 / TEETH[0] + 0.25791 / TEETH[1]
+    basic_rack = 1 + 0.5 * (1.2 - 1.25)
+    return 0.8 * basic_rack / q
+
+
+def picture(path: Path, places: Floats, switched: Cycle, full: Cycle, modes: Cycle, candidates: int) -> None:
+    """Transmission error, sharing of the load, active candidates."""
+    x = places / base_pitch()
+    shares = [Curve(x=x, y=switched.load[:, k] / FORCE, label=f"{name} pair", color=color)
+              for k, name, color in ((0, "following", THIRD), (1, "middle", OURS), (2, "leading", THEIRS))]  # fmt: skip
+    draw(
+        path, f"Meshing teeth of spur gears, {TEETH[0]} : {TEETH[1]}",
+        [
+            Panel(
+                title=f"Transmission error under {FORCE / 1e3:g} kN", x="rotation, pitches", y="micrometres",
+                curves=[
+                    Curve(x=x, y=1e6 * full.approach, label="all of the model", color=THEIRS),
+                    Curve(x=x, y=1e6 * switched.approach, label=f"{MODES} modes, switched static modes", style="--"),
+                    Curve(x=x, y=1e6 * modes.approach, label=f"{MODES} modes alone", color=THIRD, width=1.0),
+                ],
+            ),
+            Panel(title="Sharing of the load", x="rotation, pitches", y="parts of the load", curves=shares),
+            Panel(
+                title=f"Active candidates of {candidates}", x="rotation, pitches", y="candidates",
+                curves=[Curve(x=x, y=switched.active.astype(float))],
+            ),
+        ],
+    )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs, draws and prints the figures. Returns the exit code."""
+    options = parse(arguments, "Meshing gear teeth with switched static modes.")
+    options.folder.mkdir(parents=True, exist_ok=True)
+    one, two = (reduce(gear) for gear in pair())
+    gears = (one, two)
+    candidates = sum(g.tables.count for g in gears)
+    print(f"two sectors of {one.sector.model.size} and {two.sector.model.size} dofs, {candidates} candidates")
+    places = base_pitch() * np.linspace(-0.5, 0.5, QUICK_PLACES if options.quick else PLACES)
+    switched = cycle(gears, places, None)
+    full = cycle(gears, places, [whole_compliance(g) for g in gears])
+    modes = cycle(gears, places, None, static=False)
+    error = float(np.abs(switched.approach - full.approach).max() / full.approach.max())
+    print(f"transmission error: {1e6 * full.approach.min():.2f} to {1e6 * full.approach.max():.2f} micrometres; "
+          f"switched static modes differ from all of the model by {error:.1e} of it")  # fmt: skip
+    lost = float(np.abs(modes.approach - full.approach).max() / full.approach.max())
+    print(f"{MODES} modes alone differ by {100 * lost:.0f} %")
+    print(f"active candidates: {switched.active.min()} to {switched.active.max()} of {candidates}, "
+          f"{1e3 * switched.seconds / len(places):.2f} ms for each place")  # fmt: skip
+    stiffness = FORCE / WIDTH / full.approach * 1e-9
+    print(f"stiffness of the mesh: {stiffness.min():.1f} (one pair) to {stiffness.max():.1f} N/(mm micrometre); "
+          f"ISO 6336 gives {standard():.1f} for one pair")  # fmt: skip
+    picture(options.folder / "gear_teeth.png", places, switched, full, modes, candidates)
+    print(options.folder / "gear_teeth.png")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
