@@ -110,7 +110,7 @@ def _definite(given: Delivered, found: list[Finding], facts: dict[str, Any]) -> 
         s[s == 0] = 1.0
         lowest = float(np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(s, s)).min(initial=1.0))
         facts[f"lowest_of_scaled_{name}"] = lowest
-        if name != "M" and lowest < -NEGATIVE and _round_off(A, given.M):
+        if name != "M" and lowest < -NEGATIVE and _round_off(A, given):
             continue
         if lowest < -NEGATIVE or (name == "M" and lowest <= 0):
             what = "positive definite" if name == "M" else "positive semidefinite"
@@ -119,9 +119,14 @@ def _definite(given: Delivered, found: list[Finding], facts: dict[str, Any]) -> 
             found.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
 
 
-def _round_off(A: Floats, M: Floats) -> bool:
-    """Whether what is negative in A lies in coordinates that it hardly resists, as rigid-body motion."""
-    m = _scale(M)
+def _round_off(A: Floats, given: Delivered) -> bool:
+    """Whether what is negative in A lies in coordinates that it hardly resists, as rigid-body motion.
+
+    A body of rigid-body motion alone has nothing but round-off in K and D.
+    """
+    if given.rigid_count == len(A):
+        return True
+    m = _scale(given.M)
     m[m == 0] = 1.0
     values = np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(m, m))
     return bool(values.min(initial=0.0) > -ROUND_OFF * np.abs(values).max(initial=0.0))

@@ -17,7 +17,7 @@ from morembs.errors import SolverError
 from morembs.multibody.contact import Contacts, Meeting
 from morembs.multibody.contact_law import Forces, law
 from morembs.multibody.contact_start import begin
-from morembs.multibody.integrate import Scheme, State, _newton
+from morembs.multibody.integrate import Scheme, State, _newton, kinetic_norm
 from morembs.multibody.system import Assembly
 from morembs.multibody.tangents import stiffness_and_damping
 
@@ -193,6 +193,6 @@ class ContactStepper:
     def _noise(self, M: Floats, g: Floats, v: Floats) -> float:
         """Limit of Newton changes of velocity: the tolerance, but not below round-off of the constraints."""
         force = float(g @ np.linalg.solve(M, g))
-        self._scale = max(self._scale, math.sqrt(float(v @ M @ v)), self.h * math.sqrt(max(force, 0.0)))
+        self._scale = max(self._scale, kinetic_norm(M, v, self.state.state.time), self.h * math.sqrt(max(force, 0.0)))
         floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h
         return max(self.tolerance * self._scale, floor * self.length)

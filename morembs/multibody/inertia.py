@@ -47,6 +47,11 @@ class Inertia:
         self._x_phi = np.ascontiguousarray(x_phi.reshape(9, n))
         self._phi_phi = np.ascontiguousarray(phi_phi.transpose(0, 1, 3, 2).reshape(9 * n, n))
         self._short = foreshortening
+        if foreshortening is not None:
+            rigid = np.block([[mass * np.eye(3), -hat(first)], [hat(first), inertia]])
+            self._coupling = np.vstack((self.C1, self.Cr))
+            self._by_rigid = np.linalg.pinv(rigid, hermitian=True)
+            self._relative = Me - self._coupling.T @ self._by_rigid @ self._coupling
 
     def first_moment(self, q: Floats) -> Floats:
         """int s dm (3,), with the second-order displacement where there is stiffening."""
@@ -77,16 +82,16 @@ class Inertia:
         force[:3] = 2 * cross(w, flow) + spin @ moment
         force[3:6] = 2 * (np.trace(N) * w - w @ N) + cross(w, J @ w)
         force[6:] = 2 * (w @ _turned(at_rate)) + spin.ravel() @ P
-        C1 = self.C1
+        C1, Me = self.C1, self.Me
         if self._short is not None:
-            moment, C1, Cr, J = self._second_order(self._short, w, q, rate, force, moment, Cr, J)
+            moment, C1, Cr, J, Me = self._second_order(self._short, w, q, rate, force, moment, Cr, J)
         M[:3, :3] = self.mass * eye
         M[:3, 3:6] = -hat(moment)
         M[3:6, :3] = -M[:3, 3:6]
         M[:3, 6:], M[6:, :3] = C1, C1.T
         M[3:6, 3:6] = J
         M[3:6, 6:], M[6:, 3:6] = Cr, Cr.T
-        M[6:, 6:] = self.Me
+        M[6:, 6:] = Me
         return M, force
 
     @staticmethod
@@ -98,10 +103,13 @@ class Inertia:
     def _second_order(
         self, short: Foreshortening, w: Floats, q: Floats, rate: Floats, force: Floats, moment: Floats, Cr: Floats,
         J: Floats,
-    ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-        """Adds the forces of the second-order displacement; returns the corrected moment, C1, Cr and J.
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+        """Adds the forces of the second-order displacement; returns the corrected moment, C1, Cr, J and Me.
 
-        All follow from the kinetic energy v.(w x W + dW/dt) + w.H + w'Jw/2, so that energy is kept.
+        All follow from the kinetic energy v.(w x W + dW/dt) + w.H + w'Jw/2, so that energy is kept. Of the energy of
+        dw/dt itself the integrals know the part whose momentum they hold: with y = (C1, Cr) q + (W, H) and the rigid
+        mass matrix R it is y' R^-1 y'/2 without its terms of first order. Without it the mass matrix
+        would be indefinite in a frame in which elastic shapes have momentum (tangent), at deflections that are small.
         """
         W, W1, W2, linear = self._inner(short.linear, q, rate)
         _, H, H1, angular = self._inner(short.angular, q, rate)
@@ -111,7 +119,10 @@ class Inertia:
         force[3:6] += H1 + cross(w, H) - change @ w - cross(w, extra @ w)
         products = np.array([w[a] * w[b] for a, b in _PAIRS])
         force[6:] += products @ centrifugal
-        return moment + W, self.C1 + linear, Cr + angular, J - extra
+        momentum = self._coupling + np.vstack((linear, angular))
+        share = self._by_rigid @ momentum
+        force[6:] += np.concatenate((W2, H1)) @ share
+        return moment + W, self.C1 + linear, Cr + angular, J - extra, self._relative + momentum.T @ share
 
 
 def _turned(P: Floats) -> Floats:

@@ -182,6 +182,22 @@ class Stepper:
     def _noise(self, M: Floats, g: Floats, v: Floats, x: Floats) -> float:
         """Limit of Newton changes of velocity: the tolerance, but not below round-off of the constraints."""
         force = float(g @ np.linalg.solve(M, g))
-        self._scale = max(self._scale, math.sqrt(float(v @ M @ v)), self.h * math.sqrt(max(force, 0.0)))
+        self._scale = max(self._scale, kinetic_norm(M, v, self.state.time), self.h * math.sqrt(max(force, 0.0)))
         floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h
         return max(self.tolerance * self._scale, floor * self._length)
+
+
+def kinetic_norm(M: Floats, v: Floats, time: float) -> float:
+    """Root of twice the kinetic energy of velocities ``v`` after ``time`` in s.
+
+    Raises:
+        SolverError: it is negative: the mass matrix is not positive definite.
+    """
+    square = float(v @ M @ v)
+    if square < 0:
+        raise SolverError(
+            f"after t = {time:.9g} s the mass matrix is not positive definite: deflections are too large for the "
+            "second-order terms of the geometric stiffening in this frame. Take mean axes or a chord frame, which bear "
+            "larger ones, or fewer modes"
+        )
+    return math.sqrt(square)
