@@ -17,7 +17,7 @@ from morembs.errors import SolverError
 from morembs.multibody.contact import Contacts, Meeting
 from morembs.multibody.contact_law import Forces, law
 from morembs.multibody.contact_start import begin
-from morembs.multibody.integrate import Scheme, State, _newton, kinetic_norm
+from morembs.multibody.integrate import ChangeLimit, Scheme, State, _newton
 from morembs.multibody.system import Assembly
 from morembs.multibody.tangents import stiffness_and_damping
 
@@ -65,7 +65,7 @@ class ContactStepper:
         self, scheme: Scheme, assembly: Assembly, group: Contacts, *, t: float, x: Floats, v: Floats, h: float,
         tolerance: float, closed: Bools, corrected: bool = True, tangents: tuple[Floats, Floats] | None = None,
     ) -> None:  # fmt: skip
-        self.scheme, self.assembly, self.group, self.h, self.tolerance = scheme, assembly, group, h, tolerance
+        self.scheme, self.assembly, self.group, self.h = scheme, assembly, group, h
         self.closed = closed.copy()
         start = begin(scheme, assembly, group, t, x, v, h, closed, corrected)
         self._v, self._auxiliary, self._multipliers = start.velocity, start.auxiliary, start.multipliers
@@ -73,9 +73,9 @@ class ContactStepper:
             assembly=assembly, time=t, x=x, v=v, acceleration=start.acceleration, multipliers=start.multipliers
         )
         self.state = self._with_contact(state, start.force, start.friction, start.sliding)
-        self._scale = 0.0
         positions = [float(np.abs(p.position).max()) for p in assembly.places(x).values()]
         self.length = max([1e-3, float(np.abs(self.state.meeting.foot).max(initial=0.0)), *positions])
+        self._limit = ChangeLimit(tolerance=tolerance, h=h, length=self.length)
         self.tangents = tangents or self._tangents(self.state)
 
     def _tangents(self, at: ContactState) -> tuple[Floats, Floats]:
@@ -116,7 +116,7 @@ class ContactStepper:
                 M, (K, C) = mass, self.tangents
                 newton = _newton(M + c_v * C + s.tangent(c_q * K, step), B, s.tangent(B, step))
                 factor = sl.lu_factor(newton, check_finite=False)
-                noise = self._noise(M, g, v)
+                noise = self._limit(M, g, v, old.time)
             residual = np.concatenate((mass @ rate + g + multipliers @ B, Phi / c_q))
             if not np.isfinite(residual).all():
                 break
@@ -189,10 +189,3 @@ class ContactStepper:
         self.state = self._with_contact(state, force, friction, sliding)
         self.closed &= (force > 0) | (self.state.gap <= _OPEN * self.length)
         return self.state
-
-    def _noise(self, M: Floats, g: Floats, v: Floats) -> float:
-        """Limit of Newton changes of velocity: the tolerance, but not below round-off of the constraints."""
-        force = float(g @ np.linalg.solve(M, g))
-        self._scale = max(self._scale, kinetic_norm(M, v, self.state.state.time), self.h * math.sqrt(max(force, 0.0)))
-        floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h
-        return max(self.tolerance * self._scale, floor * self.length)

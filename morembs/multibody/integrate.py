@@ -102,7 +102,7 @@ class Stepper:
         self, scheme: Scheme, assembly: Assembly, t: float, x: Floats, v: Floats, h: float, tolerance: float,
         corrected: bool = True,
     ) -> None:  # fmt: skip
-        self.scheme, self.assembly, self.h, self.tolerance = scheme, assembly, h, tolerance
+        self.scheme, self.assembly, self.h = scheme, assembly, h
         a, s = scheme, assembly
         rate, multipliers, S = accelerations(s, t, x, v, h)
         self.state = State(assembly=s, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
@@ -122,8 +122,8 @@ class Stepper:
         else:
             self._multipliers = multipliers
         self._K, self._C = stiffness_and_damping(s, t, x, v, rate, multipliers)
-        self._scale = 0.0
-        self._length = max([1e-3, *(float(np.abs(p.position).max()) for p in s.places(x).values())])
+        length = max([1e-3, *(float(np.abs(p.position).max()) for p in s.places(x).values())])
+        self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
 
     def advance(self, time: float) -> State:
         """One step, to ``time``; the new state.
@@ -149,7 +149,7 @@ class Stepper:
                 M = mass
                 tangent = s.tangent(c_q * self._K, step)
                 factor = sl.lu_factor(_newton(M + c_v * self._C + tangent, B, s.tangent(B, step)), check_finite=False)
-                noise = self._noise(M, g, v, x)
+                noise = self._limit(M, g, v, old.time)
             residual = np.concatenate((mass @ rate + g + multipliers @ B, Phi / c_q))
             if not np.isfinite(residual).all():
                 break
@@ -179,25 +179,30 @@ class Stepper:
             "for positions where joints lock or a force that jumps"
         )
 
-    def _noise(self, M: Floats, g: Floats, v: Floats, x: Floats) -> float:
-        """Limit of Newton changes of velocity: the tolerance, but not below round-off of the constraints."""
-        force = float(g @ np.linalg.solve(M, g))
-        self._scale = max(self._scale, kinetic_norm(M, v, self.state.time), self.h * math.sqrt(max(force, 0.0)))
-        floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h
-        return max(self.tolerance * self._scale, floor * self._length)
 
+class ChangeLimit:
+    """When changes of velocity in Newton's method are small enough, in the norm of kinetic energy.
 
-def kinetic_norm(M: Floats, v: Floats, time: float) -> float:
-    """Root of twice the kinetic energy of velocities ``v`` after ``time`` in s.
-
-    Raises:
-        SolverError: it is negative: the mass matrix is not positive definite.
+    That is ``tolerance`` times the largest velocity so far, but not below round-off of constraints of ``length`` m in a
+    step of ``h`` s.
     """
-    square = float(v @ M @ v)
-    if square < 0:
-        raise SolverError(
-            f"after t = {time:.9g} s the mass matrix is not positive definite: deflections are too large for the "
-            "second-order terms of the geometric stiffening in this frame. Take mean axes or a chord frame, which bear "
-            "larger ones, or fewer modes"
-        )
-    return math.sqrt(square)
+
+    def __init__(self, *, tolerance: float, h: float, length: float) -> None:
+        self.tolerance, self.h, self.length, self._scale = tolerance, h, length, 0.0
+
+    def __call__(self, M: Floats, g: Floats, v: Floats, time: float) -> float:
+        """The limit for mass matrix M, forces g and velocities v after ``time`` in s.
+
+        Raises:
+            SolverError: the kinetic energy is negative: the mass matrix is not positive definite.
+        """
+        square, force = float(v @ M @ v), float(g @ np.linalg.solve(M, g))
+        if square < 0:
+            raise SolverError(
+                f"after t = {time:.9g} s the mass matrix is not positive definite: deflections are too large for the "
+                "second-order terms of the geometric stiffening in this frame. Take mean axes or a chord frame, which "
+                "bear larger ones, or fewer modes"
+            )
+        self._scale = max(self._scale, math.sqrt(square), self.h * math.sqrt(max(force, 0.0)))
+        floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h
+        return max(self.tolerance * self._scale, floor * self.length)
