@@ -19,6 +19,7 @@ from skfem.refdom import RefLine, RefTet, RefTri, RefWedge
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Order = int | tuple[int, int]
 
 
 def _with_edges(corners: Sequence[Sequence[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
@@ -97,15 +98,16 @@ class ElementType:
     """One element type.
 
     ``reference`` (k, dim) node positions in VTK order, ``faces`` the corner nodes of each face seen
-    from outside, ``stiffness_order`` and ``mass_order`` the polynomial degrees integrated exactly.
+    from outside, ``stiffness_order`` and ``mass_order`` the polynomial degrees integrated exactly; of a wedge they may
+    be two, in the triangle and along the axis.
     """
 
     name: str
     function: skfem.Element
     reference: Floats
     vtk: int
-    stiffness_order: int
-    mass_order: int
+    stiffness_order: Order
+    mass_order: Order
     faces: tuple[tuple[int, ...], ...] = ()
     face_types: tuple[str, ...] = ()
 
@@ -127,7 +129,7 @@ class ElementType:
         dN = np.stack([(np.asarray(grad) * ones).T for _, grad in pairs], axis=1)
         return N, dN
 
-    def rule(self, order: int) -> Rule:
+    def rule(self, order: Order) -> Rule:
         """Quadrature exact to the degree ``order`` with the shape functions at its points."""
         points, weights = _quadrature(self.function.refdom, order)
         N, dN = self.shape(points)
@@ -147,15 +149,16 @@ class ElementType:
         return tuple(result)
 
 
-def _quadrature(domain: type, order: int) -> tuple[Floats, Floats]:
+def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
     """Points (nq, dim) and weights of a rule exact to degree ``order``."""
+    across, along = order if isinstance(order, tuple) else (order, order)
     if domain is not RefWedge:
         # scikit-fem's tetrahedron rules from order 5 on miss their last degree by some percent, and its
         # rule of order 4 has negative weights: ask for one more.
-        X, W = get_quadrature(domain, order + 1 if domain is RefTet and order >= 4 else order)
+        X, W = get_quadrature(domain, across + 1 if domain is RefTet and across >= 4 else across)
         return np.ascontiguousarray(X.T), W
     # scikit-fem's own wedge rule integrates the volume 0.25 instead of 0.5, so the product is made here.
-    (tri, w_tri), (line, w_line) = get_quadrature(RefTri, order), get_quadrature(RefLine, order)
+    (tri, w_tri), (line, w_line) = get_quadrature(RefTri, across), get_quadrature(RefLine, along)
     points = [[x, y, z] for z in line[0] for x, y in tri.T]
     return np.array(points), np.array([a * b for b in w_line for a in w_tri])
 
@@ -179,7 +182,7 @@ FACES: dict[str, ElementType] = {
 
 
 def _solid(
-    name: str, function: skfem.Element, reference: Floats, vtk: int, orders: tuple[int, int],
+    name: str, function: skfem.Element, reference: Floats, vtk: int, orders: tuple[Order, Order],
     faces: tuple[tuple[int, ...], ...], kinds: tuple[str, ...],
 ) -> ElementType:  # fmt: skip
     return ElementType(
@@ -188,7 +191,7 @@ def _solid(
     )  # fmt: skip
 
 
-# Stiffness rules are those of the field (4 points in tet10, 3x3x3 in hex20); mass is integrated
+# Stiffness rules are those of the field (4 points in tet10, 3x3x3 in hex20, 3x3 in wedge15); mass is integrated
 # exactly on straight-sided elements.
 TYPES: dict[str, ElementType] = {
     kind.name: kind
@@ -206,7 +209,7 @@ TYPES: dict[str, ElementType] = {
             _WEDGE_FACES, ("tri3",) * 2 + ("quad4",) * 3,
         ),
         _solid(
-            "wedge15", ElementWedgeS2(), ElementWedgeS2.doflocs, 26, (4, 5),
+            "wedge15", ElementWedgeS2(), ElementWedgeS2.doflocs, 26, ((2, 5), 5),
             _WEDGE_FACES, ("tri6",) * 2 + ("quad8",) * 3,
         ),
     )

@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 CHUNK_BYTES = 48_000_000
 MASS_INTEGRATION = ("exact", "reduced")
+# Jacobians whose powers are numbers still.
+SMALLEST, LARGEST = 1e-250, 1e250
 
 
 def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = SILENT) -> sp.csr_array:
@@ -249,7 +251,9 @@ def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
     J = _jacobian(x, rule)
     det = np.linalg.det(J)
     scale = np.abs(det).max(axis=1, initial=0.0)
-    bad = np.flatnonzero((det <= 1e-10 * scale[:, None]).any(axis=1) | (scale == 0.0))
+    # Sizes whose squares a double cannot hold, and what is not a number, are as bad as no size.
+    outside = ~((scale > SMALLEST) & (scale < LARGEST))
+    bad = np.flatnonzero(~(det > 1e-10 * scale[:, None]).all(axis=1) | outside)
     if len(bad):
         raise InputError(
             f"{len(bad)} {kind.name} elements are inverted or degenerate: {', '.join(map(str, ids[bad[:5]]))}"

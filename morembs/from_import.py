@@ -19,6 +19,7 @@ from morembs.errors import InputError
 from morembs.fem import assemble
 from morembs.followers import couplings_of, followers_of
 from morembs.imported import Imported
+from morembs.importers.named import LARGEST, refuse_entries
 from morembs.material import Material
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.point_masses import refuse_loose, si_mass, with_dofs, with_masses
@@ -107,9 +108,7 @@ def _refuse_incomplete(imported: Imported) -> None:
     if imported.K is None and not imported.materials:
         raise InputError(f"{source} has a mesh but no materials; give them (young, poisson and density)")
     for name in given:
-        matrix = getattr(imported, name)
-        if not np.isfinite(matrix.data).all():
-            raise InputError(f"{source}: {name} has entries that are not finite; write the file again")
+        refuse_entries(source, name, getattr(imported, name))
 
 
 def _refuse_names(names: Sequence[str], source: str) -> None:
@@ -182,6 +181,7 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
         )  # fmt: skip
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
+    _refuse_far(nodes, source)
     if dofs is None:
         if size != 3 * len(nodes):
             raise InputError(
@@ -192,6 +192,15 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
         notes = (f"rows were taken as x, y, z of {len(nodes)} nodes in their order; the file does not say so",)
     check_dofs(dofs, nodes, size, source)
     return nodes, dofs, notes
+
+
+def _refuse_far(nodes: Nodes, source: str) -> None:
+    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
+    if len(far):
+        raise InputError(
+            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; it is damaged, or its units are "
+            "wrong"
+        )
 
 
 def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
@@ -222,6 +231,7 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     nodes = imported.nodes if imported.nodes is not None else mesh.nodes
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{imported.source} has nodes whose coordinates are not finite; write the file again")
+    _refuse_far(nodes, imported.source)
     blocks = _mesh_on(mesh, nodes, Units()).blocks
     used = np.zeros(len(nodes), dtype=bool)
     for block in blocks:

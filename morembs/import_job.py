@@ -190,7 +190,7 @@ def _on_mesh(imported: Imported, path: Path) -> Imported:
     nodes = held.nodes if held.nodes is not None else (held.mesh.nodes if held.mesh is not None else None)
     if nodes is None:
         raise InputError(f"--nodes {path.name} has no nodes; expected a mesh")
-    if imported.K is None:
+    if imported.K is imported.M is imported.D is None:
         raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:

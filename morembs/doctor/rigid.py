@@ -210,7 +210,8 @@ def free_motions(found: Residual) -> int:
     worst, bad = float(found.worst.max(initial=0.0)), found.bad
     if not bad.any() or (bad.mean() > 0.5 and worst < FEW_DIGITS):
         return 6
-    size = np.divide(found.ratio, np.abs(found.force), out=np.zeros_like(found.ratio), where=found.force != 0)
+    with np.errstate(over="ignore"):
+        size = np.divide(found.ratio, np.abs(found.force), out=np.zeros_like(found.ratio), where=found.force != 0)
     s = np.linalg.svd(found.force * size.max(axis=1)[:, None], compute_uv=False)
     return int((s < (STRAINED if worst > STRAINED else ROUNDED)).sum())
 

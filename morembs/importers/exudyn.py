@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.imported import Imported
-from morembs.importers.hdf5_sparse import sparse_group
+from morembs.importers.hdf5_sparse import sparse_group, stored
 from morembs.importers.named import square_csr
 from morembs.model import DofMap, Nodes
 
@@ -30,7 +30,7 @@ def import_exudyn(path: Path) -> Imported:
             kind = file.get("type")
             if kind is None or _text(kind) != "FEMinterface":
                 raise InputError(f"{path.name} is not a FEMinterface of Exudyn (type is not 'FEMinterface')")
-            xyz = np.asarray(file["nodes/Position"][()], dtype=float)
+            xyz = _numbers(path.name, file["nodes/Position"])
             matrices = {}
             for role, name in (("K", "stiffnessMatrix"), ("M", "massMatrix")):
                 matrix = sparse_group(f"{path.name}: {name}", file[name])
@@ -41,7 +41,7 @@ def import_exudyn(path: Path) -> Imported:
             other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _filled(file.get(name))]
     except InputError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
         raise InputError(f"{path.name} cannot be read as a FEMinterface of Exudyn ({error}); save it again") from error
     if xyz.ndim != 2 or xyz.shape[1] != 3 or matrices["K"].shape[0] != xyz.size:
         raise InputError(
@@ -53,9 +53,20 @@ def import_exudyn(path: Path) -> Imported:
     return Imported(source=path.name, nodes=nodes, dofs=DofMap.translations(len(xyz)), notes=notes, **matrices)
 
 
+def _numbers(source: str, item: Any, *, whole: bool = False) -> NDArray[Any]:
+    """Numbers of an array, or of a list, which is a group with a dataset for each."""
+    if isinstance(item, h5py.Group):
+        values = np.array([stored(item[f"item_{i}"]) for i in range(len(item))])
+    else:
+        values = stored(item)
+    if values.size and values.dtype.kind not in ("iu" if whole else "fiu"):
+        raise InputError(f"{source}: {item.name} does not hold {'whole ' * whole}numbers; save the FEMinterface again")
+    return values.astype(np.int64 if whole else np.float64)
+
+
 def _text(item: Any) -> str:
-    value = item[()]
-    return value.decode() if isinstance(value, bytes) else str(value)
+    value = stored(item)[()]
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
 def _filled(item: Any) -> bool:
@@ -65,7 +76,7 @@ def _filled(item: Any) -> bool:
 def _node_sets(source: str, group: Any, count: int) -> dict[str, Ints]:
     sets: dict[str, Ints] = {}
     for item in group.values() if _filled(group) else ():
-        name, rows = _text(item["Name"]), np.unique(np.asarray(item["NodeNumbers"][()], dtype=np.int64))
+        name, rows = _text(item["Name"]), np.unique(_numbers(source, item["NodeNumbers"], whole=True))
         if len(rows) and not (rows[0] >= 0 and rows[-1] < count):
             raise InputError(f"{source}: node set {name!r} names nodes that do not exist; save the FEMinterface again")
         sets[name] = rows

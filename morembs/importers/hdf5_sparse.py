@@ -15,6 +15,9 @@ from morembs.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
 
 Array = NDArray[Any]
+# How much smaller the compressions of HDF5 make data at best; below _SMALL bytes nobody asks.
+_RATIO = 1100
+_SMALL = 1 << 20
 
 
 def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
@@ -29,13 +32,76 @@ def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: st
     path = Path(path)
     try:
         with h5py.File(path, "r") as file:
+            if K is None:
+                _refuse_body(path.name, file)
             found: Matrices = {}
             _collect(path.name, file, "", found, {K, M, D} - {None})
     except InputError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
         raise InputError(f"{path.name} cannot be read as an HDF5 file ({error}); check the file") from error
     return matrices_by_name(path.name, found, K=K, M=M, D=D)
+
+
+def stored(item: Any) -> Array:
+    """All of a dataset, read once it is known that the file can hold so much.
+
+    Raises:
+        InputError: the dataset announces more than is stored, has no values, or is a group.
+    """
+    if not isinstance(item, h5py.Dataset) or item.shape is None:
+        raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again")
+    refuse_hollow(item)
+    return np.asarray(item[()])
+
+
+def refuse_hollow(item: h5py.Dataset) -> None:
+    """Refuse a dataset whose size is announced but not stored: it would fill the memory with nothing.
+
+    Raises:
+        InputError: it is one.
+    """
+    announced = int(np.prod([float(n) for n in item.shape or ()])) * item.dtype.itemsize
+    held = item.id.get_storage_size()
+    if announced > _SMALL and announced > _RATIO * held:
+        raise InputError(
+            f"{item.name} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
+            "filled, write it again"
+        )
+
+
+def _refuse_body(source: str, file: Any) -> None:
+    """A body is no model: its matrices are those of reduced coordinates."""
+    for key, kind in (("format", "morembs-body"), ("type", "ObjectFFRFreducedOrderInterface")):
+        item = file.get(key)
+        if isinstance(item, h5py.Dataset) and item.shape == () and item[()] in (kind, kind.encode()):
+            what = "a body file of morembs" if key == "format" else "a reduced body for Exudyn"
+            raise InputError(
+                f"{source} is {what}, the result of a reduction and not a model; give the model it was made from "
+                "(morembs export and morembs recover use body files)"
+            )
+
+
+def refuse_hollow_file(path: Path) -> None:
+    """``refuse_hollow`` for all datasets of a file that another reader will read; other files are left to it.
+
+    Raises:
+        InputError: a dataset announces much more than the file holds.
+    """
+    if not path.is_file() or not h5py.is_hdf5(path):
+        return
+
+    def look(_: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            refuse_hollow(item)
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(look)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
+        return  # damaged in another way, which the reader says
 
 
 def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str | None]) -> None:
@@ -63,7 +129,7 @@ def _dense(item: Any, transposed: bool) -> sp.csr_array | None:
     """A square dense dataset; MATLAB and Octave show their arrays transposed here."""
     if item.ndim != 2 or item.shape[0] != item.shape[1] or item.dtype.kind not in "fiuV":
         return None
-    values = _complex(item[()])
+    values = _complex(stored(item))
     if values.dtype.kind not in "fiuc":
         return None
     return sp.csr_array(values.T if transposed else values)
@@ -84,26 +150,31 @@ def sparse_group(source: str, group: Any) -> sp.csr_array | None:
         InputError: indices that do not fit.
     """
     if all(key in group for key in ("data", "indices", "indptr")):
-        data, indices, indptr = (np.asarray(group[key][()]) for key in ("data", "indices", "indptr"))
+        data, indices, indptr = (stored(group[key]) for key in ("data", "indices", "indptr"))
         kind = group.attrs.get("format", group.attrs.get("h5sparse_format", group.attrs.get("datatype", "csr")))
         csc = (kind.decode() if isinstance(kind, bytes) else str(kind)).lower().startswith("csc")
-        shape = group["shape"][()] if "shape" in group else group.attrs.get("shape", group.attrs.get("h5sparse_shape"))
+        shape = (
+            stored(group["shape"]) if "shape" in group else group.attrs.get("shape", group.attrs.get("h5sparse_shape"))
+        )
         rows = len(indptr) - 1
         if shape is None:
             shape = (rows, rows)
     elif all(key in group for key in ("data", "ir", "jc")):
-        data, indices, indptr = (np.asarray(group[key][()]) for key in ("data", "ir", "jc"))
+        data, indices, indptr = (stored(group[key]) for key in ("data", "ir", "jc"))
         csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
     elif all(key in group for key in ("ridx", "cidx", "nr", "nc")):
-        data = np.asarray(group["data"][()]) if "data" in group else np.empty(0)
-        indices, indptr = (np.asarray(group[key][()]).ravel() for key in ("ridx", "cidx"))
-        csc, shape = True, (int(np.ravel(group["nr"][()])[0]), int(np.ravel(group["nc"][()])[0]))
+        data = stored(group["data"]) if "data" in group else np.empty(0)
+        indices, indptr = (stored(group[key]).ravel() for key in ("ridx", "cidx"))
+        csc, shape = True, (int(np.ravel(stored(group["nr"]))[0]), int(np.ravel(stored(group["nc"]))[0]))
     elif "MATLAB_sparse" in group.attrs and "jc" in group:  # without any entry
-        indptr = np.asarray(group["jc"][()])
+        indptr = stored(group["jc"])
         data, indices = np.empty(0), np.empty(0, dtype=np.int64)
         csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
     else:
         return None
+    shape = np.ravel(shape)
+    if len(shape) != 2 or shape.dtype.kind not in "iuf" or not (shape >= 0).all():
+        raise InputError(f"{source} has the shape {shape.tolist()}; expected numbers of rows and columns")
     shape = (int(shape[0]), int(shape[1]))
     data = _complex(data.ravel())
     if data.dtype.kind not in "fiuc":
@@ -122,7 +193,7 @@ def checked_csr(source: str, data: Array, indices: Array, indptr: Array, shape: 
     """
     bad = (
         indptr.ndim != 1 or len(indptr) != shape[0] + 1 or indices.shape != data.shape or data.ndim != 1
-        or indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu"
+        or indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu" or not len(indptr)
     )  # fmt: skip
     if bad or int(indptr[0]) != 0 or int(indptr[-1]) != len(data) or (np.diff(indptr.astype(np.int64)) < 0).any():
         raise InputError(f"{source} is damaged: its row pointers do not fit {len(data)} entries; write the file again")

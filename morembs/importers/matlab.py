@@ -1,8 +1,7 @@
-"""MATLAB files: v4, v6 and v7 through SciPy, v7.3 as HDF5."""
+"""MATLAB files: v4 through SciPy, v5 to v7 by the reader beside this one, v7.3 as HDF5."""
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import scipy.sparse as sp
 from morembs.errors import InputError
 from morembs.imported import Imported
 from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.named import matrices_by_name
 
 
@@ -25,16 +25,25 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
     path = Path(path)
     if path.is_file() and h5py.is_hdf5(path):
         return import_hdf5(path, K=K, M=M, D=D)
+    other: dict[str, str] = {}
     try:
-        held = scipy.io.loadmat(path, spmatrix=False)
-    except (OSError, ValueError, TypeError, NotImplementedError, KeyError, IndexError, EOFError, zlib.error) as error:
-        reason = " ".join(str(error).split())[:200]
+        with path.open("rb") as file:
+            # The first number of a v4 file has a byte that is zero; text stands there in later ones.
+            old = 0 in file.read(4)
+        if old:
+            held: dict[str, Any] = scipy.io.loadmat(path, spmatrix=False, mat_dtype=True)
+        else:
+            found = read_matlab_v5(path)
+            held, other = dict(found.matrices), found.other
+        square = {name: sp.csr_array(value) for name, value in held.items() if _is_square(value)}
+    except InputError:
+        raise
+    except Exception as error:  # damage shows in every kind of error here, some without a base of their own
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a MATLAB file ({reason}); save it again") from error
-    except Exception as error:  # MatReadError has no base of its own
-        raise InputError(f"{path.name} cannot be read as a MATLAB file ({error}); save it again") from error
-    return matrices_by_name(
-        path.name, {name: value for name, value in held.items() if _is_square(value)}, K=K, M=M, D=D
-    )
+    left = [f"{name} ({kind})" for name, kind in other.items()]
+    notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()
+    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
 
 
 def _is_square(value: Any) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from pathlib import Path
 
 import meshio
@@ -15,6 +16,7 @@ from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.imported import Imported
 from morembs.importers.abaqus import read_abaqus
+from morembs.importers.hdf5_sparse import refuse_hollow_file
 from morembs.model import ElementBlock, Mesh, Nodes
 
 Ints = NDArray[np.int64]
@@ -22,6 +24,7 @@ SOLIDS = {
     "tetra": "tet4", "tetra10": "tet10", "hexahedron": "hex8", "hexahedron20": "hex20",
     "hexahedron27": "hex27", "wedge": "wedge6", "wedge15": "wedge15",
 }  # fmt: skip
+_HDF5 = re.compile(rb"([^\s<>:]{1,200}\.(?:h5|hdf5)):")
 # meshio reads 15-node wedges but forgot their dimension, without which it stops.
 topological_dimension.setdefault("wedge15", 3)
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
@@ -33,6 +36,7 @@ CARRIERS = {
 def read_with_meshio(path: Path) -> Mesh:
     """Mesh of any file that meshio reads. Labels are counted from 1, since meshio drops them."""
     data = _read(path)
+    _refuse_damage(path, data)
     # gmsh splits a type by entity; blocks of one type are joined, `place` remembers where each went.
     parts: dict[str, list[tuple[Ints, Ints]]] = {}
     place: dict[int, tuple[str, int]] = {}
@@ -59,11 +63,11 @@ def read_with_meshio(path: Path) -> Mesh:
     ]
     used = _used_nodes(len(data.points), blocks)
     row = np.cumsum(used) - 1
-    node_sets = {name: np.unique(np.asarray(members)) for name, members in data.point_sets.items()}
+    node_sets = _named_points(data)
     element_sets: dict[str, tuple[Ints, ...]] = {}
     for name, per_block in _named_cells(data).items():
         members = [data.cells[i].data[rows].ravel() for i, rows in per_block.items()]
-        node_sets[name] = np.unique(np.concatenate(members))
+        node_sets[name] = np.unique(np.concatenate([node_sets.get(name, np.empty(0, dtype=np.int64)), *members]))
         chosen: dict[str, list[Ints]] = {block.type: [np.empty(0, dtype=np.int64)] for block in blocks}
         for i, rows in per_block.items():
             if i in place:
@@ -75,7 +79,7 @@ def read_with_meshio(path: Path) -> Mesh:
     kept = {name: row[members[used[members]]] for name, members in node_sets.items()}
     nodes = Nodes(
         ids=np.flatnonzero(used) + 1,
-        xyz=_three_columns(data.points)[used],
+        xyz=data.points[used],
         sets={name: rows for name, rows in kept.items() if len(rows)},
     )
     renumbered = tuple(ElementBlock(type=b.type, nodes=row[b.nodes], ids=b.ids) for b in blocks)
@@ -84,6 +88,8 @@ def read_with_meshio(path: Path) -> Mesh:
 
 def _read(path: Path) -> meshio.Mesh:
     """meshio's mesh; it prints and ends the process on files that it cannot read, which is caught here."""
+    for one in (path, *_beside(path)):
+        refuse_hollow_file(one)
     words = io.StringIO()
     try:
         with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
@@ -95,6 +101,13 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio knows "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
+
+
+def _beside(path: Path) -> set[Path]:
+    """HDF5 files that an XDMF file takes its numbers from."""
+    if path.suffix.lower() != ".xdmf":
+        return set()
+    return {path.parent / name.decode("utf-8", "replace") for name in _HDF5.findall(path.read_bytes())}
 
 
 def _mirror(kind: str) -> Ints:
@@ -112,16 +125,45 @@ def _used_nodes(count: int, blocks: list[ElementBlock]) -> NDArray[np.bool_]:
     return used
 
 
-def _three_columns(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    if points.shape[1] == 3:
-        return points
-    raise InputError(f"the mesh has points with {points.shape[1]} coordinates; a mesh in space has 3")
+def _refuse_damage(path: Path, data: meshio.Mesh) -> None:
+    """Refuse what meshio passes on unseen: cells on points that are not there, data of another length."""
+    points = data.points
+    if not isinstance(points, np.ndarray) or points.ndim != 2 or points.dtype.kind not in "fiu":
+        raise InputError(f"{path.name} has no table of points; it is damaged, write it again")
+    if points.shape[1] != 3:
+        raise InputError(f"{path.name} has points with {points.shape[1]} coordinates; a mesh in space has 3")
+    if not np.isfinite(points).all():
+        raise InputError(f"{path.name} has points whose coordinates are not finite; write it again")
+    counts = []
+    for cells in data.cells:
+        nodes = np.asarray(cells.data)
+        counts.append(len(nodes))
+        if nodes.ndim != 2 or nodes.dtype.kind not in "iu" or (cells.type in SOLIDS and nodes.shape[1] != _size(cells)):
+            raise InputError(f"{path.name} has damaged cells of the type {cells.type!r}; write it again")
+        if nodes.size and not (int(nodes.min()) >= 0 and int(nodes.max()) < len(points)):
+            raise InputError(f"{path.name} has a {cells.type} cell on a point that is not there; write it again")
+    tables = [*data.cell_data.values()]
+    fits = all(len(arrays) == len(counts) for arrays in tables)
+    fits = fits and all(len(np.atleast_1d(a)) == n for one in tables for a, n in zip(one, counts, strict=True))
+    fits = fits and all(len(np.atleast_1d(a)) == len(points) for a in data.point_data.values())
+    rows = [
+        (np.asarray(r), n) for name, sets in data.cell_sets.items()
+        if not name.startswith("gmsh:") for r, n in zip(sets, counts, strict=False)
+        if r is not None and len(r)
+    ]  # fmt: skip
+    rows += [(np.asarray(r), len(points)) for r in data.point_sets.values() if len(r)]
+    if not fits or not all(r.dtype.kind in "iu" and int(r.min()) >= 0 and int(r.max()) < n for r, n in rows):
+        raise InputError(f"{path.name} has sets or data that do not fit its points and cells; write it again")
+
+
+def _size(cells: meshio.CellBlock) -> int:
+    return TYPES[SOLIDS[cells.type]].n_nodes
 
 
 def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
     """Name -> {cell block: rows}, from named sets, and from integer cell data as "key:value".
 
-    Physical groups of gmsh without names are "physical:value".
+    Physical groups of gmsh without names are "physical:value"; groups of MED have their names.
     """
     named: dict[str, dict[int, Ints]] = {}
     for name, per_block in data.cell_sets.items():
@@ -134,10 +176,30 @@ def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
     for key, arrays in data.cell_data.items():
         if key.startswith("gmsh:") and not (unnamed and key == "gmsh:physical"):
             continue
+        groups = _groups(data, "cell_tags") if key == "cell_tags" else {}
         for i, values in enumerate(np.asarray(a) for a in arrays):
             if values.ndim == 1 and np.issubdtype(values.dtype, np.integer):
-                for value in np.unique(values):
-                    named.setdefault(f"{key.removeprefix('gmsh:')}:{value}", {})[i] = np.flatnonzero(values == value)
+                for value in np.unique(values).tolist():
+                    chosen = np.flatnonzero(values == value)
+                    for name in groups.get(value, [f"{key.removeprefix('gmsh:')}:{value}"]):
+                        before = named.setdefault(name, {}).get(i, chosen[:0])
+                        named[name][i] = np.unique(np.concatenate([before, chosen]))
+    return named
+
+
+def _groups(data: meshio.Mesh, key: str) -> dict[int, list[str]]:
+    """Names of the groups that a family of a MED file belongs to, by the number of the family."""
+    return {int(number): [str(name) for name in names] for number, names in (getattr(data, key, None) or {}).items()}
+
+
+def _named_points(data: meshio.Mesh) -> dict[str, Ints]:
+    """Named rows of points: sets, and groups of a MED file."""
+    named = {name: np.unique(np.asarray(members)) for name, members in data.point_sets.items()}
+    family = np.asarray(data.point_data.get("point_tags", []))
+    for number, names in _groups(data, "point_tags").items():
+        for name in names:
+            before = named.get(name, np.empty(0, dtype=np.int64))
+            named[name] = np.unique(np.concatenate([before, np.flatnonzero(family == number)]))
     return named
 
 

@@ -13,6 +13,8 @@ from morembs.imported import Imported
 from morembs.model import DofMap, Nodes
 
 Matrices = dict[str, sp.csr_array]
+# Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
+LARGEST = 1e75
 # Names by which matrices go, in small letters; the first that is there is taken.
 USUAL = {
     "K": ("k", "stiffness", "stiffnessmatrix", "kmat", "kgg", "kaa", "stif", "stiff", "kfull"),
@@ -38,10 +40,22 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
     found = found.astype(np.complex128 if found.dtype.kind == "c" else np.float64)
     if found.dtype.kind == "c" and not found.data.imag.any():
         found = sp.csr_array((found.data.real.copy(), found.indices, found.indptr), shape=found.shape)
-    if not np.isfinite(found.data).all():
-        raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
+    refuse_entries(source, name, found)
     found.sum_duplicates()
     return found
+
+
+def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
+    """Refuse a matrix with entries that nothing can be computed with.
+
+    Raises:
+        InputError: entries that are not finite, or beyond ``LARGEST``.
+    """
+    if not np.isfinite(matrix.data).all():
+        raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
+    largest = float(np.abs(matrix.data).max(initial=0.0))
+    if largest > LARGEST:
+        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; it is damaged, or its units are wrong")
 
 
 def matrices_by_name(

@@ -16,10 +16,11 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.imported import AverageElement, Imported, RigidElement
-from morembs.importers.hdf5_sparse import checked_csr
+from morembs.importers.hdf5_sparse import checked_csr, refuse_hollow, stored
 from morembs.material import Material
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FORMAT = "morembs-model"
 FORMAT_VERSION = 1
@@ -35,14 +36,18 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
     with opened(path) as file:
         size = int(file["dofs/node"].shape[0])
         K, M, D = (_matrix(path, file, name, size, budget) for name in ("K", "M", "D"))
-        nodes = Nodes(ids=file["nodes/ids"][:], xyz=file["nodes/coordinates"][:], sets=_sets(file, "node_sets"))
+        nodes = Nodes(
+            ids=_whole(path, file["nodes/ids"]),
+            xyz=_numbers(path, file["nodes/coordinates"]),
+            sets=_sets(path, file, "node_sets"),
+        )
         for name, rows in nodes.sets.items():
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
-        dofs = DofMap(node=file["dofs/node"][:], component=file["dofs/component"][:])
+        dofs = DofMap(node=_whole(path, file["dofs/node"]), component=_whole(path, file["dofs/component"]))
         rigid, average = _couplings(path, file, len(nodes))
         return Imported(
             source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
-            mesh=_mesh(path, file, nodes), materials=_materials(file), rigid=rigid, average=average,
+            mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
             notes=tuple(_words(file["source/notes"])),
         )  # fmt: skip
 
@@ -69,7 +74,7 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
     except InputError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
         raise InputError(f"{path} cannot be read ({error}); if it is damaged, import the model again") from error
 
 
@@ -79,27 +84,52 @@ def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.c
     group = file[f"matrices/{name}"]
     parts = []
     for part in ("data", "indices", "indptr"):
+        refuse_hollow(group[part])
+        if group[part].dtype.kind not in ("f" if part == "data" else "iu"):
+            raise InputError(f"{path}: {group[part].name} does not hold numbers of its kind; import the model again")
         array = budget.empty(group[part].shape, group[part].dtype)
         if len(array):
             group[part].read_direct(array)
         parts.append(array)
     data, indices, indptr = parts
     if "data_imag" in group:
-        data = data + 1j * group["data_imag"][:]
-    shape = tuple(int(n) for n in group["shape"][:])
+        data = data + 1j * _numbers(path, group["data_imag"])
+    shape = tuple(_whole(path, group["shape"]).tolist())
     if shape != (size, size):
         raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; import the model again")
     return checked_csr(f"{path}: {name}", data, indices, indptr, (size, size))
 
 
+def _whole(path: Path, item: Any) -> Ints:
+    values = stored(item)
+    if values.dtype.kind not in "iu":
+        raise InputError(f"{path}: {item.name} does not hold whole numbers; import the model again")
+    return values.astype(np.int64, copy=False)
+
+
+def _numbers(path: Path, item: Any) -> Floats:
+    values = stored(item)
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{path}: {item.name} does not hold numbers; import the model again")
+    return values.astype(np.float64, copy=False)
+
+
 def _words(item: Any) -> list[str]:
     """Text of a dataset."""
-    return [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(item[()])]
+    return [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(stored(item))]
 
 
-def _sets(file: Any, group: str) -> dict[str, Ints]:
-    offsets, rows = file[f"{group}/offsets"][:], file[f"{group}/rows"][:]
+def _sets(path: Path, file: Any, group: str) -> dict[str, Ints]:
+    offsets, rows = _whole(path, file[f"{group}/offsets"]), _whole(path, file[f"{group}/rows"])
     names = _words(file[f"{group}/names"])
+    if (
+        offsets.ndim != 1
+        or rows.ndim != 1
+        or len(offsets) != len(names) + 1
+        or offsets[0] != 0
+        or (offsets[-1] != len(rows) or (np.diff(offsets) < 0).any())
+    ):
+        raise InputError(f"{path}: the sets of {group} do not fit their names; import the model again")
     return {name: rows[offsets[i] : offsets[i + 1]] for i, name in enumerate(names)}
 
 
@@ -112,20 +142,25 @@ def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
     if "elements" not in file:
         return None
     group = file["elements"]
+    count = int(_whole(path, group["node_count"]).item())
+    if not 0 <= count <= len(nodes):
+        raise InputError(f"{path}: elements take {count} nodes of {len(nodes)}; import the model again")
     blocks = []
     for number, kind in enumerate(_words(group["types"])):
-        connectivity = group[f"block_{number}/nodes"][:]
+        connectivity = _whole(path, group[f"block_{number}/nodes"])
         if kind not in TYPES or connectivity.ndim != 2 or connectivity.shape[1] != TYPES[kind].n_nodes:
             raise InputError(f"{path}: elements of type {kind!r} are damaged; import the model again")
-        _refuse_outside(path, connectivity.ravel(), len(nodes), f"an element of type {kind}")
-        blocks.append(ElementBlock(type=kind, nodes=connectivity, ids=group[f"block_{number}/ids"][:]))
+        _refuse_outside(path, connectivity.ravel(), count, f"an element of type {kind}")
+        ids = _whole(path, group[f"block_{number}/ids"])
+        if ids.shape != (len(connectivity),):
+            raise InputError(f"{path}: elements of type {kind!r} do not fit their labels; import the model again")
+        blocks.append(ElementBlock(type=kind, nodes=connectivity, ids=ids))
     starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in blocks])])
     sets = {}
-    for name, rows in _sets(file, "element_sets").items():
+    for name, rows in _sets(path, file, "element_sets").items():
         _refuse_outside(path, rows, int(starts[-1]), f"element set {name!r}")
         block = np.searchsorted(starts, rows, side="right") - 1
         sets[name] = tuple(rows[block == b] - starts[b] for b in range(len(blocks)))
-    count = int(group["node_count"][()])
     own = nodes
     if count < len(nodes):
         kept = {name: rows[rows < count] for name, rows in nodes.sets.items()}
@@ -135,10 +170,10 @@ def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
     return Mesh(nodes=own, blocks=tuple(blocks), element_sets=sets, source=_words(group["source"])[0])
 
 
-def _materials(file: Any) -> tuple[Material, ...]:
+def _materials(path: Path, file: Any) -> tuple[Material, ...]:
     if "materials" not in file:
         return ()
-    stiffness, density = file["materials/stiffness"][:], file["materials/density"][:]
+    stiffness, density = (_numbers(path, file[f"materials/{part}"]) for part in ("stiffness", "density"))
     names = _words(file["materials/sets"])
     return tuple(
         Material(set=n, stiffness=C, density=float(d)) for n, C, d in zip(names, stiffness, density, strict=True)
@@ -149,8 +184,8 @@ def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, .
     rigid, average = [], []
     for number, name in enumerate(_words(file["couplings/names"]) if "couplings" in file else []):
         group = file[f"couplings/coupling_{number}"]
-        reference, nodes = int(group["reference"][()]), group["nodes"][:]
-        components = tuple(group["components"][:].tolist())
+        reference, nodes = int(_whole(path, group["reference"]).item()), _whole(path, group["nodes"])
+        components = tuple(_whole(path, group["components"]).tolist())
         _refuse_outside(path, np.append(nodes, reference), count, f"coupling {name!r}")
         if not set(components) <= set(range(6)):
             raise InputError(f"{path}: coupling {name!r} has components {components}; expected some of 0 to 5")
@@ -159,7 +194,11 @@ def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, .
         else:
             average.append(
                 AverageElement(
-                    name=name, reference=reference, nodes=nodes, weights=group["weights"][:], components=components
+                    name=name,
+                    reference=reference,
+                    nodes=nodes,
+                    weights=_numbers(path, group["weights"]),
+                    components=components,
                 )
             )
     return tuple(rigid), tuple(average)

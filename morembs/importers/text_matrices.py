@@ -7,8 +7,10 @@ checked first: no letters but exponents, exponents as C writes them, the same co
 
 from __future__ import annotations
 
+import gzip
 import io
 import re
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,7 +41,7 @@ _LARGEST_LABEL = 2**53
 
 
 def text_blocks(path: Path, size: int = BLOCK) -> Iterator[bytes]:
-    """Blocks of whole lines, about ``size`` bytes each.
+    """Blocks of whole lines, about ``size`` bytes each, of a text that may be packed (gzip).
 
     Raises:
         InputError: the file is missing, empty, binary, or ends within a line.
@@ -53,7 +55,7 @@ def text_blocks(path: Path, size: int = BLOCK) -> Iterator[bytes]:
 def _line_blocks(path: Path, size: int) -> Iterator[bytes]:
     rest = b""
     with opened(path) as file:
-        while chunk := file.read(size):
+        for chunk in _chunks(file, size, path.name):
             cut = chunk.rfind(b"\n") + 1
             if cut:
                 yield rest + chunk[:cut]
@@ -69,6 +71,20 @@ def _line_blocks(path: Path, size: int) -> Iterator[bytes]:
             f"{path.name} ends within a line ({rest[-40:].decode('latin-1')!r}), so its last number may be cut off; "
             "write it again, or end the last line if the file is complete"
         )
+
+
+def _chunks(file: io.BufferedReader, size: int, name: str) -> Iterator[bytes]:
+    """The bytes of a file, unpacked where it is a gzip file."""
+    if file.peek(2)[:2] != b"\x1f\x8b":
+        while chunk := file.read(size):
+            yield chunk
+        return
+    try:
+        with gzip.GzipFile(fileobj=file) as unpacked:
+            while chunk := unpacked.read(size):
+                yield chunk
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{name} cannot be read: it is cut off or not a gzip file ({error}); pack it again") from error
 
 
 def opened(path: Path) -> io.BufferedReader:

@@ -19,6 +19,8 @@ Triplets = tuple[Ints, Ints, Floats]
 # Asymmetry that is round-off.
 SAME = 1e-9
 _LARGEST_TABLE = 1 << 26
+# Entries beyond which sums of products may overflow.
+_LARGEST = 1e150
 # Rows looked at a time.
 _ROWS = 1 << 12
 
@@ -165,8 +167,10 @@ def completed(spool: Iterable[Triplets], size: int, name: str) -> tuple[bool, sp
 def asymmetry(A: sp.csr_array) -> float:
     """|A z - A' z| over |A| |z| (largest components) for a fixed random vector z: zero if A = A'.
 
-    Needs vectors only. Rows are compared in units of their own size.
+    Needs vectors only (a copy where products would overflow). Rows are compared in units of their own size.
     """
+    if float(np.abs(A.data).max(initial=0.0)) > _LARGEST:
+        A = A / np.abs(A.data).max()
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     forward, backward = A @ z, A.T @ z
     largest = np.zeros(A.shape[0])
