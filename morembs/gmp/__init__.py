@@ -1,0 +1,25 @@
+"""Global modal parameterisation: few coordinates for components with large deflections in the plane."""
+
+from morembs.gmp.chebyshev import Table, points
+from morembs.gmp.data import Formulation, Parameterised
+from morembs.gmp.manifold import Equilibrium, Manifold, Solver, manifold
+from morembs.gmp.member import ReducedMember
+from morembs.gmp.modes import BendingModes, bending_modes
+from morembs.gmp.shapes import shapes
+from morembs.gmp.solid_member import solid_member
+
+__all__ = [
+    "BendingModes",
+    "Equilibrium",
+    "Formulation",
+    "Manifold",
+    "Parameterised",
+    "ReducedMember",
+    "Solver",
+    "Table",
+    "bending_modes",
+    "manifold",
+    "points",
+    "shapes",
+    "solid_member",
+]

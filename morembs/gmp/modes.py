@@ -1,0 +1,71 @@
+"""Bending modes of a planar component between two held frames, without load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse.linalg as spl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.nonlinear.component import NonlinearComponent
+
+Floats = NDArray[np.float64]
+_DENSE = 600
+# A mode with more than this share of its kinetic energy along the chord is one of stretching.
+_ALONG = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BendingModes:
+    """``Psi`` (N, m), zero at the frames, Psi' M Psi = 1; ``squares`` (m,) their angular frequencies squared;
+    ``excluded`` (e,) those of modes of stretching among them."""
+
+    Psi: Floats
+    squares: Floats
+    excluded: Floats
+
+
+def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
+    """The lowest ``count`` modes of bending; modes of stretching are left out.
+
+    Raises:
+        InputError: the component has fewer, or is not stable without load.
+    """
+    held = np.concatenate(tuple(component.frames.values()))
+    free = np.setdiff1d(np.arange(component.size), held)
+    if count < 0:
+        raise InputError(f"{count} modes were given; expected zero or more")
+    K, M = component.tangent(component.reference)[free][:, free], component.M[free][:, free]
+    tried = count + max(4, count // 2)
+    while True:
+        if tried + 1 >= len(free) or len(free) <= _DENSE:
+            squares, shapes = sl.eigh(K.toarray(), M.toarray())
+        else:
+            start = np.random.default_rng(7).standard_normal(len(free))
+            squares, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start)
+        if len(squares) and squares[0] <= 0:
+            raise InputError("the component is not stable without load; expected a stable reference")
+        full = np.zeros((component.size, len(squares)))
+        full[free] = shapes
+        along = np.zeros_like(full)
+        along[component.translations[:, 0]] = full[component.translations[:, 0]]
+        share = np.einsum("ik,ik->k", along, component.M @ along)
+        bending = np.flatnonzero(share < _ALONG)
+        if len(bending) >= count:
+            break
+        if len(squares) == len(free):
+            raise InputError(
+                f"{count} modes were given; the component has only {len(bending)} of bending. Take fewer, or a finer "
+                "component"
+            )
+        tried = 2 * tried
+    kept = bending[:count]
+    Psi = full[:, kept]
+    top = np.abs(Psi).argmax(axis=0) if count else np.zeros(0, dtype=int)
+    Psi = Psi * np.sign(Psi[top, np.arange(count)])
+    last = squares[kept[-1]] if count else 0.0
+    excluded = squares[(share >= _ALONG) & (squares < last)]
+    return BendingModes(Psi=Psi, squares=squares[kept], excluded=excluded)

@@ -1,0 +1,205 @@
+"""Static equilibria of a solid member between two turned frames in the plane, as ``manifold`` has them for beams.
+
+The rigid interfaces ``start`` (at the origin) and ``end`` (on the x axis) lie on the chord, turned about z by t1 and
+t2; the end may slide along the chord, which has its natural length then. One symbolic analysis serves all tangents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+from numpy.typing import NDArray
+
+from morembs.errors import BudgetError, InputError, SolverError
+from morembs.gmp.chebyshev import points
+from morembs.linalg.solver import LinearSolver
+from morembs.nonlinear.continuation import Newton, Tangents
+from morembs.nonlinear.solid import NonlinearSolid
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+_DIVISIONS, _TOLERANCE = 6, 1e-10
+# A mode with more kinetic energy across the plane than this share of that along y is none of bending in the plane.
+_ACROSS = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolidEquilibrium:
+    """Coordinates ``X`` (N,), energy ``W`` (J), moments (2,) of the frames about z (N m), ``modes`` (N, 2) = dX/dt
+    (implicit function theorem) and the tangent ``K`` (N, N) there."""
+
+    X: Floats
+    W: float
+    moments: Floats
+    modes: Floats
+    K: sp.csr_array
+
+
+class SolidEquilibria:
+    """Equilibria of one solid over t = (t1, t2); a context manager.
+
+    Raises:
+        InputError: other rigid interfaces than ``start`` and ``end``, or not at the origin and on the x axis.
+    """
+
+    def __init__(self, solid: NonlinearSolid, solver: LinearSolver | None = None) -> None:
+        rigid = sorted(name for name, i in solid.interfaces.items() if i.coupling == "rigid")
+        if rigid != ["end", "start"]:
+            raise InputError(f"the solid has the rigid interfaces {rigid}; expected 'start' and 'end'")
+        self.solid, self.first, self.second = solid, solid.frames["start"], solid.frames["end"]
+        a, b = solid.reference[self.first[:3]], solid.reference[self.second[:3]]
+        self.length = float(b[0])
+        if self.length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > 1e-9 * self.length:
+            raise InputError(
+                f"the interfaces start and end are at {a} and {b}; expected the origin and a point on the x axis. Turn "
+                "and shift the mesh"
+            )
+        self.turns = np.array([self.first[5], self.second[5]])
+        self.held = np.concatenate((self.first, self.second[1:]))
+        self.free = np.setdiff1d(np.arange(solid.size), self.held)
+        self.tangents = Tangents(self.free, solver)
+        self._newton = Newton(solid, self.tangents, self.held, lambda x: np.zeros(solid.size), _TOLERANCE, True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.tangents.__exit__(kind, error, trace)
+
+    def _settled(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
+        X = self._newton.found(guess, np.zeros(len(self.held)), 1.0, resultants)
+        if X[self.second[0]] <= 0.05 * self.length:
+            raise SolverError("the ends of the component meet, its chord has no direction")
+        K = self.solid.tangent(X)
+        modes = np.zeros((self.solid.size, 2))
+        modes[self.turns, [0, 1]] = 1
+        # K is symmetric: its rows are its columns.
+        modes[self.free] = -self.tangents.factor(K).solve(K[self.turns].toarray().T[self.free])
+        force = self.solid.force(X)
+        return SolidEquilibrium(X=X, W=self.solid.energy(X), moments=force[self.turns], modes=modes, K=K)
+
+    def straight(self) -> SolidEquilibrium:
+        """The point t = 0."""
+        try:
+            return self._settled(self.solid.reference, None)
+        except BudgetError:
+            raise
+        except SolverError as error:
+            raise InputError(f"the component is in no stable equilibrium without load: {error}") from None
+
+    def toward(self, X: Floats, modes: Floats, t: Floats) -> SolidEquilibrium:
+        """From a known point to t (2,) by continuation; steps that fail are halved.
+
+        Raises:
+            InputError: the way crosses a bifurcation, or Newton's method fails even in small steps.
+        """
+        at, done, share = X[self.turns], 0.0, 1.0
+        now: SolidEquilibrium | None = None
+        while True:
+            goal = min(1.0, done + share)
+            step = modes @ (at + goal * (t - at) - X[self.turns])
+            try:
+                now = self._settled(X + step, self.solid.resultants_after(X, step))
+            except BudgetError:
+                raise
+            except SolverError as error:
+                share /= 2
+                if share < 0.5**_DIVISIONS:
+                    raise InputError(
+                        f"the static equilibria cannot be followed to t1 = {t[0]:.4g}, t2 = {t[1]:.4g} rad, only to "
+                        f"{X[self.turns[0]]:.4g}, {X[self.turns[1]]:.4g} ({done:.2g} of the way): {error}. Take a "
+                        "smaller range, or divide the component into more members"
+                    ) from None
+                continue
+            if goal >= 1:
+                return now
+            X, modes, done = now.X, now.modes, goal
+
+    def grid(self, reach: float, count: int) -> Iterator[tuple[int, int, SolidEquilibrium]]:
+        """All points of a Chebyshev grid on |t1|, |t2| <= ``reach``, from the middle outwards, with their numbers.
+
+        Raises:
+            InputError: a range that crosses a bifurcation or has no equilibrium.
+        """
+        if not 0 < reach < np.pi:
+            raise InputError(f"a range of +-{reach} rad was given; expected a positive number below pi")
+        values = points(reach, count)
+        start = self.straight()
+        known = {(-1, -1): (np.zeros(2), start.X, start.modes)}
+        del start
+        pairs = [(i, j) for i in range(count) for j in range(count)]
+        for i, j in sorted(pairs, key=lambda p: (max(abs(values[p[0]]), abs(values[p[1]])), p)):
+            t = np.array([values[i], values[j]])
+            near = min(known, key=lambda p: (float(np.hypot(*(known[p][0] - t))), p))
+            found = self.toward(*known[near][1:], t)
+            known[i, j] = t, found.X, found.modes
+            yield i, j, found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaneModes:
+    """``Psi`` (N, m), zero at the frames; ``squares`` (m,) = Psi' K Psi, the mass along y is one."""
+
+    Psi: Floats
+    squares: Floats
+
+
+def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver | None = None) -> PlaneModes:
+    """The lowest ``count`` modes of bending along y between held frames, with inertia along y only.
+
+    Without the inertia across the plane the two bendings of a square section have no common frequency, so that they
+    do not mix; the modes are shapes, and whoever uses them takes their whole mass.
+
+    Raises:
+        InputError: the solid has fewer, or is not stable without load.
+    """
+    held = np.concatenate([solid.frames["start"], solid.frames["end"]])
+    free = np.setdiff1d(np.arange(solid.size), held)
+    if count < 0 or 2 * count + 8 > len(free) // 3:
+        raise InputError(f"{count} modes were given; expected zero or more, and fewer than the solid can show")
+    if not count:
+        return PlaneModes(Psi=np.zeros((solid.size, 0)), squares=np.zeros(0))
+    K = solid.tangent(solid.reference)
+    sides = [sp.diags_array(np.isin(free, solid.translations[:, axis]).astype(float)) for axis in (1, 2)]
+    M = sp.csr_array(solid.M)[free][:, free]
+    along, across = (sp.csc_array(side @ M @ side) for side in sides)
+    with Tangents(free, solver) as tangents:
+        factor = tangents.factor(K)
+        if factor.negative_pivots():
+            raise InputError("the component is not stable without load; expected a stable reference")
+        # Inertia over stiffness, which is definite; that of a slender solid falls fast, so that few vectors do.
+        tried = 2 * count + 4
+        inverse = spl.LinearOperator((len(free),) * 2, matvec=factor.solve)
+        start = factor.solve(along @ np.random.default_rng(7).standard_normal(len(free)))
+        flexible, shapes = spl.eigsh(along, tried, K[free][:, free].tocsc(), Minv=inverse, which="LA", v0=start)
+    shown = flexible > 1e-12 * flexible.max()
+    squares, shapes = 1 / flexible[shown][::-1], shapes[:, shown][:, ::-1]
+    shapes = shapes / np.sqrt(np.einsum("ik,ik->k", shapes, along @ shapes))
+    bending = np.flatnonzero(np.einsum("ik,ik->k", shapes, across @ shapes) < _ACROSS)[:count]
+    if len(bending) < count:
+        raise InputError(
+            f"{count} modes were given; only {len(bending)} of bending in the plane were found among {tried}"
+        )
+    Psi = np.zeros((solid.size, count))
+    Psi[free] = shapes[:, bending]
+    top = np.abs(Psi).argmax(axis=0)
+    return PlaneModes(Psi=Psi * np.sign(Psi[top, np.arange(count)]), squares=squares[bending])
+
+
+def stretch(solid: NonlinearSolid, length: float, solver: LinearSolver | None = None) -> Floats:
+    """Linear displacement (N,) of the straight solid, its end moved by ``length`` along x and not turned."""
+    first, second = solid.frames["start"], solid.frames["end"]
+    free = np.setdiff1d(np.arange(solid.size), np.concatenate((first, second)))
+    K, shape = solid.tangent(solid.reference), np.zeros(solid.size)
+    shape[second[0]] = length
+    with Tangents(free, solver) as tangents:
+        shape[free] = -tangents.factor(K).solve(K[free] @ shape)
+    return shape

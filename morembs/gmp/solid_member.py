@@ -1,0 +1,219 @@
+"""A reduced planar member made of a solid: tables over its end angles as ``shapes`` makes them for beams.
+
+Formulation "tangent", with two differences. A, the uniform stretch of the bent shape, moves the cross-sections along
+the stretched axis and gives them the lateral contraction of the straight solid in their turned frames (scaling all
+positions would stretch the sections, too). The amplitudes of the motion are those of functions over the nodes, x and
+y with the same ones, z, which does not turn in the plane, with its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.gmp.chebyshev import Table, points
+from morembs.gmp.data import Parameterised
+from morembs.gmp.fields import Fields
+from morembs.gmp.member import ReducedMember
+from morembs.gmp.solid_manifold import (
+    PlaneModes,
+    SolidEquilibria,
+    SolidEquilibrium,
+    plane_bending_modes,
+    stretch,
+)
+from morembs.linalg.solver import LinearSolver
+from morembs.nonlinear.solid import NonlinearSolid
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+# Modes tabulated only to see whether they would have answered; smallest singular value of the functions kept.
+_EXTRA, _KEPT, _STEP, _DEGREE = 2, 1e-9, 1e-2, 14
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sample:
+    """At one t: positions ``X`` and stretch ``A`` (n, 3) of all nodes, their constraint modes ``slopes`` (2, n, 3),
+    chord ``d0``, ``W``, ``moments`` (2,), ``k``, ``c`` (m + e,), ``H`` (m, m)."""
+
+    X: Floats
+    A: Floats
+    slopes: Floats
+    d0: float
+    W: float
+    moments: Floats
+    k: float
+    c: Floats
+    H: Floats
+
+
+def solid_member(
+    solid: NonlinearSolid, *, modes: int, reach: float = 0.8, points_per_angle: int = 5,
+    solver: LinearSolver | None = None, progress: Progress = SILENT,
+) -> ReducedMember:  # fmt: skip
+    """A member of 6 + ``modes`` coordinates that moves in the plane of x and y.
+
+    Args:
+        solid: with rigid interfaces ``start`` at the origin and ``end`` on the x axis; symmetric to the plane z = 0,
+            or near enough for its motion to stay in the plane.
+        modes: number of bending modes, zero or more.
+        reach: largest angle (rad) of an end to the chord; the range of the tables.
+        points_per_angle: Chebyshev points of the tables in each direction.
+
+    Memory: the tangent, its factor, and 12 (points_per_angle)^2 numbers per node.
+
+    Raises:
+        InputError: other interfaces, too many modes, a range that crosses a bifurcation or has no equilibrium.
+    """
+    kept = plane_bending_modes(solid, modes + _EXTRA, solver)
+    count = points_per_angle
+    samples: dict[tuple[int, int], _Sample] = {}
+    with SolidEquilibria(solid, solver) as equilibria:
+        law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
+        for i, j, found in equilibria.grid(reach, count):
+            samples[i, j] = law.sample(found)
+            progress.update(f"equilibria: {len(samples)} of {count * count}")
+        H0 = law.straight_diagonal()
+        length = equilibria.length
+    return ReducedMember.of(_parameterised(solid, samples, kept, reach=reach, length=length, count=modes, H0=H0))
+
+
+class _Law:
+    """Samples of one solid."""
+
+    def __init__(
+        self, solid: NonlinearSolid, equilibria: SolidEquilibria, modes: PlaneModes, count: int, linear: Floats
+    ) -> None:
+        self.solid, self.equilibria, self.Psi, self.count = solid, equilibria, modes.Psi, count
+        X = solid.model.nodes.xyz
+        self._linear = linear
+        self._start = solid.interfaces["start"].nodes
+        self._end = solid.interfaces["end"].nodes
+        # What a stretch of one does beside moving the sections along the axis: mostly lateral contraction.
+        self._aside = solid.step_of_nodes(solid.reference, linear) - X[:, :1] * np.eye(3)[0]
+        # The axis and two directions of the sections as polynomials along the member, fitted to all nodes.
+        stations = len(np.unique(np.round(X[:, 0] / equilibria.length, 6)))
+        self._T = chebvander(2 * X[:, 0] / equilibria.length - 1, min(_DEGREE, stations - 1))
+        self._fit = np.linalg.pinv(np.hstack((self._T, X[:, 1:2] * self._T, X[:, 2:] * self._T)), rcond=1e-10)
+
+    def stretched(self, x: Floats, d0: float) -> Floats:
+        """A (n, 3) of the shape x (n, 3) with the chord d0."""
+        axis, second, third = (self._T @ part for part in np.split(self._fit @ x, 3))
+        share = self.solid.model.nodes.xyz[:, :1] / self.equilibria.length
+        left, right = axis[self._start].mean(axis=0), axis[self._end].mean(axis=0) - d0 * np.eye(3)[0]
+        axis = axis - left * (1 - share) - right * share
+        frames = np.stack((np.cross(second, third), second, third), axis=2)
+        U, _, Vt = np.linalg.svd(frames)
+        A = axis + np.einsum("nij,nj->ni", U @ Vt, self._aside)
+        A[self._start], A[self._end] = 0.0, d0 * np.eye(3)[0]
+        return np.asarray(A)
+
+    def _coordinates(self, A: Floats, d0: float) -> Floats:
+        """A (N,) as a change of the coordinates of the solid."""
+        result = np.zeros(self.solid.size)
+        kept = self.solid.kept
+        result[: 3 * len(kept)] = A[kept].ravel()
+        result[self.equilibria.second[0]] = d0
+        return result
+
+    def _slope(self, X: Floats, A: Floats, Psi: Floats) -> Floats:
+        """Derivative of K Psi along A; the central difference of a tangent that is quadratic in x is exact."""
+        h = _STEP
+        return np.asarray((self.solid.tangent(X + h * A) @ Psi - self.solid.tangent(X - h * A) @ Psi) / (2 * h))
+
+    def sample(self, found: SolidEquilibrium) -> _Sample:
+        """All at one equilibrium."""
+        solid, d0 = self.solid, float(found.X[self.equilibria.second[0]])
+        nodes = solid.positions(found.X)
+        stretched = self.stretched(nodes, d0)
+        A = self._coordinates(stretched, d0)
+        force = found.K @ A
+        k, Psi = float(A @ force), self.Psi[:, : self.count]
+        H = Psi.T @ self._slope(found.X, A, Psi) / k
+        slopes = np.stack([solid.step_of_nodes(found.X, mode) for mode in found.modes.T])
+        return _Sample(
+            X=nodes, A=stretched, slopes=slopes, d0=d0, W=found.W, moments=found.moments, k=k,
+            c=self.Psi.T @ force / k, H=0.5 * (H + H.T),
+        )  # fmt: skip
+
+    def straight_diagonal(self) -> Floats:
+        """Diagonal (m + e,) of H at the straight shape, of all modes."""
+        X, A = self.solid.reference, self._linear
+        k = float(A @ (self.solid.tangent(X) @ A))
+        return np.asarray(np.einsum("nk,nk->k", self.Psi, self._slope(X, A, self.Psi)) / k)
+
+
+def _parameterised(
+    solid: NonlinearSolid, samples: dict[tuple[int, int], _Sample], kept: PlaneModes, *, reach: float, length: float,
+    count: int, H0: Floats,
+) -> Parameterised:  # fmt: skip
+    grid = round(len(samples) ** 0.5)
+    ordered = [samples[i, j] for i in range(grid) for j in range(grid)]
+    Psi = np.stack([solid.step_of_nodes(solid.reference, column) for column in kept.Psi.T])
+    of = _fields(solid, np.concatenate([np.stack([s.X for s in ordered] + [s.A for s in ordered]), Psi]))
+    flat = np.array(
+        [np.concatenate((of.condensed(s.X.ravel()), of.condensed(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel())) for s in ordered]  # noqa: E501
+    ).reshape(grid, grid, -1)  # fmt: skip
+    table = Table.through(reach, flat)
+    W = np.array([s.W for s in ordered]).reshape(grid, grid)
+    energy = Table.through(reach, W, curved=True)
+    return Parameterised(
+        formulation="tangent", reach=reach, length=length, count=count, table=table, energy=energy, fields=of,
+        Psi=of.condensed(Psi.reshape(len(Psi), -1).T), squares=kept.squares, H0=H0, excluded=np.zeros(0),
+        peaks=np.abs(Psi).max(axis=(1, 2)), errors=_errors(samples, table, energy, of, reach, grid),
+    )  # fmt: skip
+
+
+def _errors(
+    samples: dict[tuple[int, int], _Sample], table: Table, energy: Table, of: Fields, reach: float, grid: int
+) -> Floats:
+    """Largest errors (2,) of the derivatives of the tables, of shapes against constraint modes and of the energy
+    against moments, each per largest."""
+    values = points(reach, grid)
+    shape = moment = top_shape = top_moment = 0.0
+    for (i, j), sample in samples.items():
+        t = np.array([values[i], values[j]])
+        slope = table.at(t)[1][:, : of.size]
+        for one, exact in zip(slope, sample.slopes, strict=True):
+            shape = max(shape, float(np.abs(of.expanded(one) - exact.ravel()).max()))
+            top_shape = max(top_shape, float(np.abs(exact).max()))
+        moment = max(moment, float(np.abs(energy.at(t)[1] - sample.moments).max()))
+        top_moment = max(top_moment, float(np.abs(sample.moments).max()))
+    return np.array([shape / top_shape, moment / top_moment])
+
+
+def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
+    """Functions over the nodes that span ``shapes`` (k, n, 3).
+
+    Raises:
+        InputError: a mass matrix that differs along x, y and z.
+    """
+    M = sp.csr_array(solid.model.M)
+    Mx, My, Mz = (M[axis::3][:, axis::3] for axis in range(3))
+    if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > 1e-9 * abs(Mx).max():
+        raise InputError("the mass matrix differs along x, y and z; expected that of solid elements")
+    n = shapes.shape[1]
+    ones = np.ones((n, 1))
+    U = _span(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)))
+    U, Uz = np.hstack((ones, U)), np.hstack((ones, _span(shapes[:, :, 2].T)))
+    r, rz = U.shape[1], Uz.shape[1]
+    small = np.zeros((2 * r + rz,) * 2)
+    small[:r, :r] = small[r : 2 * r, r : 2 * r] = U.T @ (Mx @ U)
+    small[2 * r :, 2 * r :] = Uz.T @ (Mx @ Uz)
+    numbers = np.arange(3 * n).reshape(-1, 3)
+    return Fields(
+        U=U, Ur=Uz, translations=numbers[:, :2], turning=numbers[:, 2], one=np.eye(r)[0], turn=np.zeros(rz), M=small
+    )
+
+
+def _span(columns: Floats) -> Floats:
+    """Functions of mean zero and mean square one that span the columns (n, k), but for their means."""
+    rest = columns - columns.mean(axis=0)
+    size = np.abs(columns).max(axis=0)
+    left, values, _ = np.linalg.svd(rest[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(left[:, values > _KEPT * values.max(initial=0.0)] * np.sqrt(len(columns)))

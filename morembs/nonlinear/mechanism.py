@@ -1,0 +1,168 @@
+"""Planar mechanisms of full and reduced members that share points and angles; no constraint equations are needed.
+
+mechanism = Mechanism(gravity=(0, -9.81))
+a, b = mechanism.point((0, 0), fixed="xy"), mechanism.point((0.3, 0))
+mechanism.add(member, a, b)
+motion = simulate(mechanism, end=0.5, step=5e-4)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from morembs.errors import InputError
+from morembs.nonlinear.member import Member
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point that members share; ``numbers`` (2,) of its coordinates, negative where it is held."""
+
+    position: Floats
+    numbers: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class Angle:
+    """The direction of one or more ends of members; ``number`` is negative where it is held.
+
+    ``motion`` (rad, of the time in s) is added to the coordinate.
+    """
+
+    value: float
+    number: int
+    motion: Callable[[float], float] | None = None
+
+
+class Mechanism:
+    """Members between points, under ``gravity`` (2,) m/s2. It starts at rest and without strain."""
+
+    def __init__(self, *, gravity: ArrayLike = (0.0, 0.0)) -> None:
+        self.gravity = _pair("gravity", gravity)
+        self.members: list[Member] = []
+        self.numbers: list[Integers] = []
+        self.masses: list[tuple[Integers, Floats, float]] = []
+        self.torques: list[tuple[int, Callable[[float], float]]] = []
+        self.drives: list[list[tuple[int, Callable[[float], float]]]] = []
+        self._start: list[float] = []
+        self._held: list[float] = []
+        self._configurations: list[Floats] = []
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self._start)
+
+    def _number(self, value: float, held: bool) -> int:
+        if held:
+            self._held.append(value)
+            return -len(self._held)
+        self._start.append(value)
+        return len(self._start) - 1
+
+    def point(self, position: ArrayLike, *, fixed: str = "") -> Point:
+        """A point at ``position`` (2,) m at the start; ``fixed``: "", "x", "y" or "xy"."""
+        where = _pair("position of a point", position)
+        if fixed not in ("", "x", "y", "xy"):
+            raise InputError(f"fixed = {fixed!r} was given; expected '', 'x', 'y' or 'xy'")
+        return Point(where, np.array([self._number(float(where[k]), "xy"[k] in fixed) for k in range(2)]))
+
+    def angle(self, value: float, *, fixed: bool = False) -> Angle:
+        """A direction (rad) that ends of members may share."""
+        return Angle(float(value), self._number(float(value), fixed))
+
+    def driven(self, value: float, motion: Callable[[float], float], *, seen_from: Angle | None = None) -> Angle:
+        """A direction that a joint drives: ``value`` at the start, then with ``motion`` (rad) more, a function of the
+        time that starts at zero, at rest and without acceleration.
+
+        Seen from the ground, or from another angle, with which it then turns as well.
+
+        Raises:
+            InputError: a motion that does not start at zero, or as seen from an angle that is driven itself.
+        """
+        if not abs(motion(0.0)) < 1e-12:
+            raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero")
+        if seen_from is None:
+            return Angle(float(value), self._number(float(value), True), motion)
+        if seen_from.motion is not None or seen_from.number < 0:
+            raise InputError(
+                "a joint was given as seen from an angle that is driven or held itself; expected one that is free"
+            )
+        step = float(value) - seen_from.value
+        return Angle(float(value), seen_from.number, lambda t: step + motion(t))
+
+    def add(self, member: Member, first: Point, second: Point, *, start: Angle | None = None, end: Angle | None = None) -> None:  # noqa: E501  # fmt: skip
+        """A member from point to point. Its ends turn freely unless an angle is given, which they then share.
+
+        Raises:
+            InputError: points or angles at which the member would have strain at the start.
+        """
+        step = second.position - first.position
+        distance, direction = float(np.hypot(*step)), math.atan2(step[1], step[0])
+        if abs(distance - member.length) > 1e-6 * member.length:
+            raise InputError(
+                f"the points of a member are {distance:.6g} m apart; expected its length {member.length:.6g} m"
+            )
+        if start is not None and start is end:
+            raise InputError("one angle was given for both ends of a member; expected two, or none")
+        angles = [a if a is not None else self.angle(direction) for a in (start, end)]
+        for given in angles:
+            if abs(given.value - direction) > 1e-6:
+                raise InputError(
+                    f"an angle of {given.value:.6g} rad was given for a member along {direction:.6g} rad; expected the "
+                    "same number (also the same turn): members start without strain"
+                )
+        q = member.start(np.concatenate((first.position, [direction], second.position, [direction])))
+        inner = [self._number(float(value), False) for value in q[6:]]
+        self.drives.append([(place, a.motion) for place, a in zip((2, 5), angles, strict=True) if a.motion is not None])
+        if angles[0].number == angles[1].number:
+            raise InputError("both ends of a member follow the same angle; expected different ones")
+        numbers = [*first.numbers, angles[0].number, *second.numbers, angles[1].number, *inner]
+        self.members.append(member)
+        self.numbers.append(np.array(numbers, dtype=np.int64))
+        self._configurations.append(q)
+
+    def ends(self, member: int) -> tuple[int, int]:
+        """Numbers of the angles of a member at its start and end."""
+        return int(self.numbers[member][2]), int(self.numbers[member][5])
+
+    def mass(self, point: Point, mass: float) -> None:
+        """A point mass in kg."""
+        if not (math.isfinite(mass) and mass > 0):
+            raise InputError(f"a point mass of {mass} kg was given; expected a positive number")
+        self.masses.append((point.numbers, point.position, mass))
+
+    def torque(self, angle: Angle | int, value: Callable[[float], float]) -> None:
+        """A torque (N m) as a function of time (s) on an angle or the number of one (see ``ends``)."""
+        number = angle.number if isinstance(angle, Angle) else angle
+        if not 0 <= number < self.size:
+            raise InputError("a torque acts on an angle that is held or unknown; expected one that can turn")
+        self.torques.append((number, value))
+
+    def start(self) -> Floats:
+        """Coordinates (size,) at the start."""
+        return np.array(self._start)
+
+    def configuration(self, member: int, q: Floats, t: float) -> Floats:
+        """The configuration of one member for coordinates q (size,) at the time t."""
+        local, numbers = self._configurations[member].copy(), self.numbers[member]
+        free = numbers >= 0
+        local[free] = q[numbers[free]]
+        for place, motion in self.drives[member]:
+            local[place] += motion(t)
+        return local
+
+
+def _pair(what: str, value: ArrayLike) -> Floats:
+    array = np.array(value, dtype=float)
+    if array.shape != (2,) or not np.isfinite(array).all():
+        raise InputError(f"{what}: {value!r} was given; expected two finite numbers")
+    return array
