@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import numbers, opened, table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import ahead, numbers, opened, table, text_blocks, whole_numbers
 from morembs.importers.triplets import (
     SAME,
     Numbering,
@@ -106,15 +106,20 @@ def _matrix(spool: Iterable[Triplets], size: int, name: str, keywords: str) -> t
 def _spooled(path: Path, spool: Spool) -> tuple[int, str]:
     """Fill ``spool``; number of columns (3 or 5) and keywords in capitals without blanks."""
     columns, keywords = 0, ""
-    for block in text_blocks(path):
-        text = block
-        if b"*" in block:
-            keywords += _keywords(path.name, _STARRED.findall(block))
-            text = _STARRED.sub(b"", block)
-        if not columns:
-            columns = _width(path.name, text)
-        if columns:
-            spool.add(*_triplets(path.name, table(text, columns, path.name)))
+
+    def entries() -> Iterator[bytes]:
+        nonlocal columns, keywords
+        for block in text_blocks(path):
+            text = block
+            if b"*" in block:
+                keywords += _keywords(path.name, _STARRED.findall(block))
+                text = _STARRED.sub(b"", block)
+            columns = columns or _width(path.name, text)
+            if columns:
+                yield text
+
+    for triplets in ahead(lambda text: _triplets(path.name, table(text, columns, path.name)), entries()):
+        spool.add(*triplets)
     if not columns:
         raise InputError(f"{path.name} has no matrix entries; expected a file of *MATRIX OUTPUT")
     return columns, keywords

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import ahead, table, text_blocks, whole_numbers
 from morembs.importers.triplets import Spool, assembled
 
 Ints = NDArray[np.int64]
@@ -71,8 +71,7 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
     diagonal = np.zeros(size, dtype=bool)
     above = below = False
     with Spool(path.name) as spool:
-        for block in text_blocks(path):
-            rows = table(block, 3, path.name)
+        for rows in ahead(lambda block: table(block, 3, path.name), text_blocks(path)):
             at = whole_numbers(rows[:, :2], "a row or column number", path.name) - 1
             if len(at) and (at.min() < 0 or at.max() >= size):
                 bad = at[(at < 0) | (at >= size)][0] + 1

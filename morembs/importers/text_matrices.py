@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import re
 import zlib
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +42,9 @@ _FOLLOWS = {0: (0, 1, 2, 3, 4), 1: (0, 2, 3, 4), 2: (0, 1), 3: (0, 2), 4: (0, 1,
 _PAIRS = bytes(8 * left + right for left, rights in _FOLLOWS.items() for right in rights)
 _SIGN_BEHIND_DIGIT = (2, 10)
 _LARGEST_LABEL = 2**53
+_MOST_THREADS = 4
+Given = TypeVar("Given")
+Made = TypeVar("Made")
 
 
 def text_blocks(path: Path, size: int = BLOCK) -> Iterator[bytes]:
@@ -85,6 +92,26 @@ def _chunks(file: io.BufferedReader, size: int, name: str) -> Iterator[bytes]:
                 yield chunk
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{name} cannot be read: it is cut off or not a gzip file ({error}); pack it again") from error
+
+
+def ahead(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iterator[Made]:
+    """``work(block)`` for each block in order, done by threads before it is asked for.
+
+    What reads numbers from text lets other threads run meanwhile. As many blocks as there are cores are in memory.
+    """
+    count = min(os.cpu_count() or 1, _MOST_THREADS)
+    with ThreadPoolExecutor(count) as pool:
+        waiting: deque[Future[Made]] = deque()
+        try:
+            for block in blocks:
+                waiting.append(pool.submit(work, block))
+                if len(waiting) > count:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for one in waiting:
+                one.cancel()
 
 
 def opened(path: Path) -> io.BufferedReader:
