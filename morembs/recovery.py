@@ -20,6 +20,7 @@ from morembs.progress import SILENT, Progress
 from morembs.safefile import check_writable
 from morembs.storage import read_body
 from morembs.stored import StoredBodies, StoredBody
+from morembs.stored_check import check_grid, refuse_not_finite
 from morembs.stress import Recovery
 from morembs.stress_operator import von_mises
 from morembs.trajectory import Trajectory, read_trajectory
@@ -57,7 +58,7 @@ def expand(
     ``scale`` magnifies the deformation in ``motion``.
 
     Raises:
-        InputError: a trajectory that does not fit the body.
+        InputError: a trajectory that does not fit the body, or results too large for single precision.
     """
     return _Expander(source, body, recovery, scale).expand(trajectory)
 
@@ -79,10 +80,15 @@ class _Expander:
 
     def expand(self, trajectory: Trajectory) -> Expansion:
         """The expansion of all steps."""
-        q = reduced_coordinates(self.body, trajectory)
-        u = self._nodes(q)
-        stress = None if self.recovery is None else self.recovery.at(q, trajectory.loads)
-        return Expansion(times=trajectory.times, displacement=u, motion=self._motion(trajectory, q, u), stress=stress)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+            q = reduced_coordinates(self.body, trajectory)
+            u = self._nodes(q)
+            stress = None if self.recovery is None else self.recovery.at(q, trajectory.loads)
+            motion = self._motion(trajectory, q, u)
+        for name, values in (("displacement", u), ("motion", motion), ("stress", stress)):
+            if values is not None:
+                trajectory.refuse_too_large(name, values)
+        return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress)
 
     def _motion(self, trajectory: Trajectory, q: Floats, u: Floats) -> Floats | None:
         p, A = trajectory.position, trajectory.rotation
@@ -203,7 +209,11 @@ def recover(
         raise InputError(
             f"{place}: body {chosen.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
         )
+    for name, values in (("stress", its.stress), ("correction", its.correction)) if its is not None else ():
+        if values is not None:
+            refuse_not_finite(place, f"bodies/{chosen.name}/recovery/{name}", values)
     grid = read_grid(place)
+    check_grid(place, len(source.node_ids), grid.points, grid.connectivity, grid.offsets, grid.types)
     progress.stage(f"expanding {chosen.name}")
     shown = None if its is None else _Shown(its, source)
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written under another name, then renamed.
+"""Files that are whole or not there, one or several together: written under other names, then renamed.
 
 A library such as HDF5 does not survive a write that fails while it closes a file. ``SafeFile`` is
 therefore the file it sees: after the first failure it swallows all writes, the library closes in
@@ -11,8 +11,9 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.errors import OutputError
@@ -107,42 +108,122 @@ def replacing(path: Path) -> Iterator[SafeFile]:
     Raises:
         OutputError: the file cannot be written, whatever a library made of that.
     """
-    target = _checked(path)
-    temporary = _temporary(target)
+    with replacing_all([path]) as (file,):
+        yield file
+
+
+@contextmanager
+def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
+    """Files that belong together: all take the places of ``paths`` when the ``with`` ends well, else none does.
+
+    Names change only once every file is complete and on the disk. Where one of them then cannot change, those that
+    did get their old files back. A power cut at just that time can leave some of each.
+
+    Raises:
+        OutputError: a file cannot be written, or two of ``paths`` are one file.
+    """
+    places = [_Place(path=path, target=_checked(path)) for path in paths]
+    for number, place in enumerate(places):
+        if any(place.target == other.target for other in places[:number]):
+            raise OutputError(f"{place.path} would be written twice; give each file its own name")
+    files: list[SafeFile] = []
     try:
-        file = SafeFile(temporary)
-    except OSError as error:
-        raise _output_error(path, error, "the file") from error
-    try:
+        for place in places:
+            try:
+                files.append(SafeFile(place.temporary))
+            except OSError as error:
+                raise _output_error(place.path, error, "the file", places) from error
         try:
-            yield file
+            yield tuple(files)
         except Exception:
             # What a library says after a failed write is only a consequence of it.
-            _refuse_failed(path, file)
+            _refuse_failed(places, files)
             raise
-        _finish(path, file, temporary, target)
+        _complete(places, files)
+        _take_names(places)
     finally:
-        file.close()
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-    _sync_folder(target.parent)
+        for file in files:
+            file.close()
+        for place in places:
+            _drop(place.temporary)
+    for folder in {place.target.parent for place in places}:
+        _sync_folder(folder)
 
 
-def _refuse_failed(path: Path, file: SafeFile) -> None:
-    if isinstance(file.error, OSError):
-        raise _output_error(path, file.error, file.doing) from file.error
-    file.check()
+@dataclass(frozen=True, kw_only=True)
+class _Place:
+    """A file as it was asked for, where links lead to, and its names until all are there."""
+
+    path: Path
+    target: Path
+
+    @property
+    def temporary(self) -> Path:
+        return _temporary(self.target)
+
+    @property
+    def old(self) -> Path:
+        return self.target.with_name(f".{self.target.name}.old-{os.getpid()}")
 
 
-def _finish(path: Path, file: SafeFile, temporary: Path, target: Path) -> None:
-    """Bring everything to the disk, then take the name."""
-    try:
-        os.fsync(file.fileno())
-        file.close()
+def _refuse_failed(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
+    for place, file in zip(places, files, strict=True):
+        if isinstance(file.error, OSError):
+            raise _output_error(place.path, file.error, file.doing, places) from file.error
         file.check()
-        os.replace(temporary, target)
-    except OSError as error:
-        raise _output_error(path, error, "the end of the file") from error
+
+
+def _complete(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
+    """Bring everything to the disk."""
+    for place, file in zip(places, files, strict=True):
+        try:
+            os.fsync(file.fileno())
+            file.close()
+            file.check()
+        except OSError as error:
+            raise _output_error(place.path, error, "the end of the file", places) from error
+
+
+def _take_names(places: Sequence[_Place]) -> None:
+    """Take the names, all or none: a second name of the old file brings it back."""
+    for place in places if len(places) > 1 else ():
+        # Not every disk has second names; then the message says which files are new.
+        with contextlib.suppress(OSError):
+            _drop(place.old)
+            os.link(place.target, place.old)
+    done: list[tuple[_Place, bool]] = []
+    try:
+        for place in places:
+            existed = place.target.exists()
+            os.replace(place.temporary, place.target)
+            done.append((place, existed))
+    except BaseException as error:
+        mixed = [place for place, existed in reversed(done) if not _undone(place, existed)]
+        for place in places:
+            if place not in mixed:
+                _drop(place.old)
+        if isinstance(error, OSError):
+            raise _output_error(places[len(done)].path, error, "the end of the file", places, mixed) from error
+        raise
+    for place in places:
+        _drop(place.old)
+
+
+def _drop(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def _undone(place: _Place, existed: bool) -> bool:
+    """Whether the file is again what it was before."""
+    try:
+        if existed:
+            os.replace(place.old, place.target)
+        else:
+            place.target.unlink()
+    except OSError:
+        return False
+    return True
 
 
 def check_writable(path: str | Path) -> None:
@@ -180,7 +261,10 @@ def _checked(path: Path) -> Path:
     return target
 
 
-def _output_error(path: Path, error: OSError, doing: str) -> OutputError:
+def _output_error(
+    path: Path, error: OSError, doing: str, places: Sequence[_Place] = (), mixed: Sequence[_Place] = ()
+) -> OutputError:
+    """What went wrong, what it left behind (of ``places``, ``mixed`` are new already), and what to do."""
     reason = error.strerror or str(error)
     cure = "check the disk, then run again"
     if error.errno in _FULL:
@@ -189,7 +273,14 @@ def _output_error(path: Path, error: OSError, doing: str) -> OutputError:
         cure = "choose a folder you may write to"
     elif error.errno == errno.ENAMETOOLONG:
         cure = "give a shorter name"
-    kept = "; the file that was there before is unchanged" if os.path.exists(path) else ""
+    kept = ""
+    if mixed:
+        names = ", ".join(place.path.name for place in mixed)
+        kept = f"; {names} of the same set could not be taken back and do not fit the other files: do not use them"
+    elif len(places) > 1 and any(os.path.exists(place.path) for place in places):
+        kept = "; the files that were there before are unchanged"
+    elif os.path.exists(path):
+        kept = "; the file that was there before is unchanged"
     return OutputError(f"{path} could not be written (at: {doing}): {reason}{kept}; {cure}")
 
 

@@ -14,19 +14,13 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.floating_frame import FloatingFrame
 from morembs.ranking import RankedTerm
+from morembs.stored_check import check_file, refuse_not_finite
 from morembs.stored_frame import read_frame, read_ranking
 from morembs.switching import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MATRICES = ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix")
-_BODY = (*MATRICES, "basis", "frequencies_hz", "mode_kind", "rigid_count", "recipe")
-_INTERFACE = ("coupling", "components", "point", "axes", "node_ids", "weights")
-_COMMON = (
-    "body_names", "interface_names", "mode_kinds", "recipe", "nodes/ids", "nodes/coordinates",
-    "inputs/interface_index", "inputs/component", "inputs/node_id",
-    "mass_properties/mass", "mass_properties/center_of_mass", "mass_properties/inertia",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +82,11 @@ class StoredBody:
                 f"body {self.name!r} has no static modes of candidate loads; reduce with "
                 'method = "static-modes-switching"'
             )
-        return self.read_switching(self.name)
+        its = self.read_switching(self.name)
+        for name, values in vars(its).items():
+            if isinstance(values, np.ndarray):
+                refuse_not_finite(f"body {self.name!r}", f"switching/{name}", values)
+        return its
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,12 +119,10 @@ def stored_bodies(
     """Everything but the bases and the static modes of an open body file.
 
     Raises:
-        InputError: some dataset is missing.
+        InputError: some dataset is missing, or is not what it should be.
     """
-    refuse_missing(path, file, _COMMON)
+    check_file(path, file)
     names, interfaces = _strings(file["body_names"]), _strings(file["interface_names"])
-    refuse_missing(path, file, (f"bodies/{name}/{data}" for name in names for data in _BODY))
-    refuse_missing(path, file, (f"interfaces/{name}/{data}" for name in interfaces for data in _INTERFACE))
     kinds = _strings(file["mode_kinds"])
     return StoredBodies(
         format_version=int(file["format_version"][()]),
@@ -161,11 +157,16 @@ def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[s
 
 
 def basis_columns(data: Any, columns: slice) -> Floats:
-    """Columns of a basis dataset, one by one: each lies in one piece, and several at once take far longer."""
+    """Columns of a basis dataset, one by one: each lies in one piece, and several at once take far longer.
+
+    Raises:
+        InputError: numbers that are not finite.
+    """
     picked = range(data.shape[1])[columns]
     block = np.empty((data.shape[0], len(picked)))
     for place, column in enumerate(picked):
         block[:, place] = data[:, column]
+        refuse_not_finite(data.file.filename, f"{data.name.lstrip('/')}[:, {column}]", block[:, place])
     return block
 
 

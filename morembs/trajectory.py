@@ -20,6 +20,8 @@ TABLES = (".csv", ".txt", ".dat")
 HDF5 = (".h5", ".hdf5", ".hdf")
 # Rotations may miss orthonormality by this much, as printed ones do.
 ORTHONORMAL = 1e-4
+# Von Mises stresses, up to three times their components, have to stay within single precision.
+LARGEST = float(np.finfo(np.float32).max) / 4
 _FRAME = ("x", "y", "z")
 _ROTATION = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
@@ -47,6 +49,8 @@ class Trajectory:
         for one in fields(self):
             if getattr(self, one.name) is not None:
                 object.__setattr__(self, one.name, _numbers(one.name, getattr(self, one.name)))
+        if self.times.ndim != 1:
+            raise InputError(f"times has the shape {self.times.shape}; expected (any), one number for each step")
         nt = len(self.times)
         shapes = {"times": (nt,), "coordinates": (nt, None), "position": (nt, 3), "rotation": (nt, 3, 3)}
         for name, shape in {**shapes, "loads": (nt, None)}.items():
@@ -80,6 +84,23 @@ class Trajectory:
                     "orthonormal matrices (3, 3) with determinant 1"
                 )
 
+    def refuse_too_large(self, name: str, results: Floats) -> None:
+        """Refuse ``results`` (nt, ...) of these steps that a series in single precision cannot hold.
+
+        Raises:
+            InputError: there are some; the first step is in the message.
+        """
+        size = np.abs(results.reshape(len(results), -1)).max(axis=1, initial=0.0)
+        bad = np.flatnonzero(~(size <= LARGEST))
+        if len(bad):
+            step = int(bad[0])
+            given = (self.coordinates, self.loads, self.position)
+            largest = max(float(np.abs(one[step]).max(initial=0.0)) for one in given if one is not None)
+            raise InputError(
+                f"{name} at {self.times[step]:.9g} s is {size[step]:.3g}, from numbers up to {largest:.3g}; expected "
+                f"{LARGEST:.1e} at most: check the units, or give the steps before the simulation went wrong"
+            )
+
     def part(self, steps: slice) -> Trajectory:
         """The same at some of the steps."""
         given = {name: value for name, value in vars(self).items() if value is not None}
@@ -99,7 +120,8 @@ def _numbers(name: str, value: Any) -> Floats:
 def read_trajectory(path: str | Path) -> Trajectory:
     """Trajectory of a file.
 
-    NPZ and HDF5 files hold arrays time, coordinates and perhaps position, rotation, loads as in ``Trajectory``.
+    NPZ and HDF5 files hold arrays time (or times), coordinates and perhaps position, rotation, loads as in
+    ``Trajectory``.
     Tables (.csv, .txt, .dat; columns apart by comma, semicolon or blanks) begin with the names of their columns: t,
     q1, q2, ..., and perhaps x, y, z and r11, r12, ..., r33 of the frame (r12: row 1, column 2) and loads f1, f2, ...
 
@@ -120,6 +142,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
         raise InputError(
             f"{place}: a trajectory is an .npz file, a table ({', '.join(TABLES)}) or an HDF5 file ({', '.join(HDF5)})"
         )
+    if "time" in found and "times" in found:
+        raise InputError(f"{place} holds both time and times; expected one of them, leave the other out")
     found = {"times" if name == "time" else name: value for name, value in found.items()}
     known = [one.name for one in fields(Trajectory)]
     for name in found:

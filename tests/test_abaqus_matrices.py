@@ -196,7 +196,7 @@ def test_reduced_body_as_abaqus_deck(bar, tmp_path):
         body = read_body(bar).bodies[name]
         back = [read_abaqus_matrix(p) for p in done.paths[1:3]]
         (M, K), node, dof = aligned(*back)
-        assert [p.name for p in done.paths[1:]] == [f"{name}_M.mtx", f"{name}_K.mtx"]
+        assert [p.name for p in done.paths[1:]] == [f"{name}_abaqus_M.mtx", f"{name}_abaqus_K.mtx"]
         assert len(set(node.tolist())) == 2 + len(body.mass_matrix) - 12 and dof[:12].tolist() == [1, 2, 3, 4, 5, 6] * 2
         if steps:
             assert np.abs(M - body.mass_matrix).max() <= steps * np.abs(body.mass_matrix).max()
@@ -204,7 +204,8 @@ def test_reduced_body_as_abaqus_deck(bar, tmp_path):
         omega = sl.eigvalsh(body.stiffness_matrix, body.mass_matrix)[6:]
         assert sl.eigvalsh(K.toarray(), M.toarray())[6:] == pytest.approx(omega, rel=1e-7)
         deck = done.paths[0].read_text()
-        assert f"*MATRIX INPUT, NAME=K, INPUT={name}_K.mtx" in deck and "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M" in deck
+        assert f"*MATRIX INPUT, NAME=K, INPUT={name}_abaqus_K.mtx" in deck
+        assert "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M" in deck
 
 
 def test_reduced_body_in_matrix_market_files(bar, tmp_path):

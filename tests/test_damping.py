@@ -133,6 +133,20 @@ def test_the_reduced_damping_of_a_table_is_that_of_the_modes():
             assert np.abs(body.D @ Y[:, :6]).max() < 1e-12 * np.abs(own).max()
 
 
+def test_modal_damping_of_matrices_that_are_not_symmetric():
+    """Each right eigenvector keeps its own: D x = 2 zeta omega M x, whatever the scale of x."""
+    rng = np.random.default_rng(6)
+    M = np.eye(7) + 0.2 * rng.normal(size=(7, 7))
+    X = rng.normal(size=(7, 7))
+    values = (2 * np.pi * np.array([0.0, 100.0, 800.0, 1500.0, 2500.0, 7000.0, 9000.0])) ** 2
+    K = M @ X @ np.diag(values) @ np.linalg.inv(X)
+    D = Damping(modal_table=TABLE).matrix(M, K, X[:, :1], symmetric=False)
+    omega = np.sqrt(values)
+    wanted = M @ X * (2 * table_ratio(omega / (2 * np.pi)) * omega)
+    assert np.abs(D @ X - wanted).max() < 1e-7 * np.abs(wanted).max()
+    assert np.abs(D - D.T).max() > 1e-2 * np.abs(D).max()
+
+
 @pytest.mark.parametrize("coupling", ["average", "rigid"])
 @pytest.mark.parametrize("table", [TABLE, "adams"])
 def test_the_response_of_a_table_solves_the_dense_equations(coupling, table):

@@ -15,6 +15,7 @@ from morembs.model import DofMap, FEModel, Nodes, rigid_motion, skew
 from morembs.problem import Problem
 from morembs.ranking import ranked_terms
 from morembs.reducers import Balanced, CraigBampton, Modal
+from morembs.shape_integrals import shape_integrals
 from morembs.stiffening import Envelope
 
 KINDS = [("mean-axes", ()), ("tangent", ("l",)), ("tangent", ("r",)), ("chord", ("l", "r")), ("center-of-mass", ("l",))]
@@ -74,6 +75,32 @@ def test_integrals_are_those_of_the_whole_mass_matrix(beam, bodies, name, kind, 
             assert (np.abs(direct - its.phi_phi[a, b]) <= 1e12 * np.outer(near, near)).all()
     # Rigid motions in reduced coordinates are rigid motions of all nodes.
     assert np.abs(beam.coupling.T @ (reduced.V @ frame.rigid) - R).max() < 1e-11
+
+
+def test_coriolis_moments_are_those_of_the_mass_points(beam, bodies):
+    """int x cross (2 w cross phi) dm = Gr w for each shape, point by point."""
+    frame = floating_frame(beam, bodies["cb"], kind="tangent", interfaces=("l",), origin=(0.05, 0.01, -0.02))
+    P, x = shapes_of(beam, bodies["cb"], frame)
+    Ms, w = beam.model.M.toarray()[::3, ::3], np.array([0.3, -1.1, 0.7])
+    size = max(np.abs(frame.integrals.Gr).max(), 1e-300)
+    for shape, Gr in zip(P.T.reshape(-1, len(x), 3), frame.integrals.Gr, strict=True):
+        moment = np.cross(x, Ms @ np.cross(2 * w, shape)).sum(axis=0)
+        assert np.abs(moment - Gr @ w).max() < 1e-10 * size
+    # A transposed Gr would differ.
+    assert np.abs(frame.integrals.Gr - frame.integrals.Gr.transpose(0, 2, 1)).max() > 1e-3 * size
+
+
+def test_a_chord_frame_turns_about_the_chord_as_its_first_interface(beam, bodies):
+    """Start on the chord, end on it too, and no twist at the start; the end twists against it."""
+    for names in (("l", "r"), ("r", "l")):
+        frame = floating_frame(beam, bodies["cb"], kind="chord", interfaces=names)
+        start, end = (frame.markers[name] for name in names)
+        along = (end.point - start.point) / np.linalg.norm(end.point - start.point)
+        size = np.abs(end.motion).max(axis=1)
+        assert np.abs(start.motion[:3]).max() < 1e-11 * size[:3].max()
+        assert np.abs(np.cross(along, end.motion[:3].T)).max() < 1e-11 * size[:3].max()
+        assert np.abs(along @ start.motion[3:]).max() < 1e-11 * size[3:].max()
+        assert np.abs(along @ end.motion[3:]).max() > 1e-2 * size[3:].max()
 
 
 @pytest.mark.parametrize("kind, interfaces", KINDS)
@@ -180,6 +207,38 @@ def test_rotating_masses_keep_their_consistent_parts():
     assert np.abs(frame.integrals.Me - P.T @ M @ P).max() < 1e-11
     assert np.abs(np.hstack([frame.integrals.Ct, frame.integrals.Cr]) - P.T @ M @ R).max() < 1e-11
     assert np.abs(frame.integrals.inertia - (R.T @ M @ R)[3:, 3:]).max() < 1e-11
+    # The lumps lie beside their nodes: first moment and centre are those of the lumps, from the origin of the frame.
+    mass = np.array([lump[0, 0] for lump in lumps])
+    arms = np.array([[lump[2, 4], lump[0, 5], lump[1, 3]] for lump in lumps]) / -mass[:, None]
+    origin = np.array([0.7, -0.4, 1.1])
+    with Problem(model) as problem:
+        its, _ = shape_integrals(model, P, origin, problem.budget)
+    assert its.mass == pytest.approx(mass.sum(), rel=1e-13)
+    assert np.abs(its.first - mass @ (x + arms - origin)).max() < 1e-12
+    assert np.abs(frame.integrals.first - mass @ (x + arms - frame.origin)).max() < 1e-12
+
+
+def test_different_masses_along_the_axes_count_as_their_mean():
+    """Terms of second order of nodes with masses (a, b, c) are those of nodes with (a + b + c) / 3."""
+    rng = np.random.default_rng(4)
+    x, masses = rng.normal(size=(6, 3)), rng.uniform(1, 2, (6, 3))
+    R = rigid_motion(np.repeat(x, 3, axis=0), np.tile(np.arange(3), 6))
+    free = np.eye(18) - R @ np.linalg.pinv(R)
+    K = free @ np.diag(rng.uniform(1e4, 1e5, 18)) @ free
+    model = FEModel(
+        K=sp.csr_array(0.5 * (K + K.T)), M=sp.csr_array(np.diag(masses.ravel())), nodes=Nodes(ids=np.arange(6), xyz=x),
+        dofs=DofMap(node=np.repeat(np.arange(6), 3), component=np.tile(np.arange(3), 6)),
+    )  # fmt: skip
+    with Problem(model) as problem:
+        reduced = Modal(modes=5).reduce(problem)
+        frame = floating_frame(problem, reduced)
+    assert "not the same" in frame.notes[0]
+    mean = masses.mean(axis=1)
+    phi = (reduced.V @ frame.elastic).reshape(6, 3, -1)
+    direct = np.einsum("i,iak,ibl->abkl", mean, phi, phi)
+    assert np.abs(frame.integrals.phi_phi - direct).max() < 1e-12 * np.abs(direct).max()
+    assert np.abs(np.einsum("aakl->kl", direct) - frame.integrals.Me).max() > 1e-3  # these are exact
+    assert np.abs(frame.integrals.Me - np.einsum("ia,iak,ial->kl", masses, phi, phi)).max() < 1e-12
 
 
 def test_bodies_without_a_frame_say_why(beam, bodies):

@@ -198,6 +198,44 @@ def test_normal_coordinates_are_the_same_body(made):
         assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max()
 
 
+def test_damping_moves_to_the_normal_coordinates(made, tmp_path):
+    """A damping that couples all coordinates: the response of the file is that of the body."""
+    source = read_body(made)
+    body = source.bodies["cb30"]
+    frame = body.floating
+    A = np.random.default_rng(8).normal(size=frame.Ke.shape)
+    size = np.sqrt(np.diag(frame.Ke))
+    De = 1e-5 * np.outer(size, size) * (A @ A.T)
+    written = SidFem().export(source, replace(body, floating=replace(frame, De=De)), tmp_path / "d.SID_FEM")
+    sid = read_sid(written.paths[0])
+    its, s = frame.integrals, 2j * np.pi * 900.0
+    wanted = its.Ct.T @ np.linalg.solve(s * s * its.Me + s * De + frame.Ke, its.Ct)
+    found = sid.Ct.M0.T @ np.linalg.solve(s * s * sid.Me.M0 + s * sid.De.M0 + sid.Ke.M0, sid.Ct.M0)
+    assert np.abs(found - wanted).max() < 1e-7 * np.abs(wanted).max()
+    light = its.Ct.T @ np.linalg.solve(s * s * its.Me + frame.Ke, its.Ct)
+    assert np.abs(light - wanted).max() > 1e-2 * np.abs(wanted).max()
+
+
+def test_frames_that_do_not_lie_along_the_body(made, tmp_path):
+    """AP takes components along the interface's axes to those of the body, and turns with the interface."""
+    source = read_body(made)
+    # Rows are the axes: x along y of the body, y along z, z along x, then a turn about the new z.
+    c, s = np.cos(0.4), np.sin(0.4)
+    axes = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    turned = {**source.interfaces, "tip": replace(source.interfaces["tip"], axes=axes)}
+    source = replace(source, interfaces=turned)
+    body = source.bodies["cb30"]
+    path = SidFem().export(source, body, tmp_path / "t.SID_FEM").paths[0]
+    M0, M1 = taylor(path, "AP", 2)
+    psi = ours(made).markers["tip"].motion[3:]
+    x = np.array([1.0, 0.0, 0.0])
+    close(M0 @ x, axes[0])
+    for q in range(psi.shape[1]):
+        # A vector fixed to the interface moves with psi cross vector.
+        for at, axis in enumerate(axes):
+            assert np.abs(M1[:, q, at] - np.cross(psi[:, q], axis)).max() < 1e-10 * max(1.0, np.abs(psi[:, q]).max())
+
+
 def stiffened(n, names, seed=5):
     rng = np.random.default_rng(seed)
 

@@ -1,6 +1,7 @@
 """Geometric stiffness and stiffening terms against analytic values, nonlinear energy and dense solutions."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from morembs.fem import assemble
 from morembs.floating_frame import floating_frame, frame_rows
 from morembs.geometric_stiffness import StressedMesh, geometric_stiffness
 from morembs.interface import make_interface
+from morembs.link_stiffness import Links
 from morembs.material import isotropic, orthotropic
 from morembs.model import FEModel, Mesh, skew
 from morembs.problem import Problem
@@ -288,6 +290,53 @@ def test_another_origin_follows_from_the_terms_and_is_what_a_new_calculation_giv
     for name in ("acceleration", "angular_acceleration", "rotation"):
         wanted = getattr(again, name)
         assert getattr(moved, name) == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+
+
+def test_a_frame_takes_its_stiffening_to_another_origin():
+    """``FloatingFrame.about`` moves all it has: the stiffening is that of a calculation with the new origin."""
+    model, interfaces = beam(n=4)
+    with Problem(model, interfaces) as problem:
+        reduced = Modal(modes=12).reduce(problem)
+        frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
+        d = frame.origin + np.array([0.3, -0.2, 0.5])
+        moved = replace(frame, stiffening=geometric_stiffening(problem, reduced, frame)).about(d).stiffening
+        again = geometric_stiffening(problem, reduced, frame.about(d))
+        still = geometric_stiffening(problem, reduced, frame)
+    for name in ("angular_acceleration", "rotation"):
+        wanted = getattr(again, name)
+        assert getattr(moved, name) == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+        assert np.abs(getattr(still, name) - wanted).max() > 1e-3 * np.abs(wanted).max()
+
+
+def test_a_rigid_interface_passes_what_an_average_one_on_its_nodes_does_not():
+    """Balance of each shared node: stress and inertia less the direct share of the average interface.
+
+    The forces of an average interface are written down here: of all forces on the nodes with the given resultants,
+    the least in the norm of the weights.
+    """
+    model = steel(box("hex8", (3, 1, 1), (0.3, 0.1, 0.08)))
+    face = where(model, 0, 0.3)
+    rigid = make_interface(model, name="rigid", nodes=face, coupling="rigid", point=[0.34, 0.05, 0.03])
+    loose = make_interface(model, name="loose", nodes=np.r_[where(model, 0, 0.2), face], coupling="average")
+    rng = np.random.default_rng(2)
+    with Problem(model, [rigid, loose]) as problem:
+        links = Links(problem)
+        U, inertial = 1e-6 * rng.normal(size=(model.size, 2)), rng.normal(size=(len(links.dofs), 2))
+        wrench = 1e3 * rng.normal(size=(12, 2))
+        found = links.turning(U, inertial, wrench)["rigid"]
+    arms = model.nodes.xyz[loose.nodes] - loose.point
+    to_load = np.hstack([np.vstack([np.eye(3), skew(a)]) for a in arms])
+    spread = np.repeat(loose.weights, 3)[:, None] * to_load.T
+    forces = np.zeros((model.size, 2))
+    dofs = model.dofs.of_nodes(loose.nodes).ravel()
+    forces[dofs] = spread @ np.linalg.solve(to_load @ spread, wrench[links.columns["loose"]])
+    mine = model.dofs.of_nodes(face).ravel()
+    r = (model.K @ U - forces)[mine] + inertial[links.places["rigid"]]
+    assert np.abs(forces[mine]).max() > 1e-2 * np.abs(r).max()
+    for k in range(2):
+        virial = r[:, k].reshape(-1, 3).T @ (model.nodes.xyz[face] - rigid.point)
+        wanted = 0.5 * (virial + virial.T) - np.trace(virial) * np.eye(3)
+        assert np.abs(found[k] - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
 def test_terms_below_their_share_are_dropped_and_named():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -13,13 +14,15 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
 from morembs.exporters.reduced import on_interfaces
-from morembs.safefile import replacing
+from morembs.safefile import replacing, replacing_all
 
 Ints = NDArray[np.int64]
 Layout = Literal["matrix input", "labels", "coordinate"]
 # Abaqus takes labels below a billion.
 _LARGEST = 999_999_999
 _ROWS = 1 << 16
+# Other than the names of Matrix Market files: both may lie beside one body file.
+_ENDING = "_abaqus_{}.mtx"
 
 
 def write_abaqus_matrix(
@@ -35,10 +38,24 @@ def write_abaqus_matrix(
         InputError: shapes, labels or numbers that the file cannot hold.
         OutputError: the file cannot be written.
     """
+    pieces = _text(matrix, node, dof, layout)
+    with replacing(Path(path)) as file:
+        for piece in pieces:
+            file.write(piece)
+
+
+def _text(
+    matrix: sp.csr_array | NDArray[np.float64], node: Ints | None, dof: Ints | None, layout: Layout
+) -> Iterator[bytes]:
+    """The file piece by piece; everything is checked before the first one."""
+    if np.iscomplexobj(matrix):
+        raise InputError("a complex matrix was given; *MATRIX INPUT takes real ones, write its parts one by one")
     A = sp.csr_array(matrix, dtype=float)
     size = A.shape[0]
-    if A.shape[1] != size or not A.nnz:
-        raise InputError(f"a matrix of the shape {A.shape} with {A.nnz} entries was given; expected a square one")
+    if A.shape[1] != size:
+        raise InputError(f"a matrix of the shape {A.shape} was given; expected a square one")
+    if not A.count_nonzero():
+        raise InputError("a matrix without entries was given; *MATRIX INPUT cannot hold that, leave it out")
     symmetric = not (A != A.T).nnz
     half = symmetric and layout == "matrix input"
     if layout == "coordinate":
@@ -50,15 +67,18 @@ def write_abaqus_matrix(
     entries = sp.coo_array(sp.tril(A) if half else A)
     entries.eliminate_zeros()
     in_two_digits("a matrix", entries.data, "Abaqus")
-    with replacing(Path(path)) as file:
-        if not symmetric:
-            # A triangle alone would be taken for half of a symmetric matrix.
-            file.write(b"*MATRIX INPUT, NAME=UNSYMMETRIC, TYPE=UNSYMMETRIC\n")
-        for at in range(0, entries.nnz, _ROWS):
-            part = slice(at, at + _ROWS)
-            rows, columns = (names[c[part]].tolist() for c in entries.coords)
-            lines = zip(rows, columns, entries.data[part].tolist(), strict=True)
-            file.write("".join(f"{r}{between}{c}{between}{v:.15e}\n" for r, c, v in lines).encode("ascii"))
+    return _lines(entries, names, between, symmetric=symmetric)
+
+
+def _lines(entries: sp.coo_array, names: NDArray[np.str_], between: str, *, symmetric: bool) -> Iterator[bytes]:
+    if not symmetric:
+        # A triangle alone would be taken for half of a symmetric matrix.
+        yield b"*MATRIX INPUT, NAME=UNSYMMETRIC, TYPE=UNSYMMETRIC\n"
+    for at in range(0, entries.nnz, _ROWS):
+        part = slice(at, at + _ROWS)
+        rows, columns = (names[c[part]].tolist() for c in entries.coords)
+        lines = zip(rows, columns, entries.data[part].tolist(), strict=True)
+        yield "".join(f"{r}{between}{c}{between}{v:.15e}\n" for r, c, v in lines).encode("ascii")
 
 
 def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
@@ -74,7 +94,7 @@ def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
 
 @dataclass(frozen=True, kw_only=True)
 class AbaqusExporter(Exporter):
-    """An input deck with nodes, and a .mtx file each for M, K and D beside it.
+    """An input deck with nodes, and beside conrod.inp the files conrod_abaqus_M.mtx, likewise for K and D.
 
     The coordinates are changed so that the motions of the interfaces are among them (exactly, all coordinates are
     kept); each other coordinate is dof 1 of a node of its own. ``first_label`` is the label of the first interface
@@ -90,13 +110,12 @@ class AbaqusExporter(Exporter):
     first_label: int | None = None
 
     def _write(self, task: Task) -> Exported:
-        body = on_interfaces(task, self.first_label, component_of_rest=1)
+        body = on_interfaces(task, self.first_label, component_of_rest=1, largest_label=_LARGEST)
         stem = task.path.name.removesuffix(task.path.suffix)
-        paths = {key: task.path.with_name(f"{stem}_{key}.mtx") for key in body.matrices}
+        paths = {key: task.beside(_ENDING.format(key)) for key in body.matrices}
         if any(not name.isascii() or "," in name for name in (stem,)):
             raise InputError(f"the file name {stem!r} does not fit an Abaqus deck; expected ASCII without commas")
-        for key, path in paths.items():
-            write_abaqus_matrix(path, body.matrices[key], body.node, body.dof)
+        pieces = {key: _text(A, body.node, body.dof, "matrix input") for key, A in body.matrices.items()}
         lines = ["** Elastic body in SI units", "*NODE"]
         lines += [f"{label}, " + ", ".join(f"{x:.15e}" for x in point) for label, _, point in body.grids]
         lines += [f"{label}, 0., 0., 0." for label in body.rest]
@@ -105,9 +124,15 @@ class AbaqusExporter(Exporter):
         lines += [f"*MATRIX INPUT, NAME={key}, INPUT={path.name}" for key, path in paths.items()]
         damping = ", VISCOUS DAMPING=D" if "D" in paths else ""
         lines.append(f"*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M{damping}")
-        with replacing(task.path) as file:
-            file.write(("\n".join(lines) + "\n").encode("ascii"))
+        with replacing_all([task.path, *paths.values()]) as (deck, *files):
+            deck.write(("\n".join(lines) + "\n").encode("ascii"))
+            for (key, text), file in zip(pieces.items(), files, strict=True):
+                file.doing = f"matrix {key}"
+                for piece in text:
+                    file.write(piece)
+                    file.check()
+        stale = task.left_from_before([task.beside(_ENDING.format("D"))] if "D" not in paths else ())
         return Exported(
             paths=(task.path, *paths.values()),
-            notes=("numbers have 16 digits", *body.notes, *task.lost("stiffening", "stress", "certificate")),
+            notes=("numbers have 16 digits", *body.notes, *stale, *task.lost("stiffening", "stress", "certificate")),
         )  # fmt: skip

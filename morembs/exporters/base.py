@@ -73,6 +73,23 @@ class Task:
         """Positions (n, 3) of the stored nodes in m, from the origin of the floating frame along its axes."""
         return np.asarray(self.source.coordinates - self.frame.origin)
 
+    def beside(self, ending: str) -> Path:
+        """A further file of the same set: ``conrod_M.mtx`` beside ``conrod.inp`` for the ending ``_M.mtx``.
+
+        Raises:
+            InputError: that is the body file itself.
+        """
+        path = self.path.with_name(f"{self.path.name.removesuffix(self.path.suffix)}{ending}")
+        if self.file is not None and _same(path, self.file):
+            raise InputError(f"{path} is the body file itself; give another name for the output")
+        return path
+
+    @staticmethod
+    def left_from_before(paths: Iterable[Path]) -> tuple[str, ...]:
+        """A note on files that lie where a set of another body would have them, but do not belong to this one."""
+        found = ", ".join(path.name for path in paths if path.exists())
+        return (f"not of this body, but left from before: {found}; remove what is not needed",) if found else ()
+
     def shapes(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n, k) of the stored nodes for some elastic coordinates; allocates these and one block."""
         to_reduced = self.frame.elastic[:, columns]
@@ -145,9 +162,15 @@ class Exporter(ABC):
         for name in ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix", "output_matrix"):
             if not np.isfinite(getattr(body, name)).all():
                 raise InputError(f"{name} of body {body.name!r} has entries that are no numbers; reduce it again")
-        if self.needs_frame:
-            _refuse_rigid(task)
-        written = self._write(task)
+        try:
+            if self.needs_frame:
+                _refuse_rigid(task)
+            written = self._write(task)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"the matrices of body {body.name!r} cannot be transformed for {self.name!r} ({error}); its mass or "
+                "stiffness is not that of a body, reduce it again"
+            ) from error
         reason = frequency_domain_only(body.recipe)
         return replace(written, notes=(*written.notes, reason)) if reason else written
 
@@ -162,7 +185,15 @@ def _same(path: Path, other: Path) -> bool:
 def _refuse_rigid(task: Task) -> None:
     """The floating frame carries rigid motion; elastic coordinates must not contain it."""
     frame = task.frame
-    stiffness = np.linalg.eigvalsh(_scaled(frame.Ke, frame.integrals.Me))
+    Ke, Me = frame.Ke, frame.integrals.Me
+    if not (np.isfinite(Ke).all() and np.isfinite(Me).all() and (np.diag(Me) > 0).all()):
+        raise InputError(
+            f"Ke or Me of body {task.body.name!r} has entries that are no numbers, or Me none above zero on its "
+            "diagonal; reduce it again"
+        )
+    # Fails where this is no mass; that of mean axes is one, and what other frames add makes it larger.
+    np.linalg.cholesky(Me)
+    stiffness = np.linalg.eigvalsh(_scaled(Ke, Me))
     if stiffness[0] <= 1e-10 * stiffness[-1]:
         raise InputError(
             f"elastic coordinates of body {task.body.name!r} contain rigid-body motion (a combination of them has no "

@@ -19,14 +19,15 @@ from morembs.safefile import replacing
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
 _LARGEST = 99999999
-# Digits that a field of 16 characters holds, at worst.
-DIGITS = 1e-10
+# Sizes of numbers that have most digits without an exponent.
+_PLAIN = (1e-2, 1e15)
 
 
 def write_dmig(path: str | Path, matrices: Mapping[str, DmigMatrix], before: str = "") -> None:
     """Write DMIG entries in large fields, ``before`` in front of them.
 
-    A field has 16 characters, so that numbers keep 11 or 12 digits. Of a symmetric matrix one triangle is written.
+    A field has 16 characters, so that numbers keep 11 to 15 digits, most from 0.1 to 1e15. Of a symmetric matrix
+    one triangle is written.
 
     Raises:
         InputError: a name, label or number that the fields cannot hold.
@@ -86,7 +87,19 @@ def _cards(name: str, one: DmigMatrix) -> Iterator[str]:
 
 
 def sixteen(value: float) -> str:
-    """``value`` in 16 characters with as many digits as fit; the E is left out, as Nastran allows."""
+    """``value`` in 16 characters with as many digits as fit: 15 (14 below zero) from 0.1 to 1e15, else 11 to 14.
+
+    The zero before the point and the E are left out, as Nastran allows.
+    """
+    size = abs(value)
+    if size == 0.0:
+        return f"{0.0:16.1f}"
+    if _PLAIN[0] <= size < _PLAIN[1]:
+        room = 16 - (value < 0)
+        before = len(f"{size:.0f}") if size >= 1.0 else 0
+        text = f"{value:#.{max(room - 1 - before, 0)}f}".replace("0.", ".", 1 if size < 1.0 else 0)
+        if len(text) <= 16:
+            return f"{text:>16}"
     for digits in (12, 11, 10):
         mantissa, exponent = f"{value:.{digits}e}".split("e")
         text = f"{mantissa}{int(exponent):+d}"
@@ -112,7 +125,7 @@ class DmigExporter(Exporter):
     first_label: int | None = None
 
     def _write(self, task: Task) -> Exported:
-        body = on_interfaces(task, self.first_label, component_of_rest=0)
+        body = on_interfaces(task, self.first_label, component_of_rest=0, largest_label=_LARGEST)
         labels = np.stack([body.node, body.dof], axis=1)
         order = np.lexsort((labels[:, 1], labels[:, 0]))
         lines = [

@@ -21,7 +21,9 @@ from morembs.model import ElementBlock, Mesh, Nodes, skew
 from morembs.safefile import replacing
 from morembs.shape_integrals import ShapeIntegrals
 from morembs.stored import StoredBodies
+from morembs.stored_check import check_grid
 from morembs.surface import outer_faces
+from morembs.vtkhdf_series import read_grid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,7 +58,11 @@ class Exudyn(Exporter):
             raise InputError(f"{task.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
         if not len(task.source.coordinates):
             raise InputError(f"{task.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
-        faces = _triangles(task.file) if self.triangles and task.file is not None else np.zeros((0, 3), dtype=np.int64)
+        faces = (
+            _triangles(task.file, len(task.source.coordinates))
+            if self.triangles and task.file is not None
+            else np.zeros((0, 3), dtype=np.int64)
+        )
         with (
             replacing(task.path) as safe,
             h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file,
@@ -151,15 +157,16 @@ def _put_shapes(file: Any, task: Task) -> None:
         data[:, block] = task.shapes(block)
 
 
-def _triangles(path: Path) -> Ints:
+def _triangles(path: Path, count: int) -> Ints:
     """Outer faces (t, 3) of the mesh in the body file, rows of its nodes; faces with mid-nodes are split at them."""
-    with h5py.File(path, "r") as file:
-        if "VTKHDF/Types" not in file:
-            return np.zeros((0, 3), dtype=np.int64)
-        grid = file["VTKHDF"]
-        types, offsets, links = (grid[name][()] for name in ("Types", "Offsets", "Connectivity"))
-        count = len(grid["Points"])
-    cells = {int(vtk): _cells(types == vtk, offsets, links) for vtk in np.unique(types)}
+    grid = read_grid(path)
+    check_grid(path, count, grid.points, grid.connectivity, grid.offsets, grid.types)
+    known = {one.vtk for one in (*TYPES.values(), *FACES.values())}
+    cells = {
+        vtk: _cells(grid.types == vtk, grid.offsets, grid.connectivity)
+        for vtk in np.unique(grid.types).tolist()
+        if vtk in known
+    }
     flat = {kind: cells[face.vtk] for kind, face in FACES.items() if face.vtk in cells}
     blocks = tuple(
         ElementBlock(type=kind, nodes=cells[solid.vtk], ids=np.arange(1, len(cells[solid.vtk]) + 1))

@@ -11,7 +11,7 @@ from scipy.io import mmwrite
 
 from morembs.exporters.base import Exported, Exporter, Task
 from morembs.exporters.reduced import reduced_matrices
-from morembs.safefile import replacing
+from morembs.safefile import replacing_all
 
 _DIGITS = 17
 _MEANING = {"M": "mass", "K": "stiffness", "D": "damping", "B": "input", "C": "output"}
@@ -28,20 +28,21 @@ class MatrixMarketExporter(Exporter):
     needs_frame: ClassVar[bool] = False
 
     def _write(self, task: Task) -> Exported:
-        stem = task.path.name.removesuffix(task.path.suffix)
-        paths = []
-        for key, matrix in reduced_matrices(task.body).items():
-            path = task.path.with_name(f"{stem}_{key}.mtx")
-            text = BytesIO()
-            square = key in ("M", "K", "D") and np.array_equal(matrix, matrix.T)
-            mmwrite(
-                text, matrix, comment=f" {_MEANING[key]} matrix of a reduced body, SI units{self._columns(task, key)}",
-                precision=_DIGITS, symmetry="symmetric" if square else "general",
-            )  # fmt: skip
-            with replacing(path) as file:
+        matrices = reduced_matrices(task.body)
+        paths = {key: task.beside(f"_{key}.mtx") for key in matrices}
+        with replacing_all(list(paths.values())) as files:
+            for (key, matrix), file in zip(matrices.items(), files, strict=True):
+                text = BytesIO()
+                square = key in ("M", "K", "D") and np.array_equal(matrix, matrix.T)
+                comment = f" {_MEANING[key]} matrix of a reduced body, SI units{self._columns(task, key)}"
+                kind = "symmetric" if square else "general"
+                mmwrite(text, matrix, comment=comment, precision=_DIGITS, symmetry=kind)
+                file.doing = f"matrix {key}"
                 file.write(text.getvalue())
-            paths.append(path)
-        return Exported(paths=tuple(paths), notes=task.lost("stiffening", "stress", "certificate"))
+                file.check()
+        stale = task.left_from_before([task.beside(f"_{key}.mtx") for key in _MEANING if key not in paths])
+        lost = task.lost("stiffening", "stress", "certificate")
+        return Exported(paths=tuple(paths.values()), notes=(*stale, *lost))
 
     @staticmethod
     def _columns(task: Task, key: str) -> str:

@@ -49,13 +49,20 @@ class InterfaceBody:
     notes: tuple[str, ...]
 
 
-def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int) -> InterfaceBody:
-    """The body with interface motions as coordinates, all others beside them.
+def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int, largest_label: int) -> InterfaceBody:
+    """The body with interface motions as coordinates, all others beside them; labels up to ``largest_label``.
 
     Raises:
-        InputError: the body is not symmetric, or its interface motions depend on each other.
+        InputError: the body is not symmetric or has no stiffness, its interface motions depend on each other, or there
+            are no labels for its points.
     """
     body, source = task.body, task.source
+    for name in ("mass_matrix", "stiffness_matrix"):
+        if not getattr(body, name).any():
+            raise InputError(
+                f"the {name} of body {body.name!r} has no entries (it holds rigid-body motion only), and this target "
+                'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"'
+            )
     if not np.array_equal(body.output_matrix, body.input_matrix.T):
         raise InputError(
             f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
@@ -64,12 +71,12 @@ def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int
     T, notes = _to_interfaces(body)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
     matrices = {key: _symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
-    grids, node = _grids(source, first_label)
-    m = len(node)
-    start = max((label for label, _, _ in grids), default=(first_label or 1) - 1) + 1
-    rest = tuple(range(start, start + len(T) - m))
+    others = len(T) - len(source.input_interface)
+    label, note = _first_label(source, first_label, others, largest_label)
+    grids, node, free = _grids(source, label)
+    rest = tuple(range(free, free + others))
     return InterfaceBody(
-        matrices=matrices, grids=grids, rest=rest, notes=notes,
+        matrices=matrices, grids=grids, rest=rest, notes=(*notes, *note),
         node=np.concatenate([node, np.array(rest, dtype=np.int64)]),
         dof=np.concatenate([source.input_component + 1, np.full(len(rest), component_of_rest, dtype=np.int64)]),
     )  # fmt: skip
@@ -112,15 +119,30 @@ def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
     return np.hstack([boundary, N]), (note,)
 
 
-def _grids(source: StoredBodies, first_label: int | None) -> tuple[tuple[tuple[int, str, Floats], ...], Ints]:
-    """Label, interface and point of each grid, and the label for each interface motion."""
-    names = list(source.interfaces)
+def _first_label(source: StoredBodies, given: int | None, others: int, largest: int) -> tuple[int, tuple[str, ...]]:
+    """Label of the first frame, then come the rest of the frames and ``others``; and a note where it needs care."""
     known = [source.node_ids, *(interface.node_ids for interface in source.interfaces.values())]
-    largest = max((int(ids.max()) for ids in known if len(ids)), default=0)
-    label = largest + 1 if first_label is None else first_label
-    taken = {int(i) for i in source.input_node_id if i >= 0}
-    if label < 1 or any(i >= label for i in taken):
-        raise InputError(f"first_label = {label} was given; expected a label above those of the model ({largest})")
+    highest = max((int(ids.max()) for ids in known if len(ids)), default=0)
+    label = highest + 1 if given is None else given
+    framed = source.input_node_id < 0
+    # Nodes of direct interfaces come under their own labels.
+    direct = source.input_node_id[~framed].tolist()
+    if direct and min(direct) < 1:
+        raise InputError(f"a direct interface has a node with the label {min(direct)}; expected 1 or more, renumber it")
+    count = others + len(np.unique(source.input_interface[framed]))
+    least, most = max([0, *direct]) + 1, largest - count + 1
+    if not least <= label <= most:
+        what = f"labels from {label} on are needed" if given is None else f"first_label = {label} was given"
+        why = "above those of the nodes of direct interfaces, " if direct else ""
+        raise InputError(f"{what}; expected {least} to {most}, {why}so that {count} points have room")
+    if label > highest:
+        return label, ()
+    return label, (f"labels count from {label}, though the model had labels up to {highest}; leave its nodes out",)
+
+
+def _grids(source: StoredBodies, label: int) -> tuple[tuple[tuple[int, str, Floats], ...], Ints, int]:
+    """Label, interface and point of each grid, the label for each interface motion, and the next free label."""
+    names = list(source.interfaces)
     xyz = dict(zip(source.node_ids.tolist(), source.coordinates, strict=True))
     frames: dict[int, int] = {}
     grids: dict[int, tuple[str, Floats]] = {}
@@ -134,4 +156,4 @@ def _grids(source: StoredBodies, first_label: int | None) -> tuple[tuple[tuple[i
         else:
             raise InputError(f"the file lacks node {own} of the interface {names[index]!r}; write it again")
         node.append(own)
-    return tuple((key, *grids[key]) for key in sorted(grids)), np.array(node, dtype=np.int64)
+    return tuple((key, *grids[key]) for key in sorted(grids)), np.array(node, dtype=np.int64), label + len(frames)

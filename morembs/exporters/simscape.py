@@ -78,6 +78,8 @@ def _refuse_unfit(body: StoredBody) -> None:
             f"body {body.name!r} has matrices that are not symmetric; the Simscape block needs symmetric ones, take a "
             "one-sided reduction"
         )
+    if (np.diag(body.mass_matrix) <= 0).any():
+        raise InputError(f"mass_matrix of body {body.name!r} is not positive on its diagonal; reduce it again")
     if body.rigid_count != RIGID_MOTIONS:
         raise InputError(
             f"body {body.name!r} has {body.rigid_count} rigid-body motions; the Simscape block needs a free body with "

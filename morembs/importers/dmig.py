@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.dmig_cards import Column, columns_of, dmig_blocks
-from morembs.importers.triplets import Numbering, Renumbered, Spool, assembled, completed, unique
+from morembs.importers.triplets import Numbering, Renumbered, Spool, assembled, completed
 
 Ints = NDArray[np.int64]
 
@@ -130,7 +130,8 @@ def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
 
 
 def _column_codes(file: str, name: str, one: _Named, form: int, count: int) -> Ints:
-    codes = unique((columns, columns, values) for s in (one.real, one.imaginary) for _, columns, values in s)
+    found = [np.unique(columns) for spool in (one.real, one.imaginary) for _, columns, _ in spool]
+    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
     if form == 9:
         largest = int(codes.max(initial=0)) // COMPONENTS
         if largest > count or count > _MOST_COLUMNS or (len(codes) and codes.min() < COMPONENTS):

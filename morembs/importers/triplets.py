@@ -106,7 +106,7 @@ def _both(spool: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name:
 
 
 def unique(spool: Iterable[Triplets]) -> Ints:
-    """All codes of rows and columns, ascending."""
+    """All codes of rows and columns, ascending; ``spool`` is read twice."""
     ends = [(int(part.min()), int(part.max())) for block in spool for part in block[:2] if len(part)]
     if not ends:
         return np.empty(0, dtype=np.int64)
