@@ -17,12 +17,12 @@ from measure import Report, Row, Settings, child, in_rounds, ratios
 from numpy.typing import NDArray
 
 from morembs.budget import resident_bytes
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
+from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import FEModel
 from morembs.problem import Problem
 from morembs.progress import peak_memory_bytes
 from morembs.reducers.base import ReducedModel, projected
-from morembs.shape_integrals import ShapeIntegrals
 
 Floats = NDArray[np.float64]
 Spec = dict[str, Any]

@@ -26,7 +26,7 @@ from morembs.model import FEModel
 from morembs.problem import Damping
 from morembs.progress import peak_memory_bytes
 from morembs.reducers.krylov import Krylov
-from morembs.response import reduced_response
+from morembs.responses.response import reduced_response
 from morembs.selection import select_nodes
 
 Floats = NDArray[np.float64]

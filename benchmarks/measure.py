@@ -225,4 +225,4 @@ def _rounded(value: Any) -> Any:
 
 def command(*arguments: str | Path) -> list[str]:
     """The command line of morembs with the Python that runs this."""
-    return [sys.executable, "-m", "morembs.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "morembs", *map(str, arguments)]

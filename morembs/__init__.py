@@ -8,22 +8,20 @@ The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Prob
 import morembs.linalg  # noqa: F401
 
 # isort: split
-from morembs.band import band_frequencies
 from morembs.body import ElasticBody, elastic_body, make_part
-from morembs.certify import Certificate, certify
-from morembs.direct import direct_response
 from morembs.errors import InputError, MorembsError
 from morembs.exporters import export_body
 from morembs.fem import assemble
-from morembs.floating_frame import FloatingFrame, floating_frame
+from morembs.floating.frame import FloatingFrame, floating_frame
+from morembs.floating.ranking import ranked_terms
+from morembs.floating.stiffening import Envelope
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
 from morembs.linalg.select import available_solvers, select_solver
 from morembs.material import Material, isotropic, orthotropic
 from morembs.model import FEModel, Mesh, Nodes
 from morembs.problem import Damping, Problem
-from morembs.ranking import ranked_terms
-from morembs.recovery import expand, recover
 from morembs.reducers import (
     REDUCERS,
     Automatic,
@@ -37,13 +35,15 @@ from morembs.reducers import (
     Modal,
     ReducedModel,
 )
-from morembs.response import full_response, reduced_response
+from morembs.responses.band import band_frequencies
+from morembs.responses.certify import Certificate, certify
+from morembs.responses.direct import direct_response
+from morembs.responses.response import full_response, reduced_response
 from morembs.selection import select_nodes
-from morembs.stiffening import Envelope
-from morembs.stiffening_terms import geometric_stiffening
-from morembs.storage import read_body, write_body
-from morembs.stress import stress_recovery
-from morembs.trajectory import Trajectory, read_trajectory
+from morembs.storage.body_file import read_body, write_body
+from morembs.stress.recovery import expand, recover
+from morembs.stress.shapes import stress_recovery
+from morembs.stress.trajectory import Trajectory, read_trajectory
 from morembs.units import parse_units
 
 __version__ = "0.1.0"

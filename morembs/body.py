@@ -9,16 +9,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.certify import Certificate
 from morembs.elements import FACES, TYPES
 from morembs.errors import InputError
-from morembs.floating_frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.floating.ranking import RankedTerm
 from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.problem import Problem
-from morembs.ranking import RankedTerm
 from morembs.reducers.base import ReducedModel
-from morembs.stress import Recovery
+from morembs.responses.certify import Certificate
+from morembs.stress.shapes import Recovery
 from morembs.surface import outer_faces
 from morembs.switching import Switching
 

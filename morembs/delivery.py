@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from morembs.body import ElasticBody, Part, elastic_body
-from morembs.certify import Certificate
 from morembs.errors import InputError
-from morembs.floating_frame import FloatingFrame, check_frame, floating_frame, why_not_floating
+from morembs.floating.frame import FloatingFrame, check_frame, floating_frame, why_not_floating
+from morembs.floating.ranking import ranked_terms
+from morembs.floating.stiffening import Envelope
+from morembs.floating.stiffening_terms import geometric_stiffening, why_no_stiffening
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
-from morembs.ranking import ranked_terms
 from morembs.reducers.base import ReducedModel
+from morembs.responses.certify import Certificate
 from morembs.selection import select_nodes
-from morembs.stiffening import Envelope
-from morembs.stiffening_terms import geometric_stiffening, why_no_stiffening
-from morembs.stress import stress_recovery
-from morembs.stress_operator import StressOperator, stress_operator
+from morembs.stress.operator import StressOperator, stress_operator
+from morembs.stress.shapes import stress_recovery
 from morembs.switching import Switching
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.coupled_model import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
+from morembs.conversion.coupled_model import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
 from morembs.errors import InputError, nearest
 from morembs.model import FEModel, frozen, rigid_motion, skew
 from morembs.surface import nodal_areas, outer_faces

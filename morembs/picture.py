@@ -17,8 +17,8 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
-from morembs.compare import FrequencyResponse, Shapes
-from morembs.safefile import replacing
+from morembs.jobs.compare import FrequencyResponse, Shapes
+from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
 # Largest displacement drawn, as a part of the longest side of the body.

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
-from morembs.geometric_stiffness import StressedMesh
+from morembs.floating.geometric_stiffness import StressedMesh
+from morembs.floating.link_stiffness import Links
+from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Interface, averaging
 from morembs.linalg.statics import Restricted, support_dofs
-from morembs.link_stiffness import Links
 from morembs.model import FEModel, rigid_motion
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
-from morembs.stiffening_terms import why_no_stiffening
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -16,8 +16,8 @@ from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.fields import Fields
-from morembs.safefile import replacing
-from morembs.storable import storable
+from morembs.storage.safefile import replacing
+from morembs.storage.storable import storable
 
 # Stores one dataset: name, value, what it is, its units.
 Put = Callable[..., None]

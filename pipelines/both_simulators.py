@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
 from morembs.picture import save
-from morembs.run import run_job
-from morembs.storage import read_body
-from morembs.stored import StoredBodies, StoredBody
+from morembs.storage.body_file import read_body
+from morembs.storage.stored import StoredBodies, StoredBody
 
 HERE = Path(__file__).resolve().parent
 Floats = NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy as np
 from both_simulators import HERE, OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, write_bar
 
 from morembs.fem import assemble
-from morembs.floating_frame import FloatingFrame, floating_frame
+from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
 from morembs.material import isotropic

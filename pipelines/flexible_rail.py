@@ -34,7 +34,7 @@ from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, 
 from morembs.multibody.switching import SwitchingBody
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.stress_operator import StressOperator, stress_operator
+from morembs.stress.operator import StressOperator, stress_operator
 from morembs.switching import Switching
 
 LENGTH, WIDTH, HEIGHT = 5.0, 0.06, 0.12  # m

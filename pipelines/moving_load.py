@@ -27,7 +27,7 @@ from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, 
 from morembs.multibody.switching import SwitchingBody
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.safefile import replacing
+from morembs.storage.safefile import replacing
 from morembs.switching import Switching
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600

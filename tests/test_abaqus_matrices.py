@@ -18,7 +18,7 @@ from morembs.importers.text_matrices import numbers
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 BLOCK_HZ = {
     "C3D4": [489.296266, 489.854771, 697.543460],

@@ -10,16 +10,16 @@ from rich.console import Console
 from test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
 from typer.testing import CliRunner
 
-from morembs.band import band_frequencies
-from morembs.certify import certify
 from morembs.cli import app
+from morembs.cli.report import print_result, result_json
 from morembs.errors import InputError, MorembsError
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import Automatic
-from morembs.report import print_result, result_json
-from morembs.run import run_job
-from morembs.storage import read_body
+from morembs.responses.band import band_frequencies
+from morembs.responses.certify import certify
+from morembs.storage.body_file import read_body
 
 BAND = {"beam average": [50.0, 3000.0], "square beam": [100.0, 5000.0], "angle": [0.0, 9000.0]}
 

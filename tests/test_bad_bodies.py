@@ -12,19 +12,19 @@ from meshes import box, steel, where
 from typer.testing import CliRunner
 
 from morembs.body import elastic_body, make_part
-from morembs.certify import certify
 from morembs.cli import app
 from morembs.errors import InputError
 from morembs.exporters import export_body
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import import_file
 from morembs.interface import make_interface
 from morembs.problem import Problem
-from morembs.recovery import Trajectory, expand, recover
 from morembs.reducers import CraigBampton
-from morembs.stiffening_terms import geometric_stiffening
-from morembs.storage import read_body, write_body
-from morembs.stress import stress_recovery
+from morembs.responses.certify import certify
+from morembs.storage.body_file import read_body, write_body
+from morembs.stress.recovery import Trajectory, expand, recover
+from morembs.stress.shapes import stress_recovery
 
 # What follows from other datasets and is for people or other programs only.
 DERIVED = "C4|C6|Cr1|J1|Gr|Ge|Oe|Oe1"

@@ -14,7 +14,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.balanced import _refuse_unstable as refuse_unstable
 from morembs.reducers.second_order_balancing import VARIANTS, band_factor, lyapunov_factor
-from morembs.response import full_response, reduced_response
+from morembs.responses.response import full_response, reduced_response
 
 RAYLEIGH = Damping(alpha=200.0, beta=1e-5)
 OMEGA = 2 * np.pi * np.linspace(20.0, 3000.0, 25)

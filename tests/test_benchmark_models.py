@@ -11,9 +11,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from morembs.check import check_job
 from morembs.elements import TYPES
-from morembs.job import load_job
+from morembs.jobs.check import check_job
+from morembs.jobs.job import load_job
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from morembs.cli import app
 from morembs.model import FEModel
-from morembs.model_file import read_model
+from morembs.storage.model_file import read_model
 
 CCX = next((path for name in ("ccx", "ccx_2.20") if (path := shutil.which(name))), None)
 pytestmark = pytest.mark.skipif(CCX is None, reason="ccx is not installed (Debian package calculix-ccx)")

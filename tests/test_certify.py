@@ -14,8 +14,6 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 from meshes import box, merged, points_and_cells, steel, where
 
-from morembs.band import band_frequencies
-from morembs.certify import REFERENCE, Certificate, certify
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
@@ -23,7 +21,9 @@ from morembs.linalg.eigen import Modes
 from morembs.model import DofMap, FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import Automatic, CraigBampton, FreeInterface, Guyan, Modal
-from morembs.response import reduced_response
+from morembs.responses.band import band_frequencies
+from morembs.responses.certify import REFERENCE, Certificate, certify
+from morembs.responses.response import reduced_response
 from morembs.units import parse_units
 
 Long = np.longdouble

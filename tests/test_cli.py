@@ -18,14 +18,15 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import morembs
-from morembs import cli, terminal
+from morembs.cli import commands as cli
+from morembs.cli import terminal
 from morembs.importers import read_mesh
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
 from morembs.linalg.solver import Analysis
 from morembs.picture import _view
 from morembs.progress import Progress
-from morembs.run import run_job
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 RUNNER = CliRunner()
 # The beam of BEAM: 60 x 20 x 20 mm of steel.
@@ -244,7 +245,7 @@ def test_usage() -> None:
 
 
 def test_quiet_without_a_terminal(tmp_path: Path) -> None:
-    code = "from morembs import cli, terminal; terminal.PATIENCE_SECONDS = 0.0; cli.main()"
+    code = "from morembs.cli import commands as cli, terminal; terminal.PATIENCE_SECONDS = 0.0; cli.main()"
     command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert done.stderr == ""

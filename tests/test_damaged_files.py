@@ -25,7 +25,7 @@ from morembs.importers import import_file
 from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.op4 import read_op4
 from morembs.model import FEModel
-from morembs.model_file import write_model
+from morembs.storage.model_file import write_model
 
 STEEL = "young=2.1e11,poisson=0.3,density=7850"
 BANNER = "%%MatrixMarket matrix coordinate real "

@@ -11,18 +11,18 @@ from meshes import box, steel, where
 from test_bad_input import refused
 
 from morembs.body import elastic_body, make_part
-from morembs.certify import certify
 from morembs.damping import ADAMS, STRUCTURAL, Damping, frequency_domain_only
-from morembs.direct import direct_response, elastic_states
 from morembs.errors import InputError
 from morembs.interface import make_interface
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import damping_of
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, Automatic, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
-from morembs.reference import reference_model
-from morembs.response import full_response, reduced_response
-from morembs.run import damping_of
-from morembs.storage import read_body, write_body
+from morembs.responses.certify import certify
+from morembs.responses.direct import direct_response, elastic_states
+from morembs.responses.reference import reference_model
+from morembs.responses.response import full_response, reduced_response
+from morembs.storage.body_file import read_body, write_body
 
 OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
 # The beams have modes on both sides of all jumps; the first jump parts the modes within the band.

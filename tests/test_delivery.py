@@ -7,17 +7,18 @@ import pytest
 from decks import folder
 from typer.testing import CliRunner
 
-from morembs import Envelope, assemble, floating_frame, read_body
+from morembs import Envelope, assemble, read_body
 from morembs.cli import app
+from morembs.floating import frame as floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
 from morembs.material import isotropic
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from morembs.selection import select_nodes
-from morembs.stiffening_terms import geometric_stiffening
-from morembs.stress import stress_recovery
-from morembs.stress_operator import von_mises
+from morembs.stress.operator import von_mises
+from morembs.stress.shapes import stress_recovery
 from morembs.units import parse_units
 
 TABLES = {

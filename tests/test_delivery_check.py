@@ -8,13 +8,13 @@ import pytest
 from meshes import STEEL, box, steel, where
 
 from morembs.body import elastic_body, make_part
-from morembs.delivery_check import check_delivery
 from morembs.errors import InputError
+from morembs.examination.delivery_check import check_delivery
 from morembs.interface import make_interface
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 SIZE = (0.5, 0.06, 0.04)
 WAYS = ("geometry", "stiffness", "eigenvectors")

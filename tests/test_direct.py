@@ -7,14 +7,14 @@ import pytest
 import scipy.sparse as sp
 from meshes import box, steel, where
 
-from morembs.band import band_frequencies
-from morembs.certify import certify
-from morembs.direct import direct_response, elastic_states
 from morembs.errors import InputError, SingularMatrixError
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import Automatic, FreeInterface
-from morembs.response import full_response
+from morembs.responses.band import band_frequencies
+from morembs.responses.certify import certify
+from morembs.responses.direct import direct_response, elastic_states
+from morembs.responses.response import full_response
 
 OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
 

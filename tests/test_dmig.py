@@ -17,7 +17,7 @@ from morembs.importers.op4 import read_op4
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 LABELS = np.array([[1, 1], [1, 2], [2, 1], [7, 0], [8, 0], [100, 6]])
 S = np.array([[4, -1, 0, 0, 2, 0], [-1, 5e8, 1, 0, 0, 0], [0, 1, 6, 0, 0, 3e-7], [0, 0, 0, 0, 0, 0],

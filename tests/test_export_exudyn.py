@@ -12,11 +12,11 @@ from morembs.body import elastic_body, make_part
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body
 from morembs.exporters.exudyn import exudyn_marker
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 exu = pytest.importorskip("exudyn")
 fem = pytest.importorskip("exudyn.FEM")

@@ -19,13 +19,13 @@ from morembs.body import elastic_body, make_part
 from morembs.damping import Damping
 from morembs.errors import InputError, OutputError
 from morembs.exporters import EXPORTERS, export_body
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
-from morembs.safefile import replacing_all
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
+from morembs.storage.safefile import replacing_all
 
 ROOT = Path(__file__).parent.parent
 

@@ -18,7 +18,7 @@ from morembs.interface import make_interface
 from morembs.model import rigid_motion
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov, Modal
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 LENGTH = 0.5
 REDUCERS = {

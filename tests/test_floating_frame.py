@@ -9,14 +9,14 @@ import scipy.sparse as sp
 from meshes import box, steel, where
 
 from morembs.errors import InputError
-from morembs.floating_frame import floating_frame, frame_rows, why_not_floating
+from morembs.floating.frame import floating_frame, frame_rows, why_not_floating
+from morembs.floating.integrals import shape_integrals
+from morembs.floating.ranking import ranked_terms
+from morembs.floating.stiffening import Envelope
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes, rigid_motion, skew
 from morembs.problem import Problem
-from morembs.ranking import ranked_terms
 from morembs.reducers import Balanced, CraigBampton, Modal
-from morembs.shape_integrals import shape_integrals
-from morembs.stiffening import Envelope
 
 KINDS = [("mean-axes", ()), ("tangent", ("l",)), ("tangent", ("r",)), ("chord", ("l", "r")), ("center-of-mass", ("l",))]
 SIZE = (0.5, 0.05, 0.03)

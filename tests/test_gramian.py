@@ -16,8 +16,8 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface, Modal
 from morembs.reducers import gramian as module
 from morembs.reducers.gramian import Gramian
-from morembs.reference import inertia_loads
-from morembs.response import full_response, reduced_response
+from morembs.responses.reference import inertia_loads
+from morembs.responses.response import full_response, reduced_response
 
 BAND = [50.0, 2600.0]
 RAYLEIGH = Damping(alpha=5.0, beta=2e-6)

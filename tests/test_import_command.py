@@ -22,7 +22,7 @@ from morembs import CraigBampton, Damping, Problem, make_interface, read_body
 from morembs.cli import app
 from morembs.importers import IMPORTERS
 from morembs.model import FEModel
-from morembs.model_file import read_model
+from morembs.storage.model_file import read_model
 
 OLD = b"what was there before"
 CONROD_HZ = [5931.72907, 10572.56166, 13006.48953, 14286.39617]

@@ -19,7 +19,7 @@ from morembs import Problem
 from morembs.cli import app
 from morembs.importers import import_file
 from morembs.model import FEModel
-from morembs.model_file import read_model
+from morembs.storage.model_file import read_model
 
 STEEL = ["--material", "young=2.1e11,poisson=0.3,density=7850"]
 STEEL_MM = ["--units", "mm-t-s", "--material", "young=210e3,poisson=0.3,density=7.85e-9"]

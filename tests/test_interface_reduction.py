@@ -9,16 +9,16 @@ from meshes import box, steel, where
 from morembs.body import elastic_body, make_part
 from morembs.budget import Budget
 from morembs.errors import InputError
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
 from morembs.linalg.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Guyan
 from morembs.reducers import interface_modes as module
 from morembs.reducers.interface_modes import Inside, interface_modes
-from morembs.run import run_job
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 SIZE = (0.4, 0.1, 0.08)
 

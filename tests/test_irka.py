@@ -11,7 +11,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import irka
 from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov
-from morembs.response import full_response, reduced_response
+from morembs.responses.response import full_response, reduced_response
 
 BAND = [50.0, 6000.0]
 

@@ -10,7 +10,7 @@ import pytest
 from test_storage import everything
 
 from morembs.linalg.mumps import EmbeddedMumps
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 JOB = """
 [model]
@@ -47,7 +47,7 @@ nodes = "skin"
 
 def reduce(folder, name, **values):
     (folder / f"{name}.toml").write_text(JOB.format(name=name, **values))
-    subprocess.run([sys.executable, "-m", "morembs.cli", "reduce", f"{name}.toml"], cwd=folder, check=True,
+    subprocess.run([sys.executable, "-m", "morembs", "reduce", f"{name}.toml"], cwd=folder, check=True,
                    capture_output=True)  # fmt: skip
     return folder / f"{name}.h5"
 
@@ -86,7 +86,7 @@ def test_results_never_overwrite_what_they_come_from(small_meshes, tmp_path, fau
     text = text.replace('path = "body.h5"', f'path = "{path}"\npicture = "same.png"')
     (tmp_path / "job.toml").write_text(text)
     for verb in ("check", "reduce"):
-        command = [sys.executable, "-m", "morembs.cli", verb, "job.toml"]
+        command = [sys.executable, "-m", "morembs", verb, "job.toml"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 2 and "would overwrite" in done.stderr and "Traceback" not in done.stderr
     assert (tmp_path / "beam.msh").read_bytes() == (small_meshes / "beam.msh").read_bytes()
@@ -97,7 +97,7 @@ def test_two_jobs_with_one_output_are_refused(small_meshes, tmp_path):
     for name in ("a", "b"):
         text = JOB.format(name="same", mesh=small_meshes / "beam.msh", **SI)
         (tmp_path / f"{name}.toml").write_text(text)
-    done = subprocess.run([sys.executable, "-m", "morembs.cli", "reduce", "a.toml", "b.toml"], cwd=tmp_path,
+    done = subprocess.run([sys.executable, "-m", "morembs", "reduce", "a.toml", "b.toml"], cwd=tmp_path,
                           capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 2 and "that of a.toml too" in done.stderr
     assert "cb" in read_body(tmp_path / "same.h5").bodies
@@ -113,7 +113,7 @@ def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
     (tmp_path / "body.h5").write_text("old")
     code = (
         "import os, signal, sys\n"
-        "from morembs import cli, job_inputs\n"
+        "from morembs.cli import commands as cli\nfrom morembs.jobs import inputs as job_inputs\n"
         "from morembs.linalg.mumps import EmbeddedMumps\n"
         "from morembs.problem import Problem\n"
         # A budget would not do: it is that of the whole process, whose libraries take more than this factor.

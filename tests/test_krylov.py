@@ -14,8 +14,8 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.solver import LinearSolver
 from morembs.problem import Damping, Problem
 from morembs.reducers.krylov import Krylov
-from morembs.reference import inertia_loads
-from morembs.response import full_response, reduced_response
+from morembs.responses.reference import inertia_loads
+from morembs.responses.response import full_response, reduced_response
 
 
 def bar(n=(6, 1, 1)):

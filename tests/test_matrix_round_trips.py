@@ -28,8 +28,8 @@ from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
 from morembs.importers.dmig import DmigMatrix
 from morembs.model import FEModel
-from morembs.model_file import read_model, write_model
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
+from morembs.storage.model_file import read_model, write_model
 
 KINDS = ("symmetric", "general", "complex")
 OP4 = [(True, *variant) for variant in itertools.product(("dense", "bigmat", "nonbigmat"), ("little", "big"), (32, 64))]

@@ -10,12 +10,12 @@ from meshes import box, steel, where
 from morembs.body import elastic_body, make_part
 from morembs.errors import InputError
 from morembs.exporters import export_body
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
 from morembs.model import skew
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 
 def make(path, names=("left", "right"), damping=None):

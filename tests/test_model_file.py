@@ -14,15 +14,15 @@ from meshes import STEEL, box, steel, where
 from scipy.spatial.transform import Rotation
 
 from morembs import CraigBampton, InputError, Problem, isotropic, make_interface
-from morembs.coupled_model import CoupledModel
-from morembs.examination import examined
-from morembs.followers import interface_of_coupling
-from morembs.from_import import model_of
-from morembs.imported import AverageElement, Imported, PointMass, RigidElement
+from morembs.conversion.coupled_model import CoupledModel
+from morembs.conversion.followers import interface_of_coupling
+from morembs.conversion.imported import AverageElement, Imported, PointMass, RigidElement
+from morembs.conversion.to_model import model_of
+from morembs.examination.warnings import examined
 from morembs.mass import mass_properties
 from morembs.model import DofMap, Mesh, Nodes, skew
-from morembs.model_file import read_model, write_model
-from morembs.response import full_response
+from morembs.responses.response import full_response
+from morembs.storage.model_file import read_model, write_model
 from morembs.units import parse_units
 
 # Along x alone, bending in one plane would not touch the other.

@@ -9,7 +9,9 @@ from meshes import box, steel, where
 from scipy.integrate import solve_ivp
 
 from morembs.errors import InputError
-from morembs.floating_frame import FloatingFrame, floating_frame
+from morembs.floating.frame import FloatingFrame, floating_frame
+from morembs.floating.integrals import ShapeIntegrals
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
 from morembs.multibody import (
     DrivenAngle,
@@ -27,8 +29,6 @@ from morembs.multibody.inertia import Foreshortening, Inertia
 from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
-from morembs.shape_integrals import ShapeIntegrals
-from morembs.stiffening_terms import geometric_stiffening
 
 DOWN = (0.0, 0.0, -9.81)
 

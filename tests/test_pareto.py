@@ -7,12 +7,12 @@ import pytest
 from meshes import box, steel, where
 from typer.testing import CliRunner
 
-from morembs.band import band_frequencies
-from morembs.certify import certify
 from morembs.cli import app
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Modal
+from morembs.responses.band import band_frequencies
+from morembs.responses.certify import certify
 
 JOB = """
 [model]

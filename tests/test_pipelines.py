@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 ROOT = Path(__file__).parent.parent
 # The last three run in test_pipelines_multibody.py.
@@ -28,7 +28,7 @@ def connecting_rod(tmp_path_factory):
     run(PIPELINES / "connecting_rod.py", "--output", folder / "connecting_rod.msh")
     job = folder / "connecting_rod.toml"
     job.write_text((PIPELINES / "connecting_rod.toml").read_text())
-    return folder, json.loads(run("-m", "morembs.cli", "reduce", job, "--json"))
+    return folder, json.loads(run("-m", "morembs", "reduce", job, "--json"))
 
 
 def test_no_pipeline_is_left_out():

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg as sl
 from numpy.polynomial import Legendre
 
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 ROOT = Path(__file__).parent.parent
 PIPELINES = ROOT / "pipelines"

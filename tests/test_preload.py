@@ -8,17 +8,17 @@ from meshes import STEEL, box, steel, where
 
 from morembs.budget import Budget
 from morembs.errors import InputError
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
-from morembs.job import load_job
+from morembs.jobs.job import load_job
+from morembs.jobs.run import preload_of, run_job
 from morembs.linalg.select import select_solver
 from morembs.model import DofMap, FEModel
 from morembs.preload import Preload, preloaded, prestressed
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
-from morembs.run import preload_of, run_job
-from morembs.stiffening_terms import geometric_stiffening
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 LENGTH, SIDE = 1.0, 0.02
 EI = STEEL["young"] * SIDE**4 / 12

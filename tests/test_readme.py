@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 ROOT = Path(__file__).parent.parent
 

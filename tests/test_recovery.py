@@ -14,7 +14,6 @@ import vtk
 from meshes import STEEL, box, steel, where
 from vtk.util.numpy_support import vtk_to_numpy
 
-from morembs import recovery as module
 from morembs.body import elastic_body, make_part
 from morembs.errors import InputError, OutputError
 from morembs.fem import assemble
@@ -22,12 +21,13 @@ from morembs.interface import make_interface
 from morembs.material import isotropic
 from morembs.model import Mesh, Nodes
 from morembs.problem import Problem
-from morembs.recovery import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
-from morembs.storage import read_body, write_body
-from morembs.stress import stress_recovery, write_recovery
-from morembs.stress_operator import von_mises
-from morembs.vtkhdf_series import stored_recovery
+from morembs.storage.body_file import read_body, write_body
+from morembs.storage.vtkhdf_series import stored_recovery
+from morembs.stress import recovery as module
+from morembs.stress.operator import von_mises
+from morembs.stress.recovery import Recovered, Trajectory, expand, read_trajectory, recover
+from morembs.stress.shapes import stress_recovery, write_recovery
 
 ROOT = Path(__file__).parent.parent
 
@@ -338,7 +338,7 @@ def test_a_full_disk_is_one_message_and_the_old_file_stays(bar, tmp_path):
     save(tmp_path / "t.npz", long)
     code = (
         "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "from morembs.recovery import recover\nfrom morembs.errors import OutputError\n"
+        "from morembs.stress.recovery import recover\nfrom morembs.errors import OutputError\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
         f"try:\n    recover({str(bar.path)!r}, 't.npz', 'out.vtkhdf', body='cb')\n"
         "except OutputError as error:\n    print(error)\n"

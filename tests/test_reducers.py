@@ -16,7 +16,7 @@ from morembs.material import isotropic
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Modal
-from morembs.response import full_response, reduced_response
+from morembs.responses.response import full_response, reduced_response
 
 COUPLINGS = ("rigid", "average", "direct")
 

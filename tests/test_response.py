@@ -8,7 +8,7 @@ from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
-from morembs.response import full_response, reduced_response
+from morembs.responses.response import full_response, reduced_response
 
 OMEGA = 2 * np.pi * np.linspace(20.0, 3000.0, 25)
 

@@ -13,12 +13,12 @@ from morembs.exporters import export_body
 from morembs.exporters.base import in_two_digits
 from morembs.exporters.sid import SidFem, normal_coordinates
 from morembs.exporters.sid_reader import read_sid
-from morembs.floating_frame import Stiffening, floating_frame
+from morembs.floating.frame import Stiffening, floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
-from morembs.stiffening_terms import geometric_stiffening
-from morembs.storage import read_body, write_body
+from morembs.storage.body_file import read_body, write_body
 
 OMEGA_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 SOUTHWELL = 1.193

@@ -12,9 +12,9 @@ from morembs.model import DofMap, FEModel
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, StaticModesSwitching, static_modes_switching
 from morembs.reducers import candidates as candidate_module
-from morembs.storable import storable
-from morembs.stored_switching import read_switching, write_switching
-from morembs.stress_operator import stress_operator
+from morembs.storage.storable import storable
+from morembs.storage.stored_switching import read_switching, write_switching
+from morembs.stress.operator import stress_operator
 from morembs.switching import active_set
 
 

@@ -11,16 +11,16 @@ from meshes import STEEL, box, steel, where
 from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.fem import assemble
-from morembs.floating_frame import floating_frame, frame_rows
-from morembs.geometric_stiffness import StressedMesh, geometric_stiffness
+from morembs.floating.frame import floating_frame, frame_rows
+from morembs.floating.geometric_stiffness import StressedMesh, geometric_stiffness
+from morembs.floating.link_stiffness import Links
+from morembs.floating.stiffening import Envelope
+from morembs.floating.stiffening_terms import geometric_stiffening, why_no_stiffening
 from morembs.interface import make_interface
-from morembs.link_stiffness import Links
 from morembs.material import isotropic, orthotropic
 from morembs.model import FEModel, Mesh, skew
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
-from morembs.stiffening import Envelope
-from morembs.stiffening_terms import geometric_stiffening, why_no_stiffening
 
 WOOD = {"young": (1.1e10, 5e8, 8e8), "poisson": (0.4, 0.35, 0.3), "shear": (6e8, 7e8, 4e7), "density": 500.0}
 LENGTH, SIDE = 1.0, 0.02
@@ -388,8 +388,8 @@ def test_blocks_and_groups_change_nothing():
     found = []
     for columns in (16, 5):
         with Problem(model, interfaces) as problem, pytest.MonkeyPatch.context() as patch:
-            patch.setattr("morembs.stiffening_terms.COLUMNS", columns)
-            patch.setattr("morembs.stiffening_terms.LOADS", columns // 2)
+            patch.setattr("morembs.floating.stiffening_terms.COLUMNS", columns)
+            patch.setattr("morembs.floating.stiffening_terms.LOADS", columns // 2)
             patch.setattr("morembs.fem.CHUNK_BYTES", 10_000_000 // columns**3)
             reduced = Krylov(shifts_hz=[0.0, 200.0]).reduce(problem)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])

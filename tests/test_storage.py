@@ -23,9 +23,9 @@ from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.progress import Stage
 from morembs.reducers import CraigBampton, Modal, ReducedModel
-from morembs.safefile import SafeFile
-from morembs.storage import check_names, check_writable, read_body, write_body
-from morembs.vtkhdf import shown_modes
+from morembs.storage.body_file import check_names, check_writable, read_body, write_body
+from morembs.storage.safefile import SafeFile
+from morembs.storage.vtkhdf import shown_modes
 
 ROOT = Path(__file__).parent.parent
 SCHEMA = ROOT / "docs" / "schema.md"
@@ -210,7 +210,7 @@ def test_same_bytes_in_another_process(tmp_path):
 @pytest.mark.parametrize("error", [RuntimeError("halt"), OSError("not of the file"), KeyboardInterrupt()], ids=repr)
 @pytest.mark.parametrize("old", [b"the old file", None])
 def test_interruption_leaves_the_old_file_or_none(tmp_path, monkeypatch, error, old):
-    monkeypatch.setattr("morembs.storage.BLOCK_BYTES", 8 * 30)
+    monkeypatch.setattr("morembs.storage.body_file.BLOCK_BYTES", 8 * 30)
     path = tmp_path / "body.h5"
     if old:
         path.write_bytes(old)

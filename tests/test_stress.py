@@ -22,9 +22,9 @@ from morembs.material import isotropic, orthotropic
 from morembs.model import Mesh
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
-from morembs.residual import static_response
-from morembs.stress import read_recovery, stress_recovery, write_recovery
-from morembs.stress_operator import principal, stress_operator, stress_shapes, von_mises
+from morembs.responses.residual import static_response
+from morembs.stress.operator import principal, stress_operator, stress_shapes, von_mises
+from morembs.stress.shapes import read_recovery, stress_recovery, write_recovery
 from morembs.units import parse_units
 
 TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
@@ -97,7 +97,7 @@ def test_average_weighs_elements_by_volume_and_chunks_change_nothing(monkeypatch
         mean = volume[at] @ strain[at] / volume[at].sum()
         assert whole.reshape(-1, 6)[node] == pytest.approx(mean, rel=1e-11, abs=1e-12)
     monkeypatch.setattr(fem, "CHUNK_BYTES", 1)
-    monkeypatch.setattr("morembs.stress_operator._COLLECTED", 1)
+    monkeypatch.setattr("morembs.stress.operator._COLLECTED", 1)
     assert np.abs(stress_operator(model, "all").strain(u) - whole).max() < 1e-12 * np.abs(whole).max()
     some = stress_operator(model, np.array([20, 7, 7]))
     assert some.nodes.tolist() == [7, 20]

@@ -10,7 +10,7 @@ from meshes import box, steel, where
 from sliding import reduced_beam
 
 from morembs.errors import InputError
-from morembs.floating_frame import floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel
 from morembs.multibody import FlexibleBody, RigidBody, System
@@ -21,7 +21,7 @@ from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, 
 from morembs.multibody.switching import SwitchingBody
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
-from morembs.stress_operator import stress_operator
+from morembs.stress.operator import stress_operator
 from morembs.switching import Switching
 
 

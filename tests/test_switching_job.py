@@ -9,7 +9,7 @@ from morembs.cli import app
 from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
-from morembs.storage import read_body
+from morembs.storage.body_file import read_body
 
 JOB = """
 [model]

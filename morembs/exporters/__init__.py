@@ -19,8 +19,8 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
-from morembs.storage import read_body
-from morembs.stored import StoredBodies, StoredBody
+from morembs.storage.body_file import read_body
+from morembs.storage.stored import StoredBodies, StoredBody
 
 # One line for each target.
 _ALL: tuple[type[Exporter], ...] = (

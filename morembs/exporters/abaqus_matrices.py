@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
 from morembs.exporters.reduced import on_interfaces
-from morembs.safefile import replacing, replacing_all
+from morembs.storage.safefile import replacing, replacing_all
 
 Ints = NDArray[np.int64]
 Layout = Literal["matrix input", "labels", "coordinate"]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from morembs.damping import frequency_domain_only
 from morembs.errors import InputError
-from morembs.stored import StoredBodies, StoredBody
+from morembs.storage.stored import StoredBodies, StoredBody
 
 if TYPE_CHECKING:
-    from morembs.floating_frame import FloatingFrame, Marker
+    from morembs.floating.frame import FloatingFrame, Marker
 
 Floats = NDArray[np.float64]
 # Columns of a basis that are in memory at a time.

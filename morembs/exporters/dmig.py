@@ -15,7 +15,7 @@ from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
 from morembs.exporters.reduced import on_interfaces
 from morembs.importers.dmig import DmigMatrix
-from morembs.safefile import replacing
+from morembs.storage.safefile import replacing
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
 _LARGEST = 99999999

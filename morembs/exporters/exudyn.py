@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from morembs.elements import FACES, TYPES
 from morembs.errors import InputError, nearest
 from morembs.exporters.base import Exported, Exporter, Task
+from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import ElementBlock, Mesh, Nodes, skew
-from morembs.safefile import replacing
-from morembs.shape_integrals import ShapeIntegrals
-from morembs.stored import StoredBodies
-from morembs.stored_check import check_grid
+from morembs.storage.safefile import replacing
+from morembs.storage.stored import StoredBodies
+from morembs.storage.stored_check import check_grid
+from morembs.storage.vtkhdf_series import read_grid
 from morembs.surface import outer_faces
-from morembs.vtkhdf_series import read_grid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -11,7 +11,7 @@ from scipy.io import mmwrite
 
 from morembs.exporters.base import Exported, Exporter, Task
 from morembs.exporters.reduced import reduced_matrices
-from morembs.safefile import replacing_all
+from morembs.storage.safefile import replacing_all
 
 _DIGITS = 17
 _MEANING = {"M": "mass", "K": "stiffness", "D": "damping", "B": "input", "C": "output"}

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits, names_without_blanks
-from morembs.floating_frame import FloatingFrame, Marker
-from morembs.safefile import replacing
+from morembs.floating.frame import FloatingFrame, Marker
+from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
 _LONGEST_NAME = 255

@@ -17,7 +17,7 @@ from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
 from morembs.exporters.reduced import reduced_matrices
 from morembs.importers.op4_columns import BIGMAT_ROWS, RECTANGULAR, SQUARE, SYMMETRIC, OP4Matrix
-from morembs.safefile import replacing
+from morembs.storage.safefile import replacing
 
 Storage = Literal["dense", "bigmat", "nonbigmat"]
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,7}")

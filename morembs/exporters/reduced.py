@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.exporters.base import Task
-from morembs.stored import StoredBodies, StoredBody
+from morembs.storage.stored import StoredBodies, StoredBody
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task, in_two_digits, names_without_blanks
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
-from morembs.floating_frame import FloatingFrame, Marker
+from morembs.floating.frame import FloatingFrame, Marker
 from morembs.model import skew
-from morembs.safefile import replacing
+from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
 MOST_NODES = 99999

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task
-from morembs.safefile import replacing
-from morembs.stored import StoredBody
+from morembs.storage.safefile import replacing
+from morembs.storage.stored import StoredBody
 
 Floats = NDArray[np.float64]
 # Text at the start of a .mat file, always the same.

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from morembs.conversion.imported import Imported
 from morembs.errors import InputError, nearest
-from morembs.imported import Imported
 from morembs.importers.abaqus import import_abaqus, read_abaqus
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full

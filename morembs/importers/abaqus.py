@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.conversion.imported import Imported
 from morembs.errors import InputError
-from morembs.imported import Imported
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck

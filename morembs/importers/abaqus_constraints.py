@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.conversion.imported import AverageElement, PointMass, RigidElement
 from morembs.elements import TYPES
 from morembs.errors import InputError, nearest
-from morembs.imported import AverageElement, PointMass, RigidElement
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.conversion.imported import Imported, PointMass
 from morembs.errors import InputError
-from morembs.imported import Imported, PointMass
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, MASS, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material, point_masses

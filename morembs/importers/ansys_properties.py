@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from morembs.conversion.imported import PointMass
 from morembs.errors import InputError
-from morembs.imported import PointMass
 from morembs.importers.ansys_elements import Elements
 from morembs.material import Material, isotropic, orthotropic
 

@@ -12,9 +12,9 @@ import numpy as np
 from meshio._mesh import topological_dimension
 from numpy.typing import NDArray
 
+from morembs.conversion.imported import Imported
 from morembs.elements import TYPES
 from morembs.errors import InputError
-from morembs.imported import Imported
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.hdf5_sparse import refuse_hollow_file
 from morembs.model import ElementBlock, Mesh, Nodes

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.conversion.imported import AverageElement, PointMass, RigidElement
 from morembs.errors import InputError
-from morembs.imported import AverageElement, PointMass, RigidElement
 from morembs.importers.abaqus_materials import turned
 from morembs.importers.nastran_cards import real, whole
 from morembs.importers.nastran_geometry import Grids, Systems

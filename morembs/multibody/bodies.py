@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.floating_frame import FloatingFrame
+from morembs.floating.frame import FloatingFrame
 from morembs.multibody.component import Component, Marker, Place, checked_rotation, numbers, vector
 from morembs.multibody.inertia import Foreshortening, Inertia
 from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent

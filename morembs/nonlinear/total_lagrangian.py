@@ -20,7 +20,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.elements import TYPES
 from morembs.errors import InputError, SolverError
 from morembs.fem import chunks, geometry, material_of_elements, node_graph, stiffness_pattern
-from morembs.geometric_stiffness import element_stiffness
+from morembs.floating.geometric_stiffness import element_stiffness
 from morembs.material import VOIGT
 from morembs.model import FEModel
 

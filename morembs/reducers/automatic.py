@@ -21,13 +21,13 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.band import band_frequencies, beyond, checked_band
 from morembs.errors import InputError, SolverError
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces
-from morembs.reference import Reference, reference_model
+from morembs.responses.band import band_frequencies, beyond, checked_band
+from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.

@@ -38,7 +38,7 @@ from morembs.reducers.second_order_balancing import (
     truncated,
     usable_order,
 )
-from morembs.reference import Reference, reference_model
+from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
 Values = NDArray[Any]

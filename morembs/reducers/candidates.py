@@ -13,7 +13,7 @@ from morembs.interface import Interface
 from morembs.model import DofMap, FEModel
 from morembs.problem import Problem
 from morembs.selection import select_nodes
-from morembs.stress_operator import StressOperator, stress_operator
+from morembs.stress.operator import StressOperator, stress_operator
 from morembs.surface import outer_faces
 
 Floats = NDArray[np.float64]

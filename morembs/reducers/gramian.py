@@ -24,7 +24,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.direct import elastic_states
 from morembs.errors import InputError
 from morembs.linalg.gramians import (
     StreamedSVD,
@@ -40,7 +39,8 @@ from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces
-from morembs.reference import Reference, inertia_loads, reference_model
+from morembs.responses.direct import elastic_states
+from morembs.responses.reference import Reference, inertia_loads, reference_model
 
 Floats = NDArray[np.float64]
 WEIGHTS = ("position", "velocity")

@@ -22,7 +22,7 @@ from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces
-from morembs.reference import Reference, reference_model
+from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

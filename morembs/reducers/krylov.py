@@ -16,7 +16,6 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.direct import damps_no_rigid_motion
 from morembs.errors import InputError, nearest
 from morembs.linalg.orthogonal import beside, combine, dot
 from morembs.problem import Problem
@@ -31,7 +30,8 @@ from morembs.reducers.shifts import (
     outside,
     shift_at,
 )
-from morembs.reference import inertia_loads
+from morembs.responses.direct import damps_no_rigid_motion
+from morembs.responses.reference import inertia_loads
 
 Floats = NDArray[np.float64]
 MOST_COLUMNS = 500

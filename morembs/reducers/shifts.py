@@ -17,12 +17,12 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.direct import damps_no_rigid_motion
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.orthogonal import m_norms, remove
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi, orthonormal
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
+from morembs.responses.direct import damps_no_rigid_motion
 
 Floats = NDArray[np.float64]
 Values = NDArray[Any]

@@ -31,7 +31,7 @@ from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
-from morembs.stress_operator import StressOperator
+from morembs.stress.operator import StressOperator
 from morembs.switching import KINDS, Switching
 
 Floats = NDArray[np.float64]

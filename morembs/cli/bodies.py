@@ -1,0 +1,128 @@
+"""Verbs of the command line that work on body files."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from morembs.cli.report_stored import print_stored, stored_json
+from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
+from morembs.errors import InputError
+from morembs.exporters import EXPORTERS, export_body, make_exporter
+from morembs.storage.body_file import read_body
+from morembs.stress.recovery import recover as recover_series
+
+app = typer.Typer()
+BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]
+BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
+
+
+@app.command(epilog=EPILOG)
+def info(file: BodyFile, as_json: AsJson = False) -> None:
+    """Show what a body file holds."""
+    failed: list[str] = []
+    with messages(failed):
+        stored = read_body(file)
+        if as_json:
+            print_json(stored_json(str(file), stored))
+        else:
+            print_stored(console(), str(file), stored)
+    if failed:
+        raise typer.Exit(BAD_INPUT)
+
+
+@app.command(epilog=EPILOG)
+def export(
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE.h5]", help="A body file.", show_default=False)] = None,
+    to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
+    body: BodyName = None,
+    frame: Annotated[
+        str | None, typer.Option(help="Another floating frame: mean-axes, tangent:NAME, chord:NAME,NAME ...")
+    ] = None,
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option of the target, KEY=VALUE.")] = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a body for another program."""
+    if listed:
+        targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
+        if as_json:
+            print_json(targets)
+        else:
+            typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
+        return
+    failed: list[str] = []
+    with messages(failed):
+        if file is None or to is None:
+            raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
+        done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
+        paths = [str(path) for path in done.paths]
+        if as_json:
+            print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
+        else:
+            typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
+    if failed:
+        raise typer.Exit(BAD_INPUT)
+
+
+def _options(to: str, given: list[str]) -> dict[str, Any]:
+    """KEY=VALUE as TOML values; words need no quotes.
+
+    Raises:
+        InputError: no "=", or a key or value that the target does not take.
+    """
+    options: dict[str, Any] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise InputError(f"--set {text!r} was given; expected KEY=VALUE")
+        try:
+            options[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[key] = value
+    make_exporter(to, options)
+    return options
+
+
+@app.command(epilog=EPILOG)
+def recover(
+    file: BodyFile,
+    trajectory: Annotated[
+        Path,
+        typer.Argument(metavar="TRAJECTORY", help="Coordinates over time, .npz .csv .txt .h5.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The .vtkhdf file to write.", show_default=False)],
+    body: BodyName = None,
+    no_stress: Annotated[bool, typer.Option("--no-stress", help="Displacements only.")] = False,
+    scale: Annotated[float, typer.Option(help="Magnify deformations.")] = 1.0,
+    every: Annotated[int, typer.Option(help="Take each how manieth step.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Expand a reduced motion to all nodes, with stresses, for ParaView."""
+    failed: list[str] = []
+    with messages(failed):
+        with progress_line() as progress:
+            done = recover_series(
+                file, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
+            )
+        peak = None if done.peak is None else dict(zip(("von_mises_pa", "node", "time_s"), done.peak, strict=True))
+        if as_json:
+            print_json({
+                "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
+                "notes": list(done.notes),
+            })  # fmt: skip
+            return
+        typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
+        if peak is not None:
+            typer.echo(
+                f"largest von Mises stress: {peak['von_mises_pa'] / 1e6:,.4g} MPa at node {peak['node']}, "
+                f"{peak['time_s']:g} s"
+            )
+        for note in done.notes:
+            typer.echo(f"note: {note}")
+    if failed:
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,155 @@
+"""The command line: its verbs on jobs, and the entry point; verbs on body files are in ``cli_bodies``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from morembs import __version__
+from morembs.cli.bodies import app as bodies
+from morembs.cli.models import app as models
+from morembs.cli.report import (
+    print_contenders,
+    print_forecast,
+    print_result,
+    result_json,
+    without_nan,
+)
+from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, Done, Jobs, console, each_job, print_json
+from morembs.errors import InputError
+from morembs.jobs.check import check_job
+from morembs.jobs.job import load_job
+from morembs.jobs.pareto import contenders, draw_contenders
+from morembs.jobs.run import run_job
+from morembs.linalg.interruptible import calls_running
+from morembs.linalg.select import available_solvers
+from morembs.progress import Progress
+from morembs.storage.body_file import check_writable
+
+app = typer.Typer(
+    name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
+    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+)  # fmt: skip
+
+
+@app.command(epilog=EPILOG)
+def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
+    """Reduce the models of job files and write their bodies."""
+
+    owner: dict[Path, Path] = {}
+
+    def work(path: Path, progress: Progress) -> Done:
+        job = load_job(path)
+        other = owner.setdefault(job.output.resolve(), path)
+        if other is not path:
+            raise InputError(f"the output {job.output} is that of {other} too; give each job its own [output] path")
+        result = run_job(job, progress)
+        return result_json(result), lambda: print_result(console(), result)
+
+    each_job(jobs, as_json, work)
+
+
+@app.command(epilog=EPILOG)
+def compare(
+    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
+    picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run a job and set its reductions side by side: order, errors, time, memory."""
+
+    def work(path: Path, progress: Progress) -> Done:
+        if picture is not None:
+            if picture.suffix not in (".png", ".pdf", ".svg"):
+                raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
+            check_writable(picture)
+        loaded = load_job(path)
+        if picture is not None and picture.resolve() in {
+            one.resolve() for one in (loaded.path, loaded.output, loaded.picture) if one is not None
+        }:
+            raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
+        if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
+            raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+        found = contenders(run_job(loaded, progress))
+        if picture is not None:
+            draw_contenders(picture, found, path.name)
+        document = {
+            "job": str(path),
+            "contenders": [{key: without_nan(value) for key, value in asdict(one).items()} for one in found],
+        }
+        return document, lambda: print_contenders(console(), str(path), found)
+
+    each_job([job], as_json, work)
+
+
+@app.command(epilog=EPILOG)
+def check(jobs: Jobs, as_json: AsJson = False) -> None:
+    """Check job files and forecast size and memory; factorises nothing, writes nothing."""
+
+    def work(path: Path, progress: Progress) -> Done:
+        forecast = check_job(load_job(path), progress)
+        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
+
+    each_job(jobs, as_json, work)
+
+
+app.add_typer(bodies)
+app.add_typer(models)
+
+
+@app.command(epilog=EPILOG)
+def solvers(as_json: AsJson = False) -> None:
+    """List the sparse solvers, the best first, and why some cannot run here."""
+    found = available_solvers()
+    if as_json:
+        print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
+        return
+    for name, reason in found.items():
+        typer.echo(f"{name}: {reason or 'available'}")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"morembs {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options of all verbs."""
+
+
+def main() -> None:
+    """Entry point of the command ``morembs``."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _stop)
+    try:
+        app()
+    except SystemExit as end:
+        if calls_running():
+            # A library still computes in another thread; ending as usual would take its memory from under it.
+            sys.stdout.flush()
+            os._exit(end.code if isinstance(end.code, int) else BAD_INPUT)
+        raise
+    except OSError as error:
+        # Everything else that cannot be written has its own message: this is standard output.
+        typer.echo(f"error: the output cannot be printed ({error.strerror}); the results are written", err=True)
+        sys.exit(BAD_INPUT)
+
+
+def _stop(number: int, _: object) -> None:
+    """Leave through every ``with``, so that temporary files and factors on disk go."""
+    sys.exit(128 + number)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""Verbs of the command line that make model files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, messages, print_json, progress_line
+from morembs.errors import InputError
+from morembs.jobs.import_job import ImportJob, ImportResult, list_formats, material_of, run_import
+from morembs.units import parse_units
+
+app = typer.Typer()
+
+
+@app.command("import", epilog=EPILOG)
+def import_model(
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FILE]", help="The file of the model.", show_default=False)
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The model file to write, NAME.model.h5.")] = None,
+    format: Annotated[str | None, typer.Option(help="The format, one that --list names.")] = None,
+    units: Annotated[str, typer.Option(help="Length, mass and time of the files.")] = "m-kg-s",
+    stiffness: Annotated[Path | None, typer.Option(help="A file with K alone.")] = None,
+    mass: Annotated[Path | None, typer.Option(help="A file with M alone.")] = None,
+    damping: Annotated[Path | None, typer.Option(help="A file with D alone.")] = None,
+    nodes: Annotated[Path | None, typer.Option(help="A mesh that gives nodes to matrices.")] = None,
+    dofs: Annotated[Path | None, typer.Option(help="A table node,dof of the rows (.csv).")] = None,
+    material: Annotated[
+        list[str] | None, typer.Option(help="For a mesh: young=..,poisson=..,density=..[,set=NAME].")
+    ] = None,
+    mass_integration: Annotated[str, typer.Option(help="For a mesh: exact or reduced.")] = "exact",
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Examine the model and print what is found.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="As --check; errors stop the import.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="List the formats.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Convert a model of another program into a model file that jobs read."""
+    if listed:
+        formats = list_formats()
+        if as_json:
+            print_json(formats)
+        else:
+            typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
+        return
+    failed: list[str] = []
+    with messages(failed):
+        if out is None:
+            raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
+        if not out.name.endswith((".h5", ".hdf5")):
+            raise InputError(f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5")
+        if files is not None and len(files) > 1:
+            raise InputError(
+                f"{len(files)} files were given; expected one with the whole model, or --stiffness FILE --mass FILE "
+                "for matrices in files of their own, and --nodes FILE for their mesh"
+            )
+        named = {"K": stiffness, "M": mass, "D": damping}
+        given = parse_units(units)
+        job = ImportJob(
+            out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
+            matrices={role: path for role, path in named.items() if path is not None},
+            materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
+            options=_options(option or []),
+        )  # fmt: skip
+        with progress_line() as progress:
+            done = run_import(job, check=check, strict=strict, progress=progress)
+        if as_json:
+            print_json(_document(done))
+        else:
+            typer.echo("\n".join(_lines(done)))
+    if failed:
+        raise typer.Exit(BAD_INPUT)
+
+
+def _options(given: list[str]) -> dict[str, Any]:
+    """KEY=VALUE; names of matrices and sets are text."""
+    options: dict[str, Any] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key or key in options:
+            raise InputError(f"--set {text!r} was given; expected KEY=VALUE, each key once")
+        options[key] = value
+    return options
+
+
+def _document(done: ImportResult) -> dict[str, Any]:
+    model, found = done.model, done.diagnosis
+    return {
+        "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),
+        "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
+        "matrices": [name for name in ("K", "M", "D") if getattr(model, name) is not None],
+        "sets": sorted(model.nodes.sets), "couplings": list(model.couplings), "notes": list(model.notes),
+        "findings": [] if found is None else [
+            {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
+            for one in found.findings
+        ],
+    }  # fmt: skip
+
+
+def _lines(done: ImportResult) -> list[str]:
+    model = done.model
+    lines = [f"written: {done.path}, {model.size:,} dofs at {len(model.nodes):,} nodes, read as {done.format}"]
+    if model.couplings:
+        lines.append(f"couplings: {', '.join(model.couplings)}")
+    lines += [f"note: {note}" for note in model.notes]
+    return lines + ([done.diagnosis.text()] if done.diagnosis is not None else [])

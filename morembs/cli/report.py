@@ -1,0 +1,230 @@
+"""What people and scripts get to see: tables for a terminal, plain values for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from morembs.body import ElasticBody
+from morembs.cli.tables import (
+    bytes_words,
+    frame_words,
+    listed,
+    mass_table,
+    percent,
+    plain_table,
+    ranking_words,
+    titled,
+    words,
+)  # fmt: skip
+from morembs.jobs.forecast import JobForecast
+from morembs.jobs.pareto import Contender
+from morembs.jobs.run import JobResult
+from morembs.responses.certify import Certificate
+
+Floats = NDArray[np.float64]
+SHOWN_FREQUENCIES = 10
+BODIES_PER_TABLE = 2
+
+
+def result_json(result: JobResult) -> dict[str, Any]:
+    """A finished job as plain values, SI units."""
+    part, first = result.bodies[0].part, result.bodies[0]
+    response = result.response
+    return {
+        "job": str(result.job.path),
+        "output": str(result.job.output),
+        "picture": None if result.job.picture is None else str(result.job.picture),
+        "solver": result.solver,
+        "choice": result.choice,
+        "factor": asdict(result.factor),
+        "nodes": result.nodes,
+        "elements": result.elements,
+        "dofs": result.dofs,
+        "mass": part.mass,
+        "center_of_mass": part.center_of_mass.tolist(),
+        "inertia": part.inertia.tolist(),
+        "frequencies_hz": first.frequencies_hz.tolist(),
+        "full_frequencies_hz": listed(first.full_frequencies_hz),
+        "bodies": {
+            body.name: {
+                "order": body.reduced.order,
+                "rigid_count": body.reduced.rigid_count,
+                "frequencies_hz": body.frequencies_hz.tolist(),
+                "mode_kind": list(body.reduced.mode_kind),
+                "recipe": dict(body.recipe),
+                "frame": None if body.floating is None else body.floating.kind,
+                "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
+                "largest_response_error": None if response is None else float(response.error[body.name].max()),
+                "certificate": None if body.certificate is None else _certificate_json(body.certificate),
+            }
+            for body in result.bodies
+        },
+        "warnings": list(result.warnings),
+        "seconds": {stage.name: stage.seconds for stage in result.stages},
+        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
+    }
+
+
+def _certificate_json(its: Certificate) -> dict[str, Any]:
+    values = {name: value for name, value in asdict(its).items() if name != "notes"}
+    values = {name: without_nan(value) for name, value in values.items()}
+    return {**values, "absolute_error": its.absolute_error, "notes": list(its.notes)}
+
+
+def without_nan(value: Any) -> Any:
+    """Arrays as lists, what is not a number as None."""
+    if isinstance(value, np.ndarray):
+        return [without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def print_result(console: Console, result: JobResult) -> None:
+    """Frequencies, mass and cost of a finished job."""
+    part = result.bodies[0].part
+    console.print(
+        f"[bold]{result.job.path.name}[/]: {result.nodes:,} nodes, {result.elements:,} elements, "
+        f"{result.dofs:,} degrees of freedom, solver {result.solver}",
+        highlight=False,
+    )
+    if result.choice:
+        console.print(f"  solver: {result.choice}", highlight=False, soft_wrap=True)
+    for body in result.bodies:
+        console.print(f"  {body.name}: {words(body.reduced.mode_kind)}", highlight=False)
+        if body.floating is not None and (body.floating.kind != "mean-axes" or body.floating.stiffening is not None):
+            console.print(f"    {frame_words(body.floating)}", highlight=False, soft_wrap=True)
+        if body.ranking:
+            console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
+    # Side by side as far as 80 columns hold them.
+    for first in range(0, len(result.bodies), BODIES_PER_TABLE):
+        table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
+        titled(console, "free-free frequencies, rigid-body modes left out", table)
+    titled(console, "mass properties", mass_table(part.mass, part.center_of_mass, part.inertia))
+    _print_certificates(console, result.bodies)
+    titled(console, "cost", _cost(result))
+    console.print()
+    if result.response is not None and not any(body.certificate for body in result.bodies):
+        band = result.response.frequencies_hz
+        for name, error in result.response.error.items():
+            console.print(
+                f"{name}: relative error of the frequency response at most {error.max():.2e} from {band[0]:,.4g} to "
+                f"{band[-1]:,.4g} Hz (median {np.median(error):.1e})",
+                highlight=False,
+                soft_wrap=True,
+            )
+    for warning in result.warnings:
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
+    written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
+    console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+
+
+def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None:
+    """The errors of each body, and the choices of those that made some."""
+    known = [(body, body.certificate) for body in bodies if body.certificate is not None]
+    if not known:
+        return
+    hz = known[0][1].frequencies_hz
+    table = plain_table(
+        "body", "order", "error, max", "mean", "bound, max", "", "block, max", "static", "modes off by", "MAC"
+    )
+    for body, its in known:
+        table.add_row(
+            body.name, str(body.reduced.order), f"{its.error.max():.1e}", f"{its.error.mean():.1e}",
+            "-" if its.bound_kind == "none" else f"{its.bound.max():.1e}",
+            its.bound_kind.replace("none", ""), f"{its.block_error.max(initial=0.0):.1e}", f"{its.static_error:.1e}",
+            f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mode_mac.min(initial=1.0):.4f}",
+        )  # fmt: skip
+    titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
+    console.print(
+        "  max, mean: over the band; block: motions of one interface under loads at another; static: at 0 Hz; "
+        "only the kind \"bound\" is proven",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    for body, its in known:
+        if its.error.max() > 1:
+            console.print(f"  {body.name}: the error exceeds 1; it does not serve in this band", highlight=False)
+        for note in [*its.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
+            console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
+
+
+def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
+    """A checked job and what it will need."""
+    table = plain_table("", "")
+    for key, value in forecast.as_json().items():
+        if key in ("warnings", "choice"):
+            continue
+        if key == "interface_nodes":
+            value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
+        elif key == "extent":
+            value = " x ".join(f"{length:.4g}" for length in value) + " m"
+        if key.endswith("bytes_words"):
+            shown = bytes_words(value)
+        elif isinstance(value, int):
+            shown = f"{value:,}"
+        else:
+            shown = f"{value:.3g}" if isinstance(value, float) else str(value)
+        table.add_row(key.removesuffix("bytes_words").replace("_", " "), shown)
+    titled(console, f"{job} is sound", table)
+    if forecast.choice:
+        console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
+    for text in forecast.warnings:
+        console.print(f"[yellow]warning:[/] {text}", highlight=False)
+
+
+def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
+    """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
+    heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak so far")
+    table = plain_table("body", *heads)
+    for one in found:
+        table.add_row(
+            ("* " if one.best else "  ") + one.name, str(one.order), f"{one.error:.1e}", f"{one.mean_error:.1e}",
+            *("-" if value is None else f"{value:.1e}" for value in (one.bound, one.static_error, one.held_error)),
+            f"{one.seconds:.2f}", bytes_words(one.peak_memory_bytes),
+        )  # fmt: skip
+    titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
+    console.print(
+        "held: with one interface held still, median over the band, worst interface; seconds: what reductions share "
+        "(modes, the reference model) counts for the first that needs it; peak so far: of the whole process",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
+    """Elastic frequencies, those of the full model first where they are known."""
+    full = bodies[0].full_frequencies_hz
+    rigid = bodies[0].reduced.rigid_count if full is None else int((full == 0).sum())
+    columns = ["mode"] + ["full Hz"] * (full is not None)
+    for body in bodies:
+        held = ", held" if body.reduced.rigid_count < rigid else ""
+        columns += [f"{body.name} Hz{held}"] + ["off by %"] * (full is not None)
+    table = plain_table(*columns)
+    elastic = None if full is None else full[rigid:]
+    rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
+    for number in range(rows):
+        row = [str(number + 1)] + ([] if elastic is None else [f"{elastic[number]:,.2f}"])
+        for body in bodies:
+            own = body.frequencies_hz[body.reduced.rigid_count :]
+            known = number < len(own)
+            row.append(f"{own[number]:,.2f}" if known else "-")
+            if elastic is not None:
+                # Modes beyond those kept are not approximations of anything; held bodies have other modes.
+                kinds = body.reduced.mode_kind
+                kept = kinds.count("elastic") if "rigid" in kinds else len(own)
+                fits = known and number < kept and body.reduced.rigid_count == rigid
+                row.append(percent(own[number] / elastic[number] - 1) if fits else "-")
+        table.add_row(*row)
+    return table
+
+
+def _cost(result: JobResult) -> Table:
+    table = plain_table("stage", "seconds", "peak memory")
+    for stage in result.stages:
+        table.add_row(stage.name, f"{stage.seconds:.2f}", bytes_words(stage.peak_memory_bytes))
+    table.add_row("all", f"{sum(stage.seconds for stage in result.stages):.2f}", "")
+    return table

@@ -1,0 +1,92 @@
+"""What a body file holds, for people and for scripts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from morembs.cli.tables import frame_words, listed, mass_table, ranking_words, titled, words
+from morembs.storage.stored import StoredBodies
+
+SHOWN_FREQUENCIES = 10
+
+
+def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
+    """A body file as plain values, SI units."""
+    first = next(iter(stored.bodies.values()))
+    origin = stored.provenance
+    return {
+        "output": path,
+        "format_version": stored.format_version,
+        "source": stored.recipe.get("source"),
+        "solver": origin.get("solver"),
+        "factor": origin.get("factor"),
+        "dofs": stored.recipe.get("dofs"),
+        "stored_nodes": len(stored.node_ids),
+        "mass": stored.mass,
+        "center_of_mass": stored.center_of_mass.tolist(),
+        "inertia": stored.inertia.tolist(),
+        "frequencies_hz": first.frequencies_hz.tolist(),
+        "full_frequencies_hz": listed(first.full_frequencies_hz),
+        "interfaces": {
+            name: {
+                "coupling": one.coupling,
+                "components": list(one.components),
+                "point": one.point.tolist(),
+                "nodes": len(one.node_ids),
+            }
+            for name, one in stored.interfaces.items()
+        },
+        "bodies": {
+            name: {
+                "order": len(body.stiffness_matrix),
+                "rigid_count": body.rigid_count,
+                "frequencies_hz": body.frequencies_hz.tolist(),
+                "mode_kind": list(body.mode_kind),
+                "recipe": body.recipe,
+                "frame": None if body.floating is None else body.floating.kind,
+                "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
+                "stress_recovery": body.has_recovery,
+                "switching": body.has_switching,
+            }
+            for name, body in stored.bodies.items()
+        },
+        "seconds": dict(origin.get("seconds") or {}),
+        "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
+    }
+
+
+def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
+    """What a body file holds."""
+    values = stored_json(path, stored)
+    console.print(
+        f"[bold]{path}[/]: {values['source'] or 'model'}, "
+        + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
+        + f"{values['stored_nodes']:,} nodes stored",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    for name, one in values["interfaces"].items():
+        console.print(f"  interface {name}: {one['coupling']}, {one['nodes']:,} nodes", highlight=False)
+    for name, body in stored.bodies.items():
+        console.print(f"  {name}: {words(body.mode_kind)}", highlight=False)
+        elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
+        listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
+        console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
+        if body.floating is not None:
+            console.print(f"    {frame_words(body.floating)}", highlight=False, soft_wrap=True)
+        if body.ranking:
+            console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
+        if body.has_recovery:
+            console.print("    stress recovery", highlight=False)
+        if body.has_switching:
+            console.print("    static modes of candidate loads", highlight=False)
+        if body.certificate is not None:
+            hz, error, bound = (body.certificate[key] for key in ("frequencies_hz", "error", "bound"))
+            known = f", {body.certificate['bound_kind']} {bound.max():.1e}" if np.isfinite(bound).all() else ""
+            console.print(
+                f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
+                highlight=False, soft_wrap=True,
+            )  # fmt: skip
+    titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))

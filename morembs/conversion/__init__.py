@@ -1,0 +1,1 @@
+"""What an importer returns becomes a model."""

@@ -1,0 +1,1 @@
+"""What there is to warn of in models and in delivered bodies."""

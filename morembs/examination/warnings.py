@@ -1,0 +1,78 @@
+"""The examination of a model before it is used: refuses what no reduction takes, warns of what looks wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+
+from morembs.body import ElasticBody
+from morembs.budget import UNLIMITED, Budget
+from morembs.conversion.coupled_model import CoupledModel, refuse_complex, refuse_unsymmetric
+from morembs.doctor import examine
+from morembs.doctor.findings import Diagnosis, Finding
+from morembs.doctor.units import unit_findings
+from morembs.errors import SolverError
+from morembs.examination.delivery_check import check_delivery
+from morembs.linalg.congruence import congruence
+from morembs.model import DofMap, FEModel
+from morembs.units import Units
+
+
+def diagnosis_of(model: FEModel, *, deep: bool = False, budget: Budget = UNLIMITED) -> Diagnosis:
+    """What is wrong with a model (SI); rigid elements are eliminated before.
+
+    Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
+    """
+    K, M, D, dofs = model.K, model.M, model.D, model.dofs
+    if isinstance(model, CoupledModel) and model.followers is not None:
+        free = np.flatnonzero(model.followers.owner < 0)
+        T = sp.csr_array(model.followers.S[:, free])
+        K, M = (congruence(T, A, budget) for A in (K, M))
+        D = None if D is None else congruence(T, D, budget)
+        dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
+    if not np.ptp(model.nodes.xyz, axis=0).any():
+        # All in one point: matrices without a place in space.
+        return examine(K, M, D, deep=deep, budget=budget)
+    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, budget=budget)
+
+
+def examined(model: FEModel, *, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+    """Warnings of the cheap examination, one sentence each.
+
+    Raises:
+        InputError: matrices that no reduction takes, or errors of the examination, all in one message.
+    """
+    refuse_complex(model)
+    diagnosis = diagnosis_of(model, budget=budget)
+    # Interfaces may join parts; the coupled model is looked at later.
+    Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
+    refuse_unsymmetric(model)
+    return _sentences(diagnosis.warnings)
+
+
+def examined_mesh(model: FEModel) -> tuple[str, ...]:
+    """Warnings about a model that was assembled here: its matrices are sound by construction, its units may not be."""
+    size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
+    found = unit_findings(None, model.materials, size, Units())
+    return _sentences(tuple(one for one in found if one.severity == "warning"))
+
+
+def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
+    """Warnings about reduced bodies, those of each named after it.
+
+    Raises:
+        SolverError: a body that is wrong.
+    """
+    found: list[str] = []
+    for body in bodies:
+        diagnosis = check_delivery(body)
+        if diagnosis.errors:
+            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
+        found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
+    return tuple(found)
+
+
+def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
+    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)

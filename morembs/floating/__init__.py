@@ -1,0 +1,1 @@
+"""The floating frame of reference: inertia integrals, frames, geometric stiffening."""

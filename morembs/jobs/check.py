@@ -1,0 +1,224 @@
+"""Checks a job and forecasts its cost without assembling or factorising anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from morembs.budget import Budget, available_bytes, resident_bytes
+from morembs.elements import TYPES
+from morembs.errors import InputError
+from morembs.examination.warnings import examined
+from morembs.fem import check_mesh, stiffness_pattern
+from morembs.importers import read_mesh
+from morembs.interface import Interface, couple
+from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
+from morembs.jobs.inputs import (
+    check_candidates,
+    damping_of,
+    interfaces_of,
+    materials_of,
+    modelling,
+    preload_of,
+    prepare_output,
+    refuse_reductions_that_do_not_fit,
+    solver_of,
+    source_of,
+    units_of,
+    wants_modes,
+)  # fmt: skip
+from morembs.jobs.job import Job
+from morembs.jobs.run import count_elements
+from morembs.linalg.solver import LinearSolver
+from morembs.linalg.threads import blas_threads, limit_threads
+from morembs.model import DofMap, FEModel, Mesh, rigid_motion
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.scratch import free_bytes
+from morembs.storage.model_file import read_model
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# More pieces than this are not searched for hinges.
+MANY_PIECES = 300
+
+
+def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
+    """Check everything that can be checked without a factorisation, and forecast the cost.
+
+    Peak memory: the stiffness pattern and its triangle; the budget of the job is kept here too.
+
+    Raises:
+        MorembsError: what ``run_job`` would refuse too.
+    """
+    start = resident_bytes()
+    prepare_output(job)
+    solver, materials = solver_of(job), materials_of(job)
+    damping_of(job)
+    progress.stage("read")
+    if job.tables.model.file is not None:
+        return _check_file(job, solver, start, progress)
+    mesh = read_mesh(source_of(job), units_of(job))
+    progress.stage("check elements")
+    graph = check_mesh(mesh, materials, progress)
+    progress.stage("check interfaces")
+    size = 3 * len(mesh.nodes)
+    empty = sp.csr_array((size, size))
+    dofs = DofMap.translations(len(mesh.nodes))
+    model = FEModel(K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, source=mesh.source)
+    interfaces = interfaces_of(job, model)
+    _check_preload(job, interfaces)
+    check_candidates(job, model, interfaces)
+    coupling = couple(model, interfaces)
+    coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
+    refuse_reductions_that_do_not_fit(job, coupled, inputs)
+    progress.stage("check connections")
+    rigid = rigid_modes(mesh, [i for i in interfaces if i.coupling == "rigid"])
+    if rigid > 6:
+        raise InputError(
+            f"the model has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that "
+            "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
+        )
+    progress.stage("analyse")
+    columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
+    columns = max(columns, job.tables.check.full_modes)
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        cost = forecast_cost(
+            stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
+        )
+        threads = blas_threads()
+    plan = cost.plan
+    x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        solver=plan.backend, choice=cost.choice, nodes=len(mesh.nodes), elements=count_elements(mesh),
+        dofs=size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz,
+        mass_nonzeros=3 * graph.nnz, matrices_bytes=12 * 12 * graph.nnz, factor_entries=plan.factor_entries,
+        factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk, columns_bytes=cost.columns,
+        peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads, extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        warnings=_warnings(cost, solver.scratch),
+    )  # fmt: skip
+
+
+def _check_preload(job: Job, interfaces: Sequence[Interface]) -> None:
+    load = preload_of(job)
+    if load is not None:
+        load.check(interfaces)
+
+
+def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
+    """Forecast for a model file, whose matrices are there."""
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        model = read_model(source_of(job), budget=budget)
+        progress.stage("examine")
+        warnings = examined(model, budget=budget)
+        interfaces = interfaces_of(job, model)
+        _check_preload(job, interfaces)
+        check_candidates(job, model, interfaces)
+        with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
+            coupling, rigid = problem.coupling, problem.rigid.shape[1]
+        coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
+        refuse_reductions_that_do_not_fit(job, coupled, inputs)
+        progress.stage("analyse")
+        columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
+        columns = max(columns, job.tables.check.full_modes)
+        cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
+        threads = blas_threads()
+    plan, matrices = cost.plan, [A for A in (model.K, model.M, model.D) if A is not None]
+    x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        solver=plan.backend, choice=cost.choice, nodes=len(model.nodes), elements=count_elements(model.mesh),
+        dofs=model.size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=model.K.nnz,
+        mass_nonzeros=model.M.nnz, matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
+        factor_entries=plan.factor_entries, factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk,
+        columns_bytes=cost.columns, peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads,
+        extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )  # fmt: skip
+
+
+def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
+    """What may go wrong on this machine."""
+    found = []
+    available = available_bytes()
+    if available is not None and cost.peak > available:
+        found.append(
+            f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
+            "memory budget and a scratch folder"
+        )
+    if cost.plan.disk > (free := free_bytes(scratch)):
+        found.append(
+            f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give "
+            "another folder"
+        )
+    return tuple(found)
+
+
+def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:
+    """Number of motions free of strain: 6 for one sound free body.
+
+    Elements that share faces, and nodes held by one rigid interface, move together as a piece. Pieces that
+    share nodes move alike there: 6 unknowns for each piece, 3 equations for each shared node, and what the
+    equations leave is the answer. Beyond ``MANY_PIECES`` pieces only whole unconnected parts are counted.
+    """
+    pieces = _pieces(mesh)
+    count = max(int(p.max(initial=-1)) for p in pieces) + 1
+    pairs = []
+    for block, own in zip(mesh.blocks, pieces, strict=True):
+        pairs.append(np.stack([np.repeat(own, block.nodes.shape[1]), block.nodes.ravel()]))
+    for number, frame in enumerate(frames):
+        pairs.append(np.stack([np.full(len(frame.nodes), count + number), frame.nodes]))
+    count += len(frames)
+    piece, node = np.unique(np.concatenate(pairs, axis=1), axis=1)
+    if count == 1:
+        return 6
+    shape = (count, len(mesh.nodes))
+    C = sp.csr_array((np.ones(len(piece), dtype=np.int32), (piece, node)), shape=shape)
+    if count > MANY_PIECES:
+        parts, _ = connected_components(C @ C.T, directed=False)
+        return 6 * int(parts)
+    return 6 * count - _shared_rank(mesh.nodes.xyz, C)
+
+
+def _shared_rank(xyz: Floats, C: sp.csr_array) -> int:
+    """Rank of the equations that make pieces (rows of C) move alike at the nodes (columns) they share."""
+    count = C.shape[0]
+    by_node = C.tocsc()
+    shared = np.flatnonzero(np.diff(by_node.indptr) > 1)
+    centre = xyz.mean(axis=0)
+    size = max(float(np.abs(xyz - centre).max()), np.finfo(float).tiny)
+    gram = np.zeros((6 * count, 6 * count))
+    for at in shared:
+        R = rigid_motion(np.tile((xyz[at] - centre) / size, (3, 1)), np.arange(3))
+        first, *others = by_node.indices[by_node.indptr[at] : by_node.indptr[at + 1]]
+        for other in others:
+            row = np.zeros((3, 6 * count))
+            row[:, 6 * first : 6 * first + 6], row[:, 6 * other : 6 * other + 6] = R, -R
+            gram += row.T @ row
+    values = np.linalg.eigvalsh(gram)
+    return int((values > 1e-10 * max(values[-1], np.finfo(float).tiny)).sum())
+
+
+def _pieces(mesh: Mesh) -> list[Ints]:
+    """For each block the piece that each element belongs to; elements of a piece share faces."""
+    keys, owners, first = [], [], 0
+    for block in mesh.blocks:
+        elements = np.arange(first, first + len(block.ids))
+        for corners in TYPES[block.type].faces:
+            # Three corners tell faces apart, for a quadrilateral the three lowest.
+            keys.append(np.sort(block.nodes[:, list(corners)], axis=1)[:, :3])
+            owners.append(elements)
+        first += len(block.ids)
+    key, owner = np.concatenate(keys), np.concatenate(owners)
+    order = np.lexsort(key.T)
+    key, owner = key[order], owner[order]
+    same = np.flatnonzero((key[1:] == key[:-1]).all(axis=1))
+    links = sp.csr_array((np.ones(len(same), dtype=np.int8), (owner[same], owner[same + 1])), shape=(first, first))
+    _, label = connected_components(links, directed=False)
+    ends = np.cumsum([len(block.ids) for block in mesh.blocks])
+    return [np.asarray(part, dtype=np.int64) for part in np.split(label, ends[:-1])]

@@ -1,0 +1,232 @@
+"""From the files of another program to a checked model: what ``morembs import`` does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morembs.conversion.coupled_model import CoupledModel
+from morembs.conversion.imported import Imported
+from morembs.conversion.to_model import model_of, rows_of_labels
+from morembs.doctor import repaired
+from morembs.doctor.findings import Diagnosis
+from morembs.errors import InputError
+from morembs.examination.warnings import diagnosis_of
+from morembs.importers import IMPORTERS, format_of, import_file
+from morembs.importers.dof_map import read_dof_map
+from morembs.importers.matrix_files import abaqus_matrices
+from morembs.importers.named import square_csr
+from morembs.material import Material, isotropic
+from morembs.model import DofMap, Nodes
+from morembs.progress import SILENT, Progress
+from morembs.storage.model_file import write_model
+from morembs.storage.safefile import check_writable
+from morembs.units import Units
+
+ROLES = {"K": "--stiffness", "M": "--mass", "D": "--damping"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportJob:
+    """What to read and what to write.
+
+    ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
+    nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer.
+    """
+
+    out: Path
+    file: Path | None = None
+    matrices: Mapping[str, Path] = field(default_factory=dict)
+    format: str | None = None
+    units: Units = field(default_factory=Units)
+    nodes: Path | None = None
+    dofs: Path | None = None
+    materials: tuple[Material, ...] = ()
+    mass_integration: str = "exact"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """All files that are read."""
+        given = (self.file, *self.matrices.values(), self.nodes, self.dofs)
+        return tuple(path for path in given if path is not None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImportResult:
+    """A model that was read and written; ``diagnosis`` where it was examined."""
+
+    path: Path
+    model: CoupledModel
+    format: str
+    diagnosis: Diagnosis | None = None
+
+
+def run_import(
+    job: ImportJob, *, check: bool = False, strict: bool = False, progress: Progress = SILENT
+) -> ImportResult:
+    """Read, convert, examine where asked for, and write.
+
+    Args:
+        strict: write nothing where the examination finds errors.
+
+    Raises:
+        InputError: files that cannot be used or do not fit together, or errors found with ``strict``.
+        OutputError: the model cannot be written; an old file is kept.
+    """
+    for path in job.sources:
+        if path.resolve() == job.out.resolve():
+            raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
+    check_writable(job.out)
+    progress.stage("read")
+    imported, format = _read(job)
+    if imported.K is not None and imported.M is not None:
+        K, M, D, done = repaired(imported.K, imported.M, imported.D)
+        imported = replace(imported, K=K, M=M, D=D, notes=(*imported.notes, *(one.sentence for one in done)))
+    units = Units() if format == "native" else job.units
+    progress.stage("convert")
+    model = model_of(imported, units, mass_integration=job.mass_integration, progress=progress)
+    diagnosis = None
+    if check or strict:
+        progress.stage("examine")
+        diagnosis = diagnosis_of(model)
+        if strict:
+            diagnosis.refuse_errors()
+    findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
+    write_model(
+        job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
+    )
+    return ImportResult(path=job.out, model=model, format=format, diagnosis=diagnosis)
+
+
+def _read(job: ImportJob) -> tuple[Imported, str]:
+    """What the files hold together, and the name of the format."""
+    if (job.file is None) == (not job.matrices):
+        raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
+    if job.file is not None:
+        format = format_of(job.file, job.format)
+        imported = import_file(job.file, format, job.options)
+    else:
+        imported, format = _combined(job)
+    if format == "native" and (job.units.name != "m-kg-s" or job.nodes or job.dofs):
+        raise InputError(
+            f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs"
+        )
+    if job.materials:
+        if imported.materials or imported.K is not None:
+            raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
+        imported = replace(imported, materials=job.materials)
+    if imported.K is None and job.dofs is not None:
+        raise InputError("--dofs was given for a mesh; it belongs to matrices")
+    return _with_geometry(imported, job), format
+
+
+def _combined(job: ImportJob) -> tuple[Imported, str]:
+    """Matrices of several files on the same rows."""
+    formats = {role: format_of(path, job.format) for role, path in job.matrices.items()}
+    if set(formats.values()) == {"abaqus-matrix"}:
+        if job.options:
+            raise InputError(f"matrices of Abaqus have no option {next(iter(job.options))!r}; leave --set out")
+        return abaqus_matrices(dict(job.matrices)), "abaqus-matrix"
+    found: dict[str, Imported] = {}
+    for role, path in job.matrices.items():
+        own = {key: value for key, value in job.options.items() if key == role or key not in ROLES}
+        if role in own:  # the name of the one matrix that is wanted of this file
+            own = {**{key: value for key, value in own.items() if key != role}, "K": own[role]}
+        found[role] = import_file(path, formats[role], own)
+    first = next(iter(found.values()))
+    matrices = {role: _one_matrix(role, one) for role, one in found.items()}
+    for one in found.values():
+        if (one.dofs is None) != (first.dofs is None) or (
+            one.dofs is not None and first.dofs is not None and not _same_rows(one, first)
+        ):
+            raise InputError(f"{one.source} and {first.source} have rows of different dofs; write them of one model")
+    notes = tuple(note for one in found.values() for note in one.notes)
+    return replace(first, K=matrices.get("K"), M=matrices.get("M"), D=matrices.get("D"), notes=notes), formats[
+        next(iter(found))
+    ]
+
+
+def _one_matrix(role: str, one: Imported) -> Any:
+    given = {name: A for name in ROLES if (A := getattr(one, name)) is not None}
+    if len(given) == 1:
+        return next(iter(given.values()))
+    if role in given:
+        return given[role]
+    raise InputError(f"{one.source} was given as {ROLES[role]}, but holds no such matrix; name it: --set {role}=NAME")
+
+
+def _same_rows(a: Imported, b: Imported) -> bool:
+    if a.dofs is None or b.dofs is None or a.nodes is None or b.nodes is None or len(a.dofs) != len(b.dofs):
+        return False
+    same = np.array_equal(a.nodes.ids[a.dofs.node], b.nodes.ids[b.dofs.node])
+    return same and np.array_equal(a.dofs.component, b.dofs.component)
+
+
+def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
+    """Nodes of a mesh, and dofs of a table, joined by labels."""
+    if imported.K is not None:
+        imported = replace(imported, **{name: square_csr(imported.source, name, A) for name in ROLES
+                                        if (A := getattr(imported, name)) is not None})  # fmt: skip
+    if job.nodes is not None:
+        imported = _on_mesh(imported, job.nodes)
+    if job.dofs is None:
+        return imported
+    labels, component = read_dof_map(job.dofs)
+    nodes = imported.nodes if imported.nodes is not None else (imported.mesh.nodes if imported.mesh else None)
+    if nodes is None:
+        raise InputError(f"--dofs {job.dofs.name} names nodes; give where they are too (--nodes MESH)")
+    dofs = DofMap(node=rows_of_labels(nodes, labels, job.dofs.name), component=component)
+    return replace(imported, nodes=nodes, dofs=dofs)
+
+
+def _on_mesh(imported: Imported, path: Path) -> Imported:
+    """The matrices on the nodes of a mesh file."""
+    held = import_file(path)
+    nodes = held.nodes if held.nodes is not None else (held.mesh.nodes if held.mesh is not None else None)
+    if nodes is None:
+        raise InputError(f"--nodes {path.name} has no nodes; expected a mesh")
+    if imported.K is imported.M is imported.D is None:
+        raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
+    dofs = imported.dofs
+    if dofs is not None and imported.nodes is not None:
+        row = rows_of_labels(nodes, imported.nodes.ids, imported.source)
+        dofs = DofMap(node=row[dofs.node], component=dofs.component)
+    whole = Nodes(ids=nodes.ids, xyz=nodes.xyz, sets=nodes.sets)
+    return replace(
+        imported, nodes=whole, dofs=dofs, mesh=held.mesh, rigid=(), average=(), masses=(), surfaces=held.surfaces,
+        notes=(*imported.notes, f"nodes are those of {path.name}"),
+    )  # fmt: skip
+
+
+def list_formats() -> dict[str, str]:
+    """A line for each format."""
+    return {
+        name: one.about + (f" ({', '.join(one.endings)})" if one.endings else "") for name, one in IMPORTERS.items()
+    }
+
+
+def material_of(text: str) -> Material:
+    """Material in the units of the files from "young=210e3,poisson=0.3,density=7.85e-9[,set=NAME]".
+
+    Raises:
+        InputError: unknown, missing or repeated keys, or values that make no material.
+    """
+    given: dict[str, str] = {}
+    for part in text.split(","):
+        key, equals, value = part.partition("=")
+        if not equals or key.strip() in given or key.strip() not in ("young", "poisson", "density", "set"):
+            raise InputError(
+                f"--material {text!r} was given; expected young=...,poisson=...,density=... and for one element set "
+                ",set=NAME"
+            )
+        given[key.strip()] = value.strip()
+    try:
+        numbers = {key: float(given[key]) for key in ("young", "poisson", "density")}
+    except (KeyError, ValueError) as error:
+        raise InputError(f"--material {text!r} was given; expected numbers young, poisson and density") from error
+    return isotropic(set=given.get("set", "all"), **numbers)

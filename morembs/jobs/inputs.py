@@ -1,0 +1,249 @@
+"""The tables of a job as the objects that a run works with, in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from morembs.conversion.followers import interface_of_coupling
+from morembs.delivery import Delivery, StressOptions
+from morembs.errors import InputError
+from morembs.floating.stiffening import Envelope
+from morembs.interface import Interface, make_interface
+from morembs.jobs.job import Job
+from morembs.jobs.schema import MaterialTable
+from morembs.linalg.select import select_solver
+from morembs.linalg.solver import LinearSolver
+from morembs.material import Material, isotropic, orthotropic
+from morembs.model import FEModel
+from morembs.preload import Preload
+from morembs.problem import Damping
+from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal, Reducer, StaticModesSwitching
+from morembs.selection import select_nodes
+from morembs.storage.body_file import check_writable
+from morembs.units import Units, parse_units
+
+# Reductions that compute modes.
+WITH_MODES = (Automatic, CraigBampton, FreeInterface, Modal)
+# Reductions that follow the responses to all interface motions at once, and how many of these make sense.
+WITH_RESPONSES = ("auto", "gramian", "balanced-truncation", "irka")
+MOST_MOTIONS = 500
+
+
+def units_of(job: Job) -> Units:
+    """The declared units."""
+    given = job.tables.model.units
+    return parse_units(given if isinstance(given, str) else given.model_dump())
+
+
+def materials_of(job: Job) -> list[Material]:
+    """The materials in SI units."""
+    units = units_of(job)
+    return [_material(table, units) for table in job.tables.material]
+
+
+def _material(table: MaterialTable, units: Units) -> Material:
+    density = table.density * units.density
+    if isinstance(table.young, list) and isinstance(table.poisson, list) and table.shear is not None:
+        E1, E2, E3 = (value * units.stress for value in table.young)
+        nu12, nu13, nu23 = table.poisson
+        G12, G13, G23 = (value * units.stress for value in table.shear)
+        return orthotropic(
+            set=table.set, young=(E1, E2, E3), poisson=(nu12, nu13, nu23), shear=(G12, G13, G23),
+            density=density, axes=None if table.axes is None else np.array(table.axes),
+        )  # fmt: skip
+    if isinstance(table.young, list) or isinstance(table.poisson, list):
+        raise InputError(f"material of set {table.set!r}: young and poisson must be one number each")
+    return isotropic(set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density)
+
+
+def reducers_of(job: Job) -> dict[str, Reducer]:
+    """Name -> reducer, selections of nodes in the declared units."""
+    length = units_of(job).length
+    return {
+        name: replace(reducer, length=length if reducer.length is None else reducer.length)
+        if isinstance(reducer, StaticModesSwitching)
+        else reducer
+        for name, reducer in job.reducers.items()
+    }
+
+
+def modelling(job: Job) -> dict[str, Reducer]:
+    """Name -> the reducer that makes the coordinates of the body."""
+    return {
+        name: reducer.base_reducer() if isinstance(reducer, StaticModesSwitching) else reducer
+        for name, reducer in job.reducers.items()
+    }
+
+
+def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
+    """The interfaces on the nodes of ``model``."""
+    length = units_of(job).length
+    found = []
+    for table in job.tables.interface:
+        point = None if table.point is None else [length * value for value in table.point]
+        if table.nodes.startswith("coupling:"):
+            coupling = table.coupling if "coupling" in table.model_fields_set else None
+            found.append(
+                interface_of_coupling(
+                    model, table.nodes, name=table.name, coupling=coupling, point=point, components=table.components
+                )
+            )
+            continue
+        try:
+            rows = select_nodes(model, table.nodes, length=length)
+        except InputError as error:
+            raise InputError(f"interface {table.name!r}: {error}") from error
+        found.append(
+            make_interface(
+                model, name=table.name, nodes=rows, coupling=table.coupling, point=point,
+                components=table.components,
+            )
+        )  # fmt: skip
+    return found
+
+
+def damping_of(job: Job) -> Damping:
+    """The damping with alpha in 1/s and beta in s; the frequencies of a table are in Hz whatever the unit of time."""
+    given, time = job.tables.damping, units_of(job).time
+    structural = given.structural or 0.0
+    if given.rayleigh is not None:
+        alpha, beta = given.rayleigh.alpha / time, given.rayleigh.beta * time
+        return Damping(alpha=alpha, beta=beta, structural=structural)
+    if isinstance(given.modal, str | list):
+        return Damping(modal_table=given.modal, structural=structural)
+    return Damping(modal=given.modal or 0.0, structural=structural)
+
+
+def delivery_of(job: Job) -> Delivery:
+    """What every body of the job carries, in SI units."""
+    units, tables = units_of(job), job.tables
+    given, origin = tables.envelope, tables.frame.origin
+    envelope = None
+    if given is not None:
+        force = units.mass * units.length / units.time**2
+        scale = {
+            "acceleration": units.length / units.time**2, "angular_acceleration": units.time**-2,
+            "speed": 1 / units.time, "force": force, "moment": force * units.length,
+        }  # fmt: skip
+        values = given.model_dump(exclude_none=True)
+        envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
+    stiffened = tables.stiffening
+    stress = tables.stress
+    return Delivery(
+        kind=tables.frame.kind, interfaces=tuple(tables.frame.interfaces), envelope=envelope,
+        origin=None if origin == "center-of-mass" else [units.length * float(x) for x in origin or (0, 0, 0)],
+        stiffening=None if stiffened is None else replace(envelope or Envelope(), share=stiffened.share),
+        stress=None if stress is None else StressOptions(
+            nodes=stress.nodes, single=stress.single, correction=stress.correction, length=units.length
+        ),
+    )  # fmt: skip
+
+
+def preload_of(job: Job) -> Preload | None:
+    """The preload in SI units, None without one."""
+    given, units = job.tables.preload, units_of(job)
+    if given is None:
+        return None
+    force, acceleration = units.mass * units.length / units.time**2, units.length / units.time**2
+    scale = [force] * 3 + [force * units.length] * 3
+    return Preload(
+        wrench={name: [value * s for value, s in zip(f, scale, strict=True)] for name, f in given.wrench.items()},
+        speed=given.speed / units.time, axis=given.axis, point=[units.length * value for value in given.point],
+        acceleration=[acceleration * value for value in given.acceleration], held=tuple(given.held),
+        follows=tuple(given.follows),
+    )  # fmt: skip
+
+
+def solver_of(job: Job) -> LinearSolver:
+    """The solver with its budget and scratch folder."""
+    given = job.tables.solver
+    scratch = None if given.scratch is None else job.resolve(given.scratch)
+    if scratch is not None and not scratch.is_dir():
+        raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
+    return select_solver(given.name, memory=job.memory, scratch=scratch)
+
+
+def prepare_output(job: Job) -> None:
+    """Check before any work that the results can be written."""
+    inputs = {"the job file": job.path, "the mesh" if job.tables.model.mesh else "the model file": source_of(job)}
+    results = {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
+    for name, path in results.items():
+        for other, taken in inputs.items():
+            if path.resolve() == taken.resolve():
+                raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
+        check_writable(path)
+        inputs[name] = path
+
+
+def check_candidates(job: Job, model: FEModel, interfaces: Sequence[Interface]) -> None:
+    """Check the candidate loads of all reductions.
+
+    Raises:
+        InputError: none, on an interface, a path with gaps, directions that do not fit, stress without elements.
+    """
+    for name, reducer in reducers_of(job).items():
+        if isinstance(reducer, StaticModesSwitching):
+            try:
+                reducer.chosen(model, interfaces)
+            except InputError as error:
+                raise InputError(f"[[reduce]] {name!r}: {error}") from error
+
+
+def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
+    """Check options against a model of ``size`` coupled dofs and ``inputs`` interface motions.
+
+    Raises:
+        InputError: one does.
+    """
+    if not inputs and job.tables.certify is not None:
+        raise InputError("[certify] compares motions of interfaces, and there are none; add at least one [[interface]]")
+    for table, asked in (("certify", job.tables.certify), ("response", job.tables.response)):
+        if asked is not None and inputs > MOST_MOTIONS:
+            raise InputError(
+                f"[{table}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
+                f"and at most {MOST_MOTIONS} motions fit; leave [{table}] out, or take rigid or average couplings"
+            )
+    for name, reducer in modelling(job).items():
+        modes = getattr(reducer, "modes", None)
+        if modes is not None and modes > size:
+            raise InputError(
+                f"[[reduce]] {name!r}: modes = {modes} was given, but the coupled model has only {size} degrees of "
+                "freedom; ask for fewer modes"
+            )
+        if not inputs and (reducer.method != "modal" or getattr(reducer, "interfaces", "") == "fixed"):
+            raise InputError(
+                f"[[reduce]] {name!r}: method = {reducer.method!r} needs interfaces; add at least one [[interface]], "
+                'or take method = "modal"'
+            )
+        few = isinstance(reducer, CraigBampton) and reducer.reduces_interfaces
+        if inputs > MOST_MOTIONS and reducer.method in WITH_RESPONSES:
+            raise InputError(
+                f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {inputs} interface "
+                f"motions, and at most {MOST_MOTIONS} fit; take craig-bampton with interface_up_to_hz, or rigid or "
+                "average couplings"
+            )
+        if few and (getattr(reducer, "interface_modes", None) or 0) > inputs:
+            raise InputError(
+                f"[[reduce]] {name!r}: interface_modes = {getattr(reducer, 'interface_modes', 0)} was given, but there "
+                f"are only {inputs} interface motions; ask for fewer"
+            )
+        if modes is not None and not few and getattr(reducer, "inertia_modes", False) and modes < inputs:
+            raise InputError(
+                f"[[reduce]] {name!r}: modes = {modes} was given with inertia_modes; expected at least {inputs}, one "
+                "for each interface motion"
+            )
+
+
+def source_of(job: Job) -> Path:
+    """The mesh or model file."""
+    return job.resolve(job.tables.model.file or job.tables.model.mesh or "")
+
+
+def wants_modes(job: Job) -> bool:
+    """Whether any modes are computed, and so counted."""
+    wanted = bool(job.tables.check.full_modes) or job.tables.certify is not None
+    return wanted or any(isinstance(reducer, WITH_MODES) for reducer in modelling(job).values())

@@ -1,0 +1,122 @@
+"""All reductions of one job side by side: order, errors, time and memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from morembs.errors import InputError
+from morembs.jobs.run import JobResult
+from morembs.picture import save
+
+# What is drawn: label, attribute, marker.
+ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))
+LEAST = 1e-16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contender:
+    """One reduction: ``order`` coordinates, ``seconds`` of its own work and ``peak_memory_bytes`` until its end.
+
+    Relative errors of the transfer matrix: ``error`` and ``mean_error`` over the band, ``bound`` (None without one),
+    ``static_error``, ``held_error`` the worst median over the band with one interface held still. What reductions
+    share, such as the factorisation, counts for the first that needs it. ``best`` says that no other is at most as
+    large and as wrong.
+    """
+
+    name: str
+    method: str
+    order: int
+    error: float
+    mean_error: float
+    bound: float | None
+    static_error: float
+    held_error: float | None
+    seconds: float
+    peak_memory_bytes: int
+    best: bool
+
+
+def contenders(result: JobResult) -> tuple[Contender, ...]:
+    """The reductions of a finished job, in its order.
+
+    Raises:
+        InputError: a job without certificates.
+    """
+    stages = {stage.name: stage for stage in result.stages}
+    orders = {body.name: body.reduced.order for body in result.bodies}
+    errors = {body.name: float(body.certificate.error.max()) for body in result.bodies if body.certificate is not None}
+    if len(errors) < len(orders):
+        raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+    found = []
+    for body in result.bodies:
+        its = body.certificate
+        if its is None:
+            continue
+        own = (orders[body.name], errors[body.name])
+        better = [name for name in orders if (orders[name], errors[name]) != own
+                  and orders[name] <= own[0] and errors[name] <= own[1]]  # fmt: skip
+        held = [float(np.nanmedian(row)) for row in its.held_error if np.isfinite(row).any()]
+        stage = stages[f"reduce {body.name}"]
+        found.append(
+            Contender(
+                name=body.name, method=str(body.recipe["method"]), order=own[0], error=own[1],
+                mean_error=float(its.error.mean()),
+                bound=None if its.bound_kind == "none" else float(its.bound.max()),
+                static_error=its.static_error, held_error=max(held) if held else None, seconds=stage.seconds,
+                peak_memory_bytes=stage.peak_memory_bytes, best=not better,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> None:
+    """Errors over order, time and memory as a picture file; the reductions on the Pareto front are joined.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    figure = Figure(figsize=(12.0, 4.6), dpi=150, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    panels = [figure.add_subplot(1, 3, number) for number in (1, 2, 3)]
+    scales: tuple[tuple[str, list[float]], ...] = (
+        ("reduced coordinates", [one.order for one in found]), ("seconds", [one.seconds for one in found]),
+        ("peak memory of the process so far, GB", [one.peak_memory_bytes / 1e9 for one in found]),
+    )  # fmt: skip
+    for panel, (label, x) in zip(panels, scales, strict=True):
+        for number, one in enumerate(found):
+            for _, attribute, marker in ERRORS:
+                value = getattr(one, attribute)
+                if value is not None:
+                    panel.plot(
+                        max(x[number], 1e-3),
+                        max(value, LEAST),
+                        marker=marker,
+                        color=f"C{number % 10}",
+                        linestyle="",
+                        fillstyle="full" if attribute == "error" else "none",
+                    )
+        panel.set_yscale("log")
+        if label == "seconds":
+            panel.set_xscale("log")
+        panel.set_xlabel(label)
+        panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
+        panel.spines[["top", "right"]].set_visible(False)
+    front = sorted((one.order, one.error) for one in found if one.best)
+    panels[0].plot([n for n, _ in front], [e for _, e in front], color="#9aa0a6", linewidth=1.0, zorder=0)
+    panels[0].set_ylabel("relative error of the transfer matrix")
+    names = [panels[2].plot([], [], color=f"C{k % 10}", marker="o", linestyle="")[0] for k in range(len(found))]
+    kinds = [
+        panels[2].plot(
+            [], [], color="#555555", marker=marker, linestyle="", fillstyle="full" if name == "error" else "none"
+        )[0]
+        for _, name, marker in ERRORS
+    ]  # fmt: skip
+    labels = [one.name for one in found] + [label for label, _, _ in ERRORS]
+    figure.legend(names + kinds, labels, frameon=False, loc="outside right upper")
+    save(figure, path)

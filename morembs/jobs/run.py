@@ -1,0 +1,242 @@
+"""Runs a job: mesh file to body file, every stage measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body import ElasticBody, make_part
+from morembs.budget import Budget
+from morembs.delivery import Delivery, deliver
+from morembs.errors import InputError, SolverError
+from morembs.examination.warnings import delivered_warnings, examined, examined_mesh
+from morembs.fem import assemble
+from morembs.importers import read_mesh
+from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
+from morembs.jobs.inputs import (
+    MOST_MOTIONS,
+    check_candidates,
+    damping_of,
+    delivery_of,
+    interfaces_of,
+    materials_of,
+    preload_of,
+    prepare_output,
+    reducers_of,
+    refuse_reductions_that_do_not_fit,
+    solver_of,
+    source_of,
+    units_of,
+    wants_modes,
+)  # fmt: skip
+from morembs.jobs.job import Job
+from morembs.linalg.solver import FactorStats, LinearSolver
+from morembs.linalg.threads import limit_threads
+from morembs.material import Material
+from morembs.model import FEModel, Mesh
+from morembs.picture import draw
+from morembs.preload import preloaded
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress, Stage, Stopwatch
+from morembs.reducers import Automatic, StaticModesSwitching
+from morembs.reducers.base import ReducedModel
+from morembs.responses.band import POINTS, band_frequencies
+from morembs.responses.certify import Certificate, certify
+from morembs.storage.body_file import write_body
+from morembs.storage.model_file import read_model
+
+Floats = NDArray[np.float64]
+# Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
+BAND = (0.2, 1.1)
+BAND_POINTS = 400
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JobResult:
+    """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
+    ``factor`` is the cost of the one factorisation and ``choice`` says why this solver made it; ``warnings`` are
+    sentences about the model and the bodies."""
+
+    job: Job
+    nodes: int
+    elements: int
+    dofs: int
+    bodies: tuple[ElasticBody, ...]
+    factor: FactorStats
+    choice: str
+    stages: tuple[Stage, ...]
+    response: FrequencyResponse | None = None
+    shapes: Shapes | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver that made the factor."""
+        return self.factor.backend
+
+
+def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
+    """Reduce the model of ``job`` and write its body file and picture.
+
+    Raises:
+        MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
+    """
+    watch = Stopwatch(progress)
+    prepare_output(job)
+    solver, materials = solver_of(job), materials_of(job)
+    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+        return _run(job, solver, materials, budget, watch)
+
+
+def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> JobResult:
+    progress = watch.progress
+    model, warnings = _read(job, materials, budget, watch)
+    with watch.stage("couple"):
+        interfaces = interfaces_of(job, model)
+        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
+        check_candidates(job, model, interfaces)
+        wanted = delivery_of(job)
+        wanted.check(problem)
+    preload, preload_notes = preload_of(job), {}
+    if preload is not None:
+        with watch.stage("preload"), problem:
+            stressed = preloaded(problem, preload, progress)
+            model, preload_notes = stressed.model, dict(stressed.notes)
+            problem = Problem(
+                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
+            )
+    with problem:
+        bodies = _reduce(job, problem, wanted, watch)
+        warnings += delivered_warnings(bodies)
+        response = certified_response(problem, bodies)
+        if job.tables.response is not None or (
+            response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_MOTIONS
+        ):
+            with watch.stage("response"):
+                response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
+        shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
+        factor = problem.statics.factor.stats
+        analysis = problem.statics.factor.analysis
+    with watch.stage("write"):
+        provenance = _provenance(job, factor, watch.stages)
+        write_body(
+            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance, progress=progress
+        )
+    if job.picture is not None:
+        with watch.stage("draw"):
+            draw(job.picture, bodies, shapes, response)
+    return JobResult(
+        job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
+        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response,
+        shapes=shapes, warnings=warnings,
+    )  # fmt: skip
+
+
+def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> tuple[FEModel, tuple[str, ...]]:
+    """The model of the job, from its model file or assembled from its mesh, and what there is to warn of."""
+    asked, progress = job.tables.model, watch.progress
+    if asked.file is not None:
+        with watch.stage("read"):
+            model: FEModel = read_model(job.resolve(asked.file), budget=budget)
+            return model, examined(model, budget=budget)
+    with watch.stage("read"):
+        mesh = read_mesh(source_of(job), units_of(job))
+    with watch.stage("assemble"):
+        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+    return model, examined_mesh(model)
+
+
+def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> tuple[ElasticBody, ...]:
+    """One body for each reduction, and the free-free frequencies of the full model to compare with."""
+    size = problem.K.shape[0]
+    refuse_reductions_that_do_not_fit(job, size, problem.B.shape[1])
+    count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
+    with watch.stage("factorise"):
+        if wants_modes(job):
+            problem.require_room_for_modes()
+        _ = problem.statics
+    if count:
+        with watch.stage("solve modes"):
+            problem.elastic_modes(count=count)
+    reduced = []
+    for name, reducer in reducers_of(job).items():
+        with watch.stage(f"reduce {name}"):
+            try:
+                reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
+            except (InputError, SolverError) as error:
+                if type(error) not in (InputError, SolverError):
+                    raise
+                raise type(error)(f"[[reduce]] {name!r}: {error}") from error
+    certificates: Sequence[Certificate | None] = [None] * len(reduced)
+    band = _certified_band(job)
+    if band is not None:
+        with watch.stage("certify"):
+            given = job.tables.certify
+            frequencies = band_frequencies(problem, band, POINTS if given is None else given.points)
+            certificates = certify(
+                problem, reduced, frequencies, bound=given is None or given.bound, progress=watch.progress
+            )
+    return _delivered(job, problem, reduced, certificates, wanted, watch)
+
+
+def _delivered(
+    job: Job, problem: Problem, reduced: Sequence[ReducedModel], certificates: Sequence[Certificate | None],
+    wanted: Delivery, watch: Stopwatch,
+) -> tuple[ElasticBody, ...]:  # fmt: skip
+    """The bodies with all that goes into their file."""
+    part, progress = make_part(problem, job.tables.output.nodes), watch.progress
+    with watch.stage("deliver"):
+        operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
+        bodies = []
+        for one, its, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
+            switching = None
+            if isinstance(reducer, StaticModesSwitching):
+                switching = reducer.switching(problem, one, progress=progress)
+            bodies.append(
+                deliver(
+                    problem, one, part, wanted, certificate=its, operator=operator, switching=switching,
+                    progress=progress,
+                )
+            )  # fmt: skip
+        return tuple(bodies)
+
+
+def _certified_band(job: Job) -> Sequence[float] | None:
+    """The band of [certify], or the widest that a reduction was made for with a tolerance."""
+    if job.tables.certify is not None:
+        return job.tables.certify.band_hz
+    bands = [reducer.band_hz for reducer in job.reducers.values() if isinstance(reducer, Automatic)]
+    return (min(band[0] for band in bands), max(band[1] for band in bands)) if bands else None
+
+
+def count_elements(mesh: Mesh | None) -> int:
+    """Number of elements of all types, none without a mesh."""
+    return sum(len(block.ids) for block in mesh.blocks) if mesh is not None else 0
+
+
+def _band(job: Job, body: ElasticBody) -> Floats:
+    given = job.tables.response
+    if given is not None:
+        return np.geomspace(given.from_hz, given.to_hz, given.points)
+    known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
+    elastic = known[known > 0][: max(job.tables.check.full_modes, 1)]
+    return np.geomspace(BAND[0] * elastic[0], BAND[1] * elastic[-1], BAND_POINTS)
+
+
+def _recipe(job: Job, model: FEModel) -> dict[str, object]:
+    """What was asked for and of what: the same for the same input."""
+    asked = job.tables.model_dump(exclude_none=True, exclude={"output", "solver"})
+    return {**asked, "dofs": model.size, "source": model.source}
+
+
+def _provenance(job: Job, factor: FactorStats, stages: Sequence[Stage]) -> dict[str, object]:
+    return {
+        "job": job.text,
+        "solver": factor.backend,
+        "factor": asdict(factor),
+        "seconds": {stage.name: stage.seconds for stage in stages},
+        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in stages},
+    }

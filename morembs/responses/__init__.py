@@ -1,0 +1,1 @@
+"""Frequency responses of full and reduced models, and how far they are apart."""

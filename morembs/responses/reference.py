@@ -1,0 +1,317 @@
+"""A reduced model so large that it stands for the full one, up to a frequency: what errors are measured against.
+
+It is the Galerkin projection on a block Krylov space V of the elastic flexibility G, started at the loads. With
+proportional damping A(s) = c (K + f M), c = 1 + i eta + beta s (eta the structural loss factor) and
+f = (s^2 + alpha s) / c, so one real space serves all frequencies. With rho = G (F - (K + f M) V y), which the Lanczos
+relation G M V = V T + W E' gives in small matrices, the error is dH = rho' K (K + f M)^-1 K rho, hence
+|dH| <= max_k |lam_k / (lam_k + f)| |rho|_K^2: quadratic in the residual. The space grows until this is below a
+tolerance everywhere; the maximum is taken over the Ritz values, which makes it an estimate.
+
+One factorisation and a few blocks of solves make it; frequency responses, Gramians, and the choice of shifts and
+orders are small dense problems in its coordinates afterwards. The space is kept with the problem and grows when
+more is asked of it. A damping matrix of the model's own needs another space: ``damped_reference``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.damping import Damping
+from morembs.errors import InputError, SolverError
+from morembs.linalg.lanczos import BlockLanczos
+from morembs.linalg.orthogonal import combine, dot, remove
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.responses.damped_reference import DampedSpace
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+MAX_ORDER = 2000
+# Room for the space to begin with.
+FIRST_ORDER = 250
+# An inertia load that deforms the body by less than this part of what a rigid motion weighs does not deform it.
+RIGID = 1e-8
+# Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
+JUMPS = 1e-6
+JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
+# A frequency beside a jump, as part of it.
+SIDE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reference:
+    """Elastic part of the full model in k modal coordinates: M = I, K = diag(``values``).
+
+    ``D`` (k, k) its damping, None for proportional or modal ``damping``; ``F`` (k, p) loads: first the interface
+    motions, B, as far as ``inputs``, then inertia loads; ``V`` (Nc, >= k) and ``Y`` (k, k) lead back to the
+    coupled dofs. ``error`` is the estimated relative error of H at the frequencies asked for.
+    """
+
+    values: Floats
+    D: Floats | None
+    damping: Damping
+    F: Floats
+    inputs: int
+    V: Floats
+    Y: Floats
+    error: float
+    problem: Problem
+
+    @property
+    def B(self) -> Floats:
+        """Interface motions (k, m)."""
+        return self.F[:, : self.inputs]
+
+    def damping_of_modes(self) -> Floats:
+        """Diagonal (k,) of the damping matrix; without ``D`` there is nothing else in it."""
+        if self.D is not None:
+            return np.asarray(np.diag(self.D))
+        return self.damping.of_modes(self.values)
+
+    def damping_at_resonance(self) -> Floats:
+        """``damping_of_modes`` (k,) with the viscous equivalent of structural damping: twice the decay of the modes."""
+        if self.D is not None:
+            return np.asarray(np.diag(self.D))
+        return self.damping.at_resonance(self.values)
+
+    def states(self, s: NDArray[Any], F: Floats | None = None) -> Complexes:
+        """(ns, k, p) modal coordinates of A(s)^-1 F at complex ``s`` (ns,); ``F`` (k, p), by default all loads."""
+        F = self.F if F is None else F
+        s = np.asarray(s, dtype=complex)
+        if self.D is None:
+            stiffness = self.values * (1 + 1j * self.damping.structural)
+            diagonal = stiffness + s[:, None] * self.damping_of_modes() + s[:, None] ** 2
+            return np.asarray(F / diagonal[:, :, None])
+        K, eye = np.diag(self.values), np.eye(len(self.values))
+        return np.array([np.linalg.solve(K + x * self.D + x * x * eye, F.astype(complex)) for x in s])
+
+    def response(self, omega: Floats) -> Complexes:
+        """H (nf, m, m) at ``omega`` (nf,) in rad/s, elastic part."""
+        return np.asarray(self.B.T @ self.states(1j * np.asarray(omega), self.B))
+
+    def vectors(self, C: Floats) -> Floats:
+        """Columns (Nc, j) in coupled dofs of the modal coordinates ``C`` (k, j)."""
+        out = self.problem.budget.empty((len(self.V), C.shape[1]), order="F")
+        return combine(self.V[:, : len(self.Y)], self.Y @ C, out, self.problem.budget)
+
+    def coordinates(self, X: Floats) -> Floats:
+        """Modal coordinates (k, j) of the M-orthogonal projection of ``X`` (Nc, j) on this model."""
+        return np.asarray(self.Y.T @ dot(self.V[:, : len(self.Y)], self.problem.M @ X, self.problem.budget))
+
+
+def reference_model(
+    problem: Problem, omega: Floats, *, tolerance: float = 1e-8, inertia_loads: bool = False,
+    progress: Progress = SILENT,
+) -> Reference:  # fmt: skip
+    """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
+
+    Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
+    its own frequency. Where a modal table jumps beside modes that are not resolved, the error may be up to ``JUMPS``:
+    ``Reference.error`` says what it is. Peak memory: the Krylov space, up to some hundred columns of length N.
+
+    Args:
+        inertia_loads: also follow the inertia loads of the moving frame, as ``inertia_loads`` gives them.
+
+    Raises:
+        InputError: no interfaces, or modal damping beside a damping matrix of the model.
+        SolverError: the error does not fall below ``tolerance``.
+    """
+    if not problem.B.shape[1]:
+        raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+    omega = np.asarray(omega, dtype=float)
+    if problem.D is not None:
+        return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
+    growth = problem.shared(("reference", inertia_loads), lambda: _Growth(problem, inertia_loads))
+    return growth.until(omega, tolerance, progress)
+
+
+def _damped(
+    problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool, progress: Progress
+) -> Reference:
+    """Reference of a model with a damping matrix of its own."""
+    if problem.damping.is_modal:
+        raise InputError(
+            "modal damping beside a damping matrix of the model has no frequency response; replace it by rayleigh "
+            "damping added to the matrix, or leave one of them out"
+        )
+    F = _loads(problem, inertia)
+    space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
+    V, values, Y, seen, error = space.until(omega, tolerance, progress)
+    # Only models that are taken whole come here with Rayleigh damping beside their matrix.
+    seen = seen + np.diag(problem.damping.of_modes(values))
+    return Reference(
+        values=values, D=seen, damping=problem.damping, F=Y.T @ dot(V, F, problem.budget), inputs=problem.B.shape[1],
+        V=V, Y=Y, error=error, problem=problem,
+    )  # fmt: skip
+
+
+def _loads(problem: Problem, inertia: bool) -> Floats:
+    """Unit interface loads (Nc, p) and the inertia loads behind them, if wanted."""
+    B = problem.B.toarray()
+    return np.hstack([B, inertia_loads(problem)]) if inertia else B
+
+
+def inertia_loads(problem: Problem) -> Floats:
+    """Loads (Nc, j) of a moving frame on the elastic part, M a for the accelerations a that deform the body.
+
+    Accelerated translation and rotation deform a body that is held somewhere (they are balanced by its rigid
+    motion where it is free), centrifugal terms e_a x (e_b x x) deform any body (methods of Schwertassek and
+    Wallrapp 1999). Columns that do not deform it are left out.
+    """
+    model, coupling = problem.model, problem.coupling
+    x, along = model.nodes.xyz[model.dofs.node] - coupling.pole, model.dofs.component
+    own = np.where(along < 3, x[np.arange(len(x)), np.minimum(along, 2)], 0.0)
+    fields = [(along == a) * x[:, a] - own for a in range(3)]
+    fields += [(along == a) * x[:, b] + (along == b) * x[:, a] for a, b in ((0, 1), (1, 2), (2, 0))]
+    loads = np.hstack([problem.M @ coupling.R, coupling.T.T @ (model.M @ np.column_stack(fields))])
+    Z = problem.rigid
+    elastic = loads - problem.M @ (Z @ (Z.T @ loads))
+    keep = np.linalg.norm(elastic, axis=0) > RIGID * np.linalg.norm(loads, axis=0)
+    return np.asarray(elastic[:, keep])
+
+
+class _Growth:
+    """The Krylov space of a problem, which grows block by block."""
+
+    def __init__(self, problem: Problem, inertia: bool) -> None:
+        self.problem = problem
+        F = _loads(problem, inertia)
+        self.inputs = problem.B.shape[1]
+        start = problem.elastic.flexibility(F)
+        self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
+        if not (self.scale > 0).all():
+            raise InputError("an interface motion does not deform the body; check the interfaces")
+        start /= self.scale
+        M = problem.M
+        self.room = M.shape[0] - problem.rigid.shape[1]
+        self.lanczos = BlockLanczos(
+            problem.elastic.flexibility, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
+        )
+        # G F = V g in the first block of V.
+        self.loads = self.lanczos.pending.T @ (M @ start)
+        self.stiffness: Floats = np.zeros((0, 0))
+        self.lanczos.expand()
+        self._border()
+
+    def until(self, omega: Floats, tolerance: float, progress: Progress) -> Reference:
+        """The space, grown until the error is below ``tolerance`` at ``omega``."""
+        lanczos = self.lanczos
+        while True:
+            values, Y = sl.eigh(self.stiffness)
+            g = np.zeros((lanczos.size, self.loads.shape[1]))
+            g[: len(self.loads)] = self.loads
+            # G F = V g, so F seen by the modes is V' K V g.
+            F = Y.T @ (self.stiffness @ g)
+            made = Reference(
+                values=values, D=None, damping=self.problem.damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
+                error=np.inf, problem=self.problem,
+            )  # fmt: skip
+            error, jumps = self._error(made, g, omega), 0.0
+            if self.problem.damping.is_modal:
+                # Every mode has a damping of its own, of which the residual on this space knows nothing.
+                error, jumps = max(error, self._change(made, g, omega)), self._jumps(made, omega)
+            worst = max(error, jumps)
+            progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
+            good = error <= tolerance and jumps <= max(tolerance, JUMPS)
+            if good or not lanczos.pending.shape[1]:
+                return replace(made, F=F * self.scale, error=worst)
+            self._clean()
+            if not lanczos.pending.shape[1]:
+                return replace(made, F=F * self.scale, error=worst)
+            if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
+                lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
+            if lanczos.full():
+                raise SolverError(
+                    f"the full response reached an error of only {worst:.1e} with {lanczos.size} vectors; lower the "
+                    "upper frequency, or raise the tolerance" + (JUMPY if jumps > tolerance else "")
+                )
+            lanczos.expand()
+            self._border()
+
+    def _clean(self) -> None:
+        """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
+        lanczos, M = self.lanczos, self.problem.M
+        Q = lanczos.pending
+        for _ in range(2):
+            remove(self.problem.rigid, Q, M)
+            remove(lanczos.V[:, : lanczos.size], Q, M, budget=self.problem.budget)
+            gram = Q.T @ (M @ Q)
+            values, U = sl.eigh(0.5 * (gram + gram.T))
+            # What was orthonormal keeps its length, unless it was rigid motion or round-off.
+            Q = Q @ (U[:, values > 0.5] / np.sqrt(values[values > 0.5]))
+        lanczos.pending = Q[:, : self.room - lanczos.size]
+
+    def _border(self) -> None:
+        """V' K V with the newest block of V."""
+        lanczos, known = self.lanczos, self.stiffness
+        new = lanczos.V[:, lanczos.last]
+        columns = dot(lanczos.V[:, : lanczos.size], self.problem.K @ new, self.problem.budget)
+        self.stiffness = np.zeros((lanczos.size, lanczos.size))
+        self.stiffness[: len(known), : len(known)] = known
+        self.stiffness[:, lanczos.last] = columns
+        self.stiffness[lanczos.last] = columns.T
+
+    def _change(self, made: Reference, g: Floats, omega: Floats) -> float:
+        """Largest change of H by the newest block, relative to its largest entry at each frequency."""
+        k = self.lanczos.last.start
+        if not k:
+            return np.inf
+        values, Y = sl.eigh(self.stiffness[:k, :k])
+        before = replace(made, values=values, Y=Y, F=Y.T @ (self.stiffness[:k, :k] @ g[:k]))
+        H, old = (one.F.T @ one.states(1j * omega) for one in (made, before))
+        return float((np.abs(H - old).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))).max())
+
+    def _jumps(self, made: Reference, omega: Floats) -> float:
+        """What H would change by if modes that may lie on either side of a jump of the modal table changed sides.
+
+        With G M V y = V T y + W E'y, an eigenvalue of G M lies within |T y - y / theta| + |W E'y| of 1 / theta (in the
+        norm of M; Weinstein 1934). Relative to the largest entry of H at each frequency.
+        """
+        lanczos, values, Y, jumps = self.lanczos, made.values, made.Y, self.problem.damping.jumps
+        if not len(jumps):
+            return 0.0
+        T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
+        outside = np.einsum("ij,ik,kj->j", last, lanczos.rest, last)
+        off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
+        stiffness = values * (1 + 1j * self.problem.damping.structural)
+        H = np.abs(made.F.T @ made.states(1j * omega)).max(axis=(1, 2))
+        change = np.zeros(len(omega))
+        for jump in jumps:
+            unsure = np.abs(1 / values - 1 / jump**2) <= off
+            if not unsure.any():
+                continue
+            omega_k, F = np.sqrt(values[unsure]), np.abs(made.F[unsure])
+            ratios = self.problem.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
+            one, other = (
+                1 / (stiffness[unsure] - omega[:, None] ** 2 + 2j * ratio * omega[:, None] * omega_k)
+                for ratio in ratios
+            )
+            change += np.einsum("ki,fk,kj->fij", F, np.abs(one - other), F).max(axis=(1, 2)) / H
+        return float(change.max(initial=0.0))
+
+    def _error(self, made: Reference, g: Floats, omega: Floats) -> float:
+        """Largest estimated error of H, relative to its largest entry at each frequency."""
+        lanczos, values, Y = self.lanczos, made.values, made.Y
+        V, W, T = lanczos.V[:, : lanczos.size], lanczos.rest_vectors, lanczos.T[: lanczos.size, : lanczos.size]
+        KW = self.problem.K @ W
+        cross = dot(V, KW, self.problem.budget)
+        energy = np.block([[self.stiffness, cross], [cross.T, W.T @ KW]])
+        worst = 0.0
+        for w in omega:
+            # K carries c; the rest of A is f M, and f y follows from the modal equation.
+            c, _ = made.damping.proportional(1j * w)
+            row = 1.0 / (values * (1 + 1j * made.damping.structural) + 1j * w * made.damping_of_modes() - w**2)
+            H = made.F.T @ (row[:, None] * made.F)
+            y = Y @ (row[:, None] * made.F)
+            fy = Y @ ((1.0 - c * row * values)[:, None] * made.F)
+            rho = np.vstack([g - c * y - T @ fy, -fy[lanczos.last]])
+            residual = np.abs(np.einsum("ij,ij->j", rho.conj(), energy @ rho))
+            gain = max(1.0, float(np.abs(values * row).max()))
+            worst = max(worst, gain * float(residual.max()) / float(np.abs(H).max()))
+        return worst

@@ -1,0 +1,1 @@
+"""Stress of a model, of a reduced body, and of its motions."""
