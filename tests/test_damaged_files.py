@@ -148,6 +148,9 @@ def test_damaged_exudyn_files(tmp_path: Path, model: FEModel, name: str, value: 
         ("elements/node_count", put(5), "names rows that do not exist"),
         ("elements/node_count", put(50), "elements take 50 nodes of 12"),
         ("elements/block_0/nodes", put(np.full((2, 8), 1.5)), "does not hold whole numbers"),
+        ("dofs/component", put(1), "does not hold whole numbers in its shape"),
+        ("nodes/coordinates", put(np.ones((12, 2))), "does not hold numbers in its shape"),
+        ("materials/density", put(np.ones((3, 1))), "does not hold numbers in its shape"),
     ],
 )  # fmt: skip
 def test_damaged_model_files(

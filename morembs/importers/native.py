@@ -38,7 +38,7 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         K, M, D = (_matrix(path, file, name, size, budget) for name in ("K", "M", "D"))
         nodes = Nodes(
             ids=_whole(path, file["nodes/ids"]),
-            xyz=_numbers(path, file["nodes/coordinates"]),
+            xyz=_numbers(path, file["nodes/coordinates"], (None, 3)),
             sets=_sets(path, file, "node_sets"),
         )
         for name, rows in nodes.sets.items():
@@ -93,24 +93,27 @@ def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.c
         parts.append(array)
     data, indices, indptr = parts
     if "data_imag" in group:
-        data = data + 1j * _numbers(path, group["data_imag"])
+        data = data + 1j * _numbers(path, group["data_imag"], data.shape)
     shape = tuple(_whole(path, group["shape"]).tolist())
     if shape != (size, size):
         raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; import the model again")
     return checked_csr(f"{path}: {name}", data, indices, indptr, (size, size))
 
 
-def _whole(path: Path, item: Any) -> Ints:
+def _whole(path: Path, item: Any, *, sides: int = 1) -> Ints:
+    """Whole numbers of an array with so many ``sides``."""
     values = stored(item)
-    if values.dtype.kind not in "iu":
-        raise InputError(f"{path}: {item.name} does not hold whole numbers; import the model again")
+    if values.dtype.kind not in "iu" or values.ndim != sides:
+        raise InputError(f"{path}: {item.name} does not hold whole numbers in its shape; import the model again")
     return values.astype(np.int64, copy=False)
 
 
-def _numbers(path: Path, item: Any) -> Floats:
+def _numbers(path: Path, item: Any, shape: tuple[int | None, ...]) -> Floats:
+    """Numbers of an array of this ``shape``, None where it may be anything."""
     values = stored(item)
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"{path}: {item.name} does not hold numbers; import the model again")
+    fits = len(shape) == values.ndim and all(a in (None, b) for a, b in zip(shape, values.shape, strict=True))
+    if values.dtype.kind not in "fiu" or not fits:
+        raise InputError(f"{path}: {item.name} does not hold numbers in its shape; import the model again")
     return values.astype(np.float64, copy=False)
 
 
@@ -142,13 +145,13 @@ def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
     if "elements" not in file:
         return None
     group = file["elements"]
-    count = int(_whole(path, group["node_count"]).item())
+    count = int(_whole(path, group["node_count"], sides=0))
     if not 0 <= count <= len(nodes):
         raise InputError(f"{path}: elements take {count} nodes of {len(nodes)}; import the model again")
     blocks = []
     for number, kind in enumerate(_words(group["types"])):
-        connectivity = _whole(path, group[f"block_{number}/nodes"])
-        if kind not in TYPES or connectivity.ndim != 2 or connectivity.shape[1] != TYPES[kind].n_nodes:
+        connectivity = _whole(path, group[f"block_{number}/nodes"], sides=2)
+        if kind not in TYPES or connectivity.shape[1] != TYPES[kind].n_nodes:
             raise InputError(f"{path}: elements of type {kind!r} are damaged; import the model again")
         _refuse_outside(path, connectivity.ravel(), count, f"an element of type {kind}")
         ids = _whole(path, group[f"block_{number}/ids"])
@@ -173,8 +176,9 @@ def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
 def _materials(path: Path, file: Any) -> tuple[Material, ...]:
     if "materials" not in file:
         return ()
-    stiffness, density = (_numbers(path, file[f"materials/{part}"]) for part in ("stiffness", "density"))
     names = _words(file["materials/sets"])
+    stiffness = _numbers(path, file["materials/stiffness"], (len(names), 6, 6))
+    density = _numbers(path, file["materials/density"], (len(names),))
     return tuple(
         Material(set=n, stiffness=C, density=float(d)) for n, C, d in zip(names, stiffness, density, strict=True)
     )
@@ -184,7 +188,7 @@ def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, .
     rigid, average = [], []
     for number, name in enumerate(_words(file["couplings/names"]) if "couplings" in file else []):
         group = file[f"couplings/coupling_{number}"]
-        reference, nodes = int(_whole(path, group["reference"]).item()), _whole(path, group["nodes"])
+        reference, nodes = int(_whole(path, group["reference"], sides=0)), _whole(path, group["nodes"])
         components = tuple(_whole(path, group["components"]).tolist())
         _refuse_outside(path, np.append(nodes, reference), count, f"coupling {name!r}")
         if not set(components) <= set(range(6)):
@@ -197,7 +201,7 @@ def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, .
                     name=name,
                     reference=reference,
                     nodes=nodes,
-                    weights=_numbers(path, group["weights"]),
+                    weights=_numbers(path, group["weights"], nodes.shape),
                     components=components,
                 )
             )

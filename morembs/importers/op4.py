@@ -225,7 +225,9 @@ class _Binary:
         first = np.cumsum(length) - length
         at = np.repeat(place - first * unit, length) + np.arange(int(length.sum())) * unit
         values = self._gathered(at, unit).view(self._value(head)).ravel()
-        collector.add(column, row, length, values.astype(collector.dtype))
+        # What is no number in single precision is none in double, and is refused with the whole matrix.
+        with np.errstate(invalid="ignore"):
+            collector.add(column, row, length, values.astype(collector.dtype))
 
     def _gathered(self, at: Ints, count: int) -> NDArray[np.uint32]:
         """``count`` 4-byte words from each place (k,) on: (k, count), in the byte order of the file."""
