@@ -9,8 +9,8 @@ import pytest
 
 from morembs.errors import InputError
 from morembs.gmp import ReducedMember
+from morembs.gmp.stored import read_members, write_members
 from morembs.nonlinear import PlanarBeam, Section
-from morembs.stored_parameterised import read_members, write_members
 
 DOCS = Path(__file__).parent.parent / "docs" / "gmp.md"
 

@@ -18,7 +18,7 @@ def points(reach: float, count: int) -> Floats:
     """The ``count`` extrema of a Chebyshev polynomial on [-reach, reach], in rising order; the ends belong to them."""
     if count < 2 or not (np.isfinite(reach) and reach > 0):
         raise InputError(f"a table of {count} points on +-{reach} was given; expected two or more on a positive range")
-    return np.asarray(-reach * np.cos(np.pi * np.arange(count) / (count - 1)))
+    return np.asarray(reach * np.sin(np.pi * (2 * np.arange(count) - (count - 1)) / (2 * (count - 1))))
 
 
 @lru_cache

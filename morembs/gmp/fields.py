@@ -94,7 +94,9 @@ def _span(columns: Floats) -> Floats:
     rest = columns - columns.mean(axis=0)
     size = np.abs(columns).max(axis=0)
     left, values, _ = np.linalg.svd(rest[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.hstack((first, left[:, values > _KEPT * max(values.max(initial=0.0), 1.0)] * np.sqrt(len(columns))))
+    # Vectors of small singular values are orthogonal to the first no better than round-off over these values.
+    Q, R = np.linalg.qr(np.hstack((first, left[:, values > _KEPT * max(values.max(initial=0.0), 1.0)])))
+    return np.asarray(Q * np.sign(np.diag(R)) * np.sqrt(len(columns)))
 
 
 def _diagonal(U: Floats, M: sp.spmatrix) -> tuple[Floats, Floats]:

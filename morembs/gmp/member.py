@@ -7,15 +7,18 @@ direction phi; t = the angles of the ends less phi. Frames remain coordinates, s
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.gmp.data import Formulation, Parameterised
+from morembs.gmp.plan import TOLERANCE, Envelope, Plan, Report
 from morembs.gmp.shapes import shapes
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.member import Moment
+from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 
@@ -28,12 +31,18 @@ class ReducedMember:
         modes: number of bending modes, zero or more.
         formulation: "membrane" (of beams), "tangent" (of any component), "foreshortened" (no nonlinear solves) or
             "linear" (floating frame with component modes).
-        reach: largest angle (rad) of an end to the chord; the range of the tables.
-        points_per_angle: Chebyshev points of the tables in each direction.
+        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``Envelope``.
+        points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
+        progress: hears of equilibria as they are found.
+
+    ``report`` tells what the offline stage did; None for a member from a file.
 
     Raises:
-        InputError: too many modes, a range that crosses a bifurcation or has no equilibrium.
+        InputError: too many modes, a range that crosses a bifurcation or has no equilibrium, a tolerance not met.
+        OutputError: the checkpoint cannot be written.
     """
+
+    report: Report | None = None
 
     def __init__(
         self,
@@ -41,17 +50,26 @@ class ReducedMember:
         *,
         modes: int,
         formulation: Formulation = "tangent",
-        reach: float = 0.8,
-        points_per_angle: int = 9,
+        reach: float | Envelope = 0.8,
+        points_per_angle: int | None = None,
+        tolerance: float = TOLERANCE,
+        workers: int = 1,
+        checkpoint: str | Path | None = None,
+        symmetric: bool = True,
+        progress: Progress = SILENT,
     ) -> None:
-        self._take(
-            shapes(component, formulation=formulation, modes=modes, reach=reach, points_per_angle=points_per_angle)
-        )
+        plan = Plan(
+            reach=reach, points_per_angle=points_per_angle, tolerance=tolerance, workers=workers,
+            checkpoint=checkpoint, symmetric=symmetric,
+        )  # fmt: skip
+        data, self.report = shapes(component, formulation=formulation, modes=modes, plan=plan, progress=progress)
+        self._take(data)
 
     @classmethod
-    def of(cls, data: Parameterised) -> ReducedMember:
+    def of(cls, data: Parameterised, report: Report | None = None) -> ReducedMember:
         """From what was made or stored before."""
         member = cls.__new__(cls)
+        member.report = report
         member._take(data)
         return member
 
@@ -126,6 +144,34 @@ class ReducedMember:
         S[:2, 3:] += tension * c_t
         S[3:, :2] += tension * c_t.T
         return Moment(x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P)
+
+    def bending(self, q: Floats, v: Floats) -> Floats:
+        """(dJ/dt) v, (p,): the acceleration of x while q moves on at the constant rate v, from second derivatives of
+        the tables (exact within their range)."""
+        d, phi, t = self.chord(q)
+        value, first, second = self.data.table.at(t)
+        gap, rate = q[3:5] - q[:2], v[3:5] - v[:2]
+        d1 = float(gap @ rate) / d
+        d2 = (float(rate @ rate) - d1**2) / d
+        phi1 = float(gap[0] * rate[1] - gap[1] * rate[0]) / d**2
+        phi2 = -2 * phi1 * d1 / d
+        t1 = v[[2, 5]] - phi1
+        along = t1 @ first
+        twice = np.einsum("i,ijs,j->s", t1, second, t1) - phi2 * first.sum(axis=0)
+        (X, A, d0, *_), (X1, A1, c1, *_), (X2, A2, c2, *_) = (self.data.parts(n) for n in (value, along, twice))
+        eps = d / d0 - 1
+        eps1 = d1 / d0 - d * c1 / d0**2
+        eps2 = d2 / d0 - (2 * d1 * c1 + d * c2) / d0**2 + 2 * d * c1**2 / d0**3
+        u = X + A * eps + self._Psi @ q[6:]
+        u1 = X1 + A1 * eps + A * eps1 + self._Psi @ v[6:]
+        u2 = X2 + A2 * eps + 2 * A1 * eps1 + A * eps2
+        # In the turning frame of the chord: Coriolis, angular and centripetal acceleration of positions.
+        r = len(self.data.fields.one)
+        u2[:r] -= 2 * phi1 * u1[r : 2 * r] + phi2 * u[r : 2 * r] + phi1**2 * u[:r]
+        u2[r : 2 * r] += 2 * phi1 * u1[:r] + phi2 * u[:r] - phi1**2 * u[r : 2 * r]
+        result = self._turned(math.cos(phi), math.sin(phi), u2)
+        result[2 * r :] += phi2 * self.data.fields.turn
+        return result
 
     def _turned(self, cos: float, sin: float, u: Floats) -> Floats:
         """Amplitudes u (p, ...) turned from the frame of the chord; rotations stay."""

@@ -24,12 +24,17 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table, points
 from morembs.gmp.data import Formulation, Parameterised
+from morembs.gmp.envelope import target
+from morembs.gmp.equilibria import BeamWork, Equilibrium, Solver
 from morembs.gmp.fields import Fields, fields
-from morembs.gmp.manifold import Equilibrium, Solver, manifold
+from morembs.gmp.manifold import Manifold, refuse_coarse
 from morembs.gmp.modes import BendingModes, bending_modes
+from morembs.gmp.offline import tabulated
+from morembs.gmp.plan import Envelope, Plan, Report
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.planar_beam import PlanarBeam
 from morembs.nonlinear.statics import Factor
+from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 # Modes tabulated only to see whether they would have answered.
@@ -55,12 +60,13 @@ class Sample:
 
 
 def shapes(
-    component: NonlinearComponent, *, formulation: Formulation, modes: int, reach: float, points_per_angle: int
-) -> Parameterised:
+    component: NonlinearComponent, *, formulation: Formulation, modes: int, plan: Plan, progress: Progress = SILENT
+) -> tuple[Parameterised, Report]:
     """The offline stage.
 
     Raises:
         InputError: an unknown formulation, too many modes, a range that the equilibria do not cover.
+        OutputError: the checkpoint cannot be written.
     """
     if formulation not in get_args(Formulation):
         raise InputError(f"formulation {formulation!r} was given; expected one of {', '.join(get_args(Formulation))}")
@@ -72,28 +78,41 @@ def shapes(
     kept, solver = bending_modes(component, modes), Solver(component)
     available = _with_extra(component, modes, kept)
     law = _Law(component, solver, available, modes)
-    grid = points(reach, points_per_angle if formulation in ("membrane", "tangent") else 3)
-    errors = np.zeros(2)
     if formulation in ("membrane", "tangent"):
-        found = manifold(component, reach=reach, points_per_angle=points_per_angle)
-        at = law.membrane if formulation == "membrane" else law.tangent
-        samples = [at(X) for row in found.X for X in row]
-        energy, errors = found.energy, np.array(found.errors())
+        found = tabulated(
+            BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan, progress
+        )
+        made, samples, report = Manifold.of(found), found.samples, found.report
+        reach, count, energy, errors = found.reach, found.count, made.energy, np.array(made.errors())
+        if plan.points_per_angle is not None:
+            refuse_coarse(made.errors(), reach, count)
     else:
-        along = law.linear if formulation == "linear" else law.foreshortened
+        report = _without_equilibria(law, plan)
+        reach, count, errors = report.reach, report.points, np.zeros(2)
+        grid, along = points(reach, count), law.linear if formulation == "linear" else law.foreshortened
         samples = [along(np.array([a, b])) for a in grid for b in grid]
-        stiffness = law.angles
-        W = np.array([[0.5 * np.array([a, b]) @ stiffness @ np.array([a, b]) for b in grid] for a in grid])
+        W = np.array([[0.5 * np.array([a, b]) @ law.angles @ np.array([a, b]) for b in grid] for a in grid])
         energy = Table.through(reach, W, curved=True)
     H0 = np.zeros(len(available.squares)) if formulation == "linear" else law.straight_diagonal()
     of = fields(component, np.column_stack([one for s in samples for one in (s.X, s.A)] + [available.Psi]))
-    flat = np.array([s.flat(of, int(solver.second[0])) for s in samples]).reshape(len(grid), len(grid), -1)
-    return Parameterised(
+    flat = np.array([s.flat(of, int(solver.second[0])) for s in samples]).reshape(count, count, -1)
+    data = Parameterised(
         formulation=formulation, reach=reach, length=solver.length, count=modes, table=Table.through(reach, flat),
         energy=energy, fields=of, Psi=of.condensed(available.Psi), squares=available.squares, H0=H0,
         peaks=np.abs(available.Psi[component.translations]).max(axis=(0, 1)), excluded=available.excluded,
         errors=errors,
     )  # fmt: skip
+    return data, report
+
+
+def _without_equilibria(law: _Law, plan: Plan) -> Report:
+    """Three points, which linear and quadratic functions need; the range as for those with equilibria."""
+    reach, notes = plan.reach, tuple[str, ...]()
+    if isinstance(reach, Envelope):
+        reach, notes = target(BeamWork(law.component), law.start, law.solver.turns, reach, ())
+    return Report(
+        reach=reach, points=3, equilibria=0, solved=0, restored=0, symmetries=(), errors={}, notes=notes, seconds=0.0
+    )
 
 
 def _with_extra(component: NonlinearComponent, count: int, kept: BendingModes) -> BendingModes:

@@ -6,7 +6,6 @@ t2; the end may slide along the chord, which has its natural length then. One sy
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -17,7 +16,7 @@ import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SolverError
-from morembs.gmp.chebyshev import points
+from morembs.gmp.equilibria import NotFollowedError, first_share
 from morembs.linalg.solver import LinearSolver
 from morembs.nonlinear.continuation import Newton, Tangents
 from morembs.nonlinear.solid import NonlinearSolid
@@ -99,12 +98,13 @@ class SolidEquilibria:
         """From a known point to t (2,) by continuation; steps that fail are halved.
 
         Raises:
-            InputError: the way crosses a bifurcation, or Newton's method fails even in small steps.
+            NotFollowedError: the way crosses a bifurcation, or Newton's method fails even in small steps.
         """
-        at, done, share = X[self.turns], 0.0, 1.0
+        at, done = X[self.turns], 0.0
+        share = longest = first_share(t - at)
         now: SolidEquilibrium | None = None
         while True:
-            goal = min(1.0, done + share)
+            goal = done + share if done + share < 1 - 1e-9 else 1.0
             step = modes @ (at + goal * (t - at) - X[self.turns])
             try:
                 now = self._settled(X + step, self.solid.resultants_after(X, step))
@@ -112,36 +112,17 @@ class SolidEquilibria:
                 raise
             except SolverError as error:
                 share /= 2
-                if share < 0.5**_DIVISIONS:
-                    raise InputError(
+                if share < longest * 0.5**_DIVISIONS:
+                    raise NotFollowedError(
                         f"the static equilibria cannot be followed to t1 = {t[0]:.4g}, t2 = {t[1]:.4g} rad, only to "
                         f"{X[self.turns[0]]:.4g}, {X[self.turns[1]]:.4g} ({done:.2g} of the way): {error}. Take a "
-                        "smaller range, or divide the component into more members"
+                        "smaller range, or divide the component into more members",
+                        X[self.turns],
                     ) from None
                 continue
             if goal >= 1:
                 return now
             X, modes, done = now.X, now.modes, goal
-
-    def grid(self, reach: float, count: int) -> Iterator[tuple[int, int, SolidEquilibrium]]:
-        """All points of a Chebyshev grid on |t1|, |t2| <= ``reach``, from the middle outwards, with their numbers.
-
-        Raises:
-            InputError: a range that crosses a bifurcation or has no equilibrium.
-        """
-        if not 0 < reach < np.pi:
-            raise InputError(f"a range of +-{reach} rad was given; expected a positive number below pi")
-        values = points(reach, count)
-        start = self.straight()
-        known = {(-1, -1): (np.zeros(2), start.X, start.modes)}
-        del start
-        pairs = [(i, j) for i in range(count) for j in range(count)]
-        for i, j in sorted(pairs, key=lambda p: (max(abs(values[p[0]]), abs(values[p[1]])), p)):
-            t = np.array([values[i], values[j]])
-            near = min(known, key=lambda p: (float(np.hypot(*(known[p][0] - t))), p))
-            found = self.toward(*known[near][1:], t)
-            known[i, j] = t, found.X, found.modes
-            yield i, j, found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

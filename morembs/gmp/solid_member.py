@@ -8,7 +8,9 @@ y with the same ones, z, which does not turn in the plane, with its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,8 +20,12 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table, points
 from morembs.gmp.data import Parameterised
+from morembs.gmp.equilibria import Equilibrium
 from morembs.gmp.fields import Fields
+from morembs.gmp.manifold import refuse_coarse
 from morembs.gmp.member import ReducedMember
+from morembs.gmp.offline import Tabulated, tabulated
+from morembs.gmp.plan import TOLERANCE, Envelope, Plan
 from morembs.gmp.solid_manifold import (
     PlaneModes,
     SolidEquilibria,
@@ -53,7 +59,8 @@ class _Sample:
 
 
 def solid_member(
-    solid: NonlinearSolid, *, modes: int, reach: float = 0.8, points_per_angle: int = 5,
+    solid: NonlinearSolid, *, modes: int, reach: float | Envelope = 0.8, points_per_angle: int | None = None,
+    tolerance: float = TOLERANCE, workers: int = 1, checkpoint: str | Path | None = None, symmetric: bool = True,
     solver: LinearSolver | None = None, progress: Progress = SILENT,
 ) -> ReducedMember:  # fmt: skip
     """A member of 6 + ``modes`` coordinates that moves in the plane of x and y.
@@ -62,25 +69,70 @@ def solid_member(
         solid: with rigid interfaces ``start`` at the origin and ``end`` on the x axis; symmetric to the plane z = 0,
             or near enough for its motion to stay in the plane.
         modes: number of bending modes, zero or more.
-        reach: largest angle (rad) of an end to the chord; the range of the tables.
-        points_per_angle: Chebyshev points of the tables in each direction.
+        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``Envelope``.
+        points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
+        progress: hears of equilibria as they are found.
 
-    Memory: the tangent, its factor, and 12 (points_per_angle)^2 numbers per node.
+    Memory: per worker the tangent and its factor; in all, 18 numbers per node and equilibrium.
 
     Raises:
-        InputError: other interfaces, too many modes, a range that crosses a bifurcation or has no equilibrium.
+        InputError: other interfaces, too many modes, a range that crosses a bifurcation or has no equilibrium, a
+            tolerance that is not met.
+        OutputError: the checkpoint cannot be written.
     """
+    plan = Plan(
+        reach=reach, points_per_angle=points_per_angle, tolerance=tolerance, workers=workers, checkpoint=checkpoint,
+        symmetric=symmetric,
+    )  # fmt: skip
     kept = plane_bending_modes(solid, modes + _EXTRA, solver)
-    count = points_per_angle
-    samples: dict[tuple[int, int], _Sample] = {}
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
-        for i, j, found in equilibria.grid(reach, count):
-            samples[i, j] = law.sample(found)
-            progress.update(f"equilibria: {len(samples)} of {count * count}")
+        tables = tabulated(SolidWork(equilibria, law, solver), plan, progress)
         H0 = law.straight_diagonal()
         length = equilibria.length
-    return ReducedMember.of(_parameterised(solid, samples, kept, reach=reach, length=length, count=modes, H0=H0))
+    data = _parameterised(solid, tables, kept, length=length, count=modes, H0=H0)
+    if points_per_angle is not None:
+        refuse_coarse((float(data.errors[0]), float(data.errors[1])), tables.reach, tables.count)
+    return ReducedMember.of(data, tables.report)
+
+
+class SolidWork:
+    """A solid at work in the offline stage."""
+
+    def __init__(self, equilibria: SolidEquilibria, law: _Law, solver: LinearSolver | None) -> None:
+        self.component, self.length, self.turns = equilibria.solid, equilibria.length, equilibria.turns
+        self._equilibria, self._law, self._solver = equilibria, law, solver
+
+    def fresh(self) -> SolidWork:
+        own = SolidWork(SolidEquilibria(self.component, self._solver), self._law, self._solver)
+        # The first tangent that is factored sets the analysis of all.
+        own.straight()
+        return own
+
+    def straight(self) -> Equilibrium:
+        return _plain(self._equilibria.straight())
+
+    def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
+        return _plain(self._equilibria.toward(X, modes, t))
+
+    def sample(self, found: Equilibrium) -> _Sample:
+        return self._law.sample(found)
+
+    def energy(self, x: Floats) -> float:
+        return self.component.energy(x)
+
+    def tangent(self, X: Floats) -> sp.csr_array:
+        return self.component.tangent(X)
+
+    def spread(self) -> Floats:
+        solid = self.component
+        forces = np.zeros((len(solid.model.nodes), 3))
+        forces[:, 1] = np.asarray(sp.csr_array(solid.model.M)[1::3][:, 1::3].sum(axis=1)).ravel()
+        return solid.load(solid.reference, forces / forces[:, 1].sum())
+
+
+def _plain(found: SolidEquilibrium) -> Equilibrium:
+    return Equilibrium(X=found.X, W=found.W, moments=found.moments, modes=found.modes)
 
 
 class _Law:
@@ -126,13 +178,13 @@ class _Law:
         h = _STEP
         return np.asarray((self.solid.tangent(X + h * A) @ Psi - self.solid.tangent(X - h * A) @ Psi) / (2 * h))
 
-    def sample(self, found: SolidEquilibrium) -> _Sample:
+    def sample(self, found: Equilibrium) -> _Sample:
         """All at one equilibrium."""
         solid, d0 = self.solid, float(found.X[self.equilibria.second[0]])
         nodes = solid.positions(found.X)
         stretched = self.stretched(nodes, d0)
         A = self._coordinates(stretched, d0)
-        force = found.K @ A
+        force = solid.tangent(found.X) @ A
         k, Psi = float(A @ force), self.Psi[:, : self.count]
         H = Psi.T @ self._slope(found.X, A, Psi) / k
         slopes = np.stack([solid.step_of_nodes(found.X, mode) for mode in found.modes.T])
@@ -149,11 +201,9 @@ class _Law:
 
 
 def _parameterised(
-    solid: NonlinearSolid, samples: dict[tuple[int, int], _Sample], kept: PlaneModes, *, reach: float, length: float,
-    count: int, H0: Floats,
-) -> Parameterised:  # fmt: skip
-    grid = round(len(samples) ** 0.5)
-    ordered = [samples[i, j] for i in range(grid) for j in range(grid)]
+    solid: NonlinearSolid, tables: Tabulated, kept: PlaneModes, *, length: float, count: int, H0: Floats
+) -> Parameterised:
+    grid, reach, ordered = tables.count, tables.reach, tables.samples
     Psi = np.stack([solid.step_of_nodes(solid.reference, column) for column in kept.Psi.T])
     of = _fields(solid, np.concatenate([np.stack([s.X for s in ordered] + [s.A for s in ordered]), Psi]))
     flat = np.array(
@@ -165,19 +215,17 @@ def _parameterised(
     return Parameterised(
         formulation="tangent", reach=reach, length=length, count=count, table=table, energy=energy, fields=of,
         Psi=of.condensed(Psi.reshape(len(Psi), -1).T), squares=kept.squares, H0=H0, excluded=np.zeros(0),
-        peaks=np.abs(Psi).max(axis=(1, 2)), errors=_errors(samples, table, energy, of, reach, grid),
+        peaks=np.abs(Psi).max(axis=(1, 2)), errors=_errors(ordered, table, energy, of, grid),
     )  # fmt: skip
 
 
-def _errors(
-    samples: dict[tuple[int, int], _Sample], table: Table, energy: Table, of: Fields, reach: float, grid: int
-) -> Floats:
+def _errors(samples: Sequence[_Sample], table: Table, energy: Table, of: Fields, grid: int) -> Floats:
     """Largest errors (2,) of the derivatives of the tables, of shapes against constraint modes and of the energy
     against moments, each per largest."""
-    values = points(reach, grid)
+    values = points(table.reach, grid)
     shape = moment = top_shape = top_moment = 0.0
-    for (i, j), sample in samples.items():
-        t = np.array([values[i], values[j]])
+    for number, sample in enumerate(samples):
+        t = values[[number // grid, number % grid]]
         slope = table.at(t)[1][:, : of.size]
         for one, exact in zip(slope, sample.slopes, strict=True):
             shape = max(shape, float(np.abs(of.expanded(one) - exact.ravel()).max()))
@@ -198,9 +246,8 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
     if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > 1e-9 * abs(Mx).max():
         raise InputError("the mass matrix differs along x, y and z; expected that of solid elements")
     n = shapes.shape[1]
-    ones = np.ones((n, 1))
     U = _span(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)))
-    U, Uz = np.hstack((ones, U)), np.hstack((ones, _span(shapes[:, :, 2].T)))
+    Uz = _span(shapes[:, :, 2].T)
     r, rz = U.shape[1], Uz.shape[1]
     small = np.zeros((2 * r + rz,) * 2)
     small[:r, :r] = small[r : 2 * r, r : 2 * r] = U.T @ (Mx @ U)
@@ -212,8 +259,11 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
 
 
 def _span(columns: Floats) -> Floats:
-    """Functions of mean zero and mean square one that span the columns (n, k), but for their means."""
+    """Orthogonal functions of mean square one that span the columns (n, k); the first is constant."""
     rest = columns - columns.mean(axis=0)
     size = np.abs(columns).max(axis=0)
     left, values, _ = np.linalg.svd(rest[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(left[:, values > _KEPT * values.max(initial=0.0)] * np.sqrt(len(columns)))
+    kept = np.hstack((np.ones((len(columns), 1)), left[:, values > _KEPT * values.max(initial=0.0)]))
+    # Vectors of small singular values are orthogonal to the first no better than round-off over these values.
+    Q, R = np.linalg.qr(kept)
+    return np.asarray(Q * np.sign(np.diag(R)) * np.sqrt(len(columns)))

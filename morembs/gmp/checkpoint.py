@@ -1,0 +1,117 @@
+"""Static equilibria of a component that is being tabulated, in a file, so that a run that was ended can go on.
+
+The file is replaced as a whole, never changed in place. Datasets: ``signature`` of the component, ``options`` of the
+run (JSON), ``reach`` (rad, 0 while it is not known), ``notes`` (JSON), and per equilibrium a row of ``keys`` (n, 4),
+``X`` (n, N), ``W`` (n,), ``moments`` (n, 2), ``modes`` (n, N, 2). A key holds two fractions, numerator and
+denominator: the place of t1 and t2 among Chebyshev points, t = reach sin(pi fraction).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.storage.safefile import check_writable, replacing
+
+Floats = NDArray[np.float64]
+Key = tuple[int, int, int, int]
+_KIND = "morembs equilibria 1"
+_NAMES = ("X", "W", "moments", "modes")
+# Time between two files per time that one takes; relative difference of signatures of one component.
+_SELDOM, _SAME = 10.0, 1e-8
+
+
+class Checkpoint:
+    """Equilibria in the file ``path``, those of an earlier run to begin with.
+
+    Args:
+        signature: (k,) numbers that tell the component from others.
+        options: what the equilibria depend on besides, as text.
+
+    Raises:
+        InputError: the file is of another component or run, or none of this kind.
+        OutputError: it cannot be written.
+    """
+
+    def __init__(self, path: str | Path, *, signature: Floats, options: str) -> None:
+        self.path, self.signature, self.options = Path(path), np.asarray(signature, dtype=float), options
+        self.reach, self.notes = 0.0, ()
+        self.found: dict[Key, dict[str, Any]] = {}
+        self._last, self._took, self._unsaved = -np.inf, 0.0, False
+        check_writable(self.path)
+        if self.path.exists():
+            self._read()
+
+    reach: float
+    notes: tuple[str, ...]
+
+    def _read(self) -> None:
+        try:
+            with h5py.File(self.path, "r") as file:
+                if file.attrs.get("kind") != _KIND:
+                    raise KeyError("kind")
+                signature, options = file["signature"][()], str(file["options"].asstr()[()])
+                values = {name: file[name][()] for name in ("keys", *_NAMES)}
+                reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
+                rows = {len(value) for value in values.values()}
+                if len(rows) > 1:
+                    raise KeyError("rows")
+        except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{self.path} cannot be read as equilibria of an earlier run ({error}); give the name of such a file, "
+                "or of a new one"
+            ) from None
+        same = signature.shape == self.signature.shape and np.allclose(signature, self.signature, rtol=_SAME, atol=0)
+        if not same or options != self.options:
+            what = f"with the options {options}, not {self.options}" if same else "of another component"
+            raise InputError(
+                f"{self.path} holds equilibria {what}; give the name of a new file, or remove this one to begin anew"
+            )
+        self.reach, self.notes = reach, tuple(notes)
+        for row, key in enumerate(values["keys"]):
+            a, b, c, d = (int(number) for number in key)
+            self.found[a, b, c, d] = {name: values[name][row] for name in _NAMES}
+
+    def begin(self, reach: float, notes: tuple[str, ...]) -> None:
+        """The range is known now, or another one; equilibria of the last one go."""
+        if reach != self.reach:
+            self.found = {}
+        self.reach, self.notes, self._unsaved = reach, notes, True
+
+    def add(self, key: Key, **values: Any) -> None:
+        """One equilibrium more; a file is written where the last is not too recent."""
+        self.found[key], self._unsaved = values, True
+        if time.monotonic() - self._last >= _SELDOM * self._took:
+            self.save()
+
+    def save(self) -> None:
+        """Write the file, if there is anything new.
+
+        Raises:
+            OutputError: it cannot be written; the old file stays.
+        """
+        if not self._unsaved:
+            return
+        begin = time.monotonic()
+        with replacing(self.path) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
+            file.attrs["kind"] = _KIND
+            file["signature"], file["options"] = self.signature, self.options
+            file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
+            file["keys"] = np.array(list(self.found), dtype=np.int64).reshape(-1, 4)
+            first = next(iter(self.found.values()), None)
+            for name in _NAMES:
+                safe.doing = name
+                shape = np.shape(first[name]) if first is not None else (0,)
+                data = file.create_dataset(name, (len(self.found), *shape), dtype=np.float64)
+                for row, values in enumerate(self.found.values()):
+                    data[row] = values[name]
+                safe.check()
+        self._last, self._unsaved = time.monotonic(), False
+        self._took = self._last - begin

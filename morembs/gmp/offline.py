@@ -1,0 +1,314 @@
+"""The offline stage of beams and solids: which equilibria are found, from which others, and when there are enough.
+
+Grids of 3, 5, 9 and 17 Chebyshev points per angle hold each other, so that no equilibrium is lost when one is
+refined. A grid is measured at points of the next one. Every equilibrium is followed from the nearest of those found
+before its batch, so that neither the number of processes nor a restart changes anything.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.gmp.chebyshev import Table
+from morembs.gmp.checkpoint import Checkpoint
+from morembs.gmp.crew import Crew, Work
+from morembs.gmp.envelope import Loaded, target
+from morembs.gmp.equilibria import Equilibrium, NotFollowedError
+from morembs.gmp.plan import Envelope, Plan, Report
+from morembs.gmp.symmetry import Shaped, Symmetry, symmetries
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+# t = reach sin(pi fraction), for both angles.
+Key = tuple[Fraction, Fraction]
+LEVELS = (3, 5, 9, 17)
+# Part of the range that was reached which is tried next; part of what was asked for below which that ends.
+_BACK, _LEAST = 0.9, 0.1
+
+
+class Member(Work, Loaded, Protocol):
+    """A component at work. ``turns`` (2,) are the coordinates of the end angles, ``length`` that of its chord."""
+
+    turns: Any
+    length: float
+
+    @property
+    def component(self) -> Shaped: ...
+
+    def straight(self) -> Equilibrium: ...
+
+    def energy(self, x: Floats) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tabulated:
+    """Equilibria and samples on a grid of ``count`` points per angle, row by row, and the report."""
+
+    reach: float
+    count: int
+    found: list[Equilibrium]
+    samples: list[Any]
+    report: Report
+
+    def grown(self, name: str) -> Floats:
+        """(count, count, ...) of a part of the equilibria."""
+        values = np.array([getattr(one, name) for one in self.found])
+        return values.reshape(self.count, self.count, *values.shape[1:])
+
+
+def places(count: int) -> list[Fraction]:
+    """Fractions of the ``count`` Chebyshev points in rising order."""
+    return [Fraction(2 * k - (count - 1), 2 * (count - 1)) for k in range(count)]
+
+
+def grid(count: int) -> list[Key]:
+    """All points of a grid, row by row."""
+    return [(a, b) for a in places(count) for b in places(count)]
+
+
+def between(count: int) -> list[Key]:
+    """Points of the next grid at which one of ``count`` points is measured: cells at corners, edges and the middle."""
+    finer = places(2 * count - 1)
+    chosen = [finer[k] for k in sorted({1, count - 2, count, 2 * count - 3})]
+    return [(a, b) for a in chosen for b in chosen]
+
+
+def shells(count: int) -> list[list[Key]]:
+    """The points of a grid in batches from the middle outwards."""
+    rings: dict[Fraction, list[Key]] = {}
+    for key in grid(count):
+        rings.setdefault(max(abs(key[0]), abs(key[1])), []).append(key)
+    return [rings[ring] for ring in sorted(rings)]
+
+
+class Sampling:
+    """Equilibria of one range, found so far."""
+
+    def __init__(
+        self, work: Member, crew: Crew, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
+        progress: Progress,
+    ) -> None:  # fmt: skip
+        self.work, self.crew, self.group, self.reach = work, crew, group, reach
+        self.store, self.progress = store, progress
+        self.found: dict[Key, Equilibrium] = {}
+        self.samples: dict[Key, Any] = {}
+        self.solved = self.restored = 0
+
+    def angles(self, key: Key) -> Floats:
+        """t (2,)."""
+        return np.array([self.reach * np.sin(np.pi * part.numerator / part.denominator) for part in key])
+
+    def _image(self, one: Symmetry, key: Key) -> Key:
+        (a, b), (c, d) = one.turn.tolist()
+        return a * key[0] + b * key[1], c * key[0] + d * key[1]
+
+    def ensure(self, keys: Iterable[Key]) -> None:
+        """Finds the equilibria of all ``keys``, those that are symmetric to others from these.
+
+        Raises:
+            NotFollowedError: a range that crosses a bifurcation or has no equilibrium.
+        """
+        middle = (Fraction(0), Fraction(0))
+        if middle not in self.found:
+            self.found[middle] = self.work.straight()
+        before = {key: self.angles(key) for key in self.found}
+        wanted: list[Key] = []
+        for key in keys:
+            best = max([key, *(self._image(one, key) for one in self.group)])
+            if best not in self.found and best not in wanted:
+                wanted.append(best)
+        new = {key: self._stored(key) for key in wanted}
+        open_ = [key for key in wanted if new[key] is None]
+        tasks = []
+        for key in open_:
+            t = self.angles(key)
+            near = self.found[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
+            tasks.append((near.X, near.modes, t))
+        failures: dict[int, NotFollowedError] = {}
+        for number, one in self.crew.each("toward", tasks):
+            if isinstance(one, NotFollowedError):
+                failures[number] = one
+                if self.crew.workers == 1:
+                    break
+                continue
+            new[open_[number]], self.solved = one, self.solved + 1
+            self.progress.update(f"equilibria: {self.solved + self.restored}")
+            if self.store is not None:
+                self.store.add(_numbers(open_[number]), X=one.X, W=one.W, moments=one.moments, modes=one.modes)
+        if failures:
+            raise failures[min(failures)]
+        for key, one in new.items():
+            if one is not None:
+                self._take(key, one)
+
+    def _stored(self, key: Key) -> Equilibrium | None:
+        values = None if self.store is None else self.store.found.get(_numbers(key))
+        if values is None:
+            return None
+        self.restored += 1
+        return Equilibrium(X=values["X"], W=float(values["W"]), moments=values["moments"], modes=values["modes"])
+
+    def _take(self, key: Key, one: Equilibrium) -> None:
+        self.found[key] = one
+        for g in self.group:
+            image = self._image(g, key)
+            if image not in self.found:
+                self.found[image] = Equilibrium(
+                    X=g.moved(one.X), W=one.W, moments=g.turn @ one.moments, modes=g.modes(one.modes)
+                )
+
+    def sampled(self, keys: Sequence[Key]) -> list[Any]:
+        """Samples at equilibria."""
+        missing = [key for key in keys if key not in self.samples]
+        for number, sample in self.crew.each("sample", [(self.found[key],) for key in missing]):
+            self.samples[missing[number]] = sample
+        return [self.samples[key] for key in keys]
+
+    def errors(self, count: int) -> dict[str, float]:
+        """Of tables of ``count`` points, each quantity per its largest: at points between, and of derivatives."""
+        inside, outside = grid(count), between(count)
+        samples, checks = self.sampled(inside), self.sampled(outside)
+        found = [self.found[key] for key in inside]
+
+        def through(values: Sequence[Any]) -> Table:
+            array = np.array(values)
+            return Table.through(self.reach, array.reshape(count, count, *array.shape[1:]))
+
+        straight = self.found[Fraction(0), Fraction(0)].X
+        X, W = through([one.X - straight for one in found]), through([one.W for one in found])
+        laws = {name: through([getattr(s, name)[: len(s.H)] if name == "c" else getattr(s, name) for s in samples])
+                for name in ("k", "c", "H")}  # fmt: skip
+        worst = dict.fromkeys(("shapes", "modes", "energy", "moments", "k", "c", "H"), 0.0)
+        sizes = dict.fromkeys(worst, 0.0)
+
+        def seen(name: str, value: Any, exact: Any) -> None:
+            worst[name] = max(worst[name], float(np.abs(value - exact).max(initial=0.0)))
+            sizes[name] = max(sizes[name], float(np.abs(exact).max(initial=0.0)))
+
+        for key in (*inside, *outside):
+            t, one = self.angles(key), self.found[key]
+            shape, energy = X.at(t), W.at(t)
+            for name, value, exact in (
+                ("shapes", shape[0], one.X - straight), ("modes", shape[1].T, one.modes),
+                ("energy", energy[0], one.W), ("moments", energy[1], one.moments),
+            ):  # fmt: skip
+                seen(name, value, exact)
+        for key, sample in zip(outside, checks, strict=True):
+            for name, table in laws.items():
+                exact = getattr(sample, name)
+                seen(name, table.at(self.angles(key))[0], exact[: len(sample.H)] if name == "c" else exact)
+        return {name: worst[name] / sizes[name] if sizes[name] else 0.0 for name in worst}
+
+
+def _numbers(key: Key) -> tuple[int, int, int, int]:
+    a, b = key
+    return a.numerator, a.denominator, b.numerator, b.denominator
+
+
+def tabulated(work: Member, plan: Plan, progress: Progress = SILENT) -> Tabulated:
+    """Equilibria and samples of a member as ``plan`` says.
+
+    Raises:
+        InputError: a range that crosses a bifurcation or has no equilibrium, a tolerance that is not met, a
+            checkpoint of another component.
+        OutputError: the checkpoint cannot be written.
+    """
+    begin = time.perf_counter()
+    progress.stage("static equilibria")
+    group = symmetries(work.component, work.length) if plan.symmetric else ()
+    store = None
+    if plan.checkpoint is not None:
+        store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
+    with Crew(work, plan.workers) as crew:
+        try:
+            return _ranged(work, crew, group, plan, store, progress, begin)
+        finally:
+            if store is not None:
+                store.save()
+
+
+def _ranged(
+    work: Member, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
+    progress: Progress, begin: float,
+) -> Tabulated:  # fmt: skip
+    """Over smaller and smaller ranges, where the range follows from an envelope."""
+    notes: tuple[str, ...] = ()
+    if not isinstance(plan.reach, Envelope):
+        asked = plan.reach
+    elif store is not None and store.reach:
+        asked, notes = store.reach, store.notes
+    else:
+        asked, notes = target(work, work.straight(), work.turns, plan.reach, group)
+    reach = asked
+    while True:
+        if store is not None:
+            store.begin(reach, notes)
+        try:
+            sampling = Sampling(work, crew, group, reach, store, progress)
+            count, errors = _filled(sampling, plan)
+            break
+        except NotFollowedError as stuck:
+            last = float(np.abs(stuck.reached).max())
+            if not isinstance(plan.reach, Envelope) or _BACK * last < _LEAST * asked:
+                raise
+            notes = (*notes, f"the range is +-{_BACK * last:.4g} rad, not {reach:.4g}: {stuck}")
+            reach = _BACK * last
+    keys = grid(count)
+    report = Report(
+        reach=reach, points=count, equilibria=len({*keys, *(between(count) if errors else ())}),
+        solved=sampling.solved, restored=sampling.restored, symmetries=tuple(g.name for g in group),
+        errors=errors, notes=notes, seconds=time.perf_counter() - begin,
+    )  # fmt: skip
+    return Tabulated(
+        reach=reach, count=count, found=[sampling.found[key] for key in keys], samples=sampling.sampled(keys),
+        report=report,
+    )  # fmt: skip
+
+
+def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
+    """Number of points per angle and their errors, all equilibria being found."""
+    if plan.points_per_angle is not None:
+        if isinstance(plan.reach, Envelope):
+            sampling.ensure(shells(2)[-1])
+        for shell in shells(plan.points_per_angle):
+            sampling.ensure(shell)
+        return plan.points_per_angle, {}
+    for count in LEVELS:
+        sampling.ensure(grid(count))
+        sampling.ensure(between(count))
+        errors = sampling.errors(count)
+        worst = max(errors, key=lambda name: errors[name])
+        sampling.progress.update(f"{count} points per angle: error {errors[worst]:.2g} ({worst})")
+        if errors[worst] <= plan.tolerance:
+            return count, errors
+    raise InputError(
+        f"tables of {LEVELS[-1]} points per angle on +-{sampling.reach:.4g} rad miss {worst} by {errors[worst]:.2g}; "
+        f"tolerance = {plan.tolerance:g} was given. Take a larger tolerance or a smaller range, or divide the "
+        "component into more members"
+    )
+
+
+def _options(plan: Plan, group: tuple[Symmetry, ...]) -> str:
+    reach = asdict(plan.reach) if isinstance(plan.reach, Envelope) else plan.reach
+    return json.dumps(
+        {"reach": reach, "points_per_angle": plan.points_per_angle, "symmetries": [g.name for g in group]}
+    )
+
+
+def _signature(work: Member) -> Floats:
+    """Numbers (k,) that tell a component from others: its shape, energies and forces of two deflections."""
+    one, random = work.component, np.random.default_rng(5)
+    numbers = [float(one.size), work.length, float(one.reference @ random.uniform(1, 2, one.size))]
+    for size in (1e-3, 2e-2):
+        x = one.reference + size * work.length * random.uniform(-1, 1, one.size)
+        numbers += [work.energy(x), float(np.abs(one.force(x)) @ random.uniform(1, 2, one.size))]
+    return np.array(numbers)
