@@ -34,6 +34,7 @@ from morembs.reducers import (
     Krylov,
     Modal,
     ReducedModel,
+    StaticModesSwitching,
 )
 from morembs.responses.band import band_frequencies
 from morembs.responses.certify import Certificate, certify
@@ -73,6 +74,7 @@ __all__ = [
     "Nodes",
     "Problem",
     "ReducedModel",
+    "StaticModesSwitching",
     "Trajectory",
     "assemble",
     "available_solvers",

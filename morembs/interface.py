@@ -27,6 +27,11 @@ from morembs.surface import nodal_areas, outer_faces
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 COUPLINGS = ("rigid", "average", "direct")
+# What other programs call them.
+SAME_COUPLING = {
+    "rbe2": "rigid", "kinematic": "rigid", "mpc": "rigid", "rbe3": "average", "distributing": "average",
+    "mean": "average", "nodes": "direct", "none": "direct",
+}  # fmt: skip
 # Scaled condition of R_s' W R_s above which the slave nodes count as collinear.
 COLLINEAR = 1e8
 # Model lengths from the nodes beyond which a frame's point is a mistake.
@@ -69,11 +74,12 @@ def make_interface(
 
     Raises:
         InputError: unknown coupling, no nodes, components that a node lacks, or collinear nodes under a rigid or
-            average coupling.
+            average coupling; a text, labels or other numbers in place of rows.
     """
     if coupling not in COUPLINGS:
-        raise InputError(f"interface {name!r}: coupling = {coupling!r} was given; {nearest(coupling, COUPLINGS)}")
-    rows = np.unique(np.asarray(nodes, dtype=np.int64))
+        meant = SAME_COUPLING.get(str(coupling).lower(), str(coupling).lower())
+        raise InputError(f"interface {name!r}: coupling = {coupling!r} was given; {nearest(meant, COUPLINGS)}")
+    rows = np.unique(_rows(model, name, nodes))
     if not len(rows):
         raise InputError(f"interface {name!r} has no nodes")
     there = _common_components(model, name, rows) if coupling == "direct" else tuple(range(6))
@@ -100,6 +106,25 @@ def make_interface(
     if coupling != "direct":
         refuse_collinear(interface, model)
     return interface
+
+
+def _rows(model: FEModel, name: str, nodes: Ints) -> Ints:
+    """``nodes`` as rows of ``model.nodes``."""
+    if isinstance(nodes, str):
+        raise InputError(
+            f"interface {name!r}: nodes = {nodes!r} was given; expected rows of the nodes, "
+            f"select_nodes(model, {nodes!r}) gives them"
+        )
+    rows, count = np.asarray(nodes), len(model.nodes)
+    if rows.dtype.kind not in "iu" and rows.size:
+        raise InputError(f"interface {name!r}: nodes holds {rows.dtype}; expected rows of the nodes, see select_nodes")
+    if rows.size and not (rows.min() >= 0 and rows.max() < count):
+        bad = rows[(rows < 0) | (rows >= count)][0]
+        raise InputError(
+            f"interface {name!r}: nodes holds the row {bad}, and the model has {count}; labels are turned into rows "
+            f'by select_nodes(model, "ids:{bad}")'
+        )
+    return rows.astype(np.int64)
 
 
 def _common_components(model: FEModel, name: str, rows: Ints) -> tuple[int, ...]:

@@ -62,8 +62,14 @@ def _of_set(model: FEModel, name: str) -> Ints:
         return np.unique(np.concatenate([block.nodes[rows].ravel() for block, rows in pairs]))
     raise InputError(
         f"the node set {name!r} does not exist or is empty; sets of this model: "
-        f"{', '.join(sorted(_names(model))) or 'none'}"
+        f"{', '.join(sorted(_names(model))) or 'none'}{_alike(name, model)}"
     )
+
+
+def _alike(name: str, model: FEModel) -> str:
+    """The set of the same name in other capitals."""
+    alike = [one for one in _names(model) if one.lower() == name.lower()]
+    return f"; did you mean {alike[0]!r}?" if alike else ""
 
 
 def _of_skin(model: FEModel, name: str) -> Ints:

@@ -11,6 +11,7 @@ from meshes import STEEL, box, steel
 
 from morembs.errors import InputError
 from morembs.fem import assemble
+from morembs.importers import import_file
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full, read_ansys_full
@@ -113,6 +114,11 @@ def test_full_file_of_ansys(shared_data):
         import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb")
     grounded = import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb", drop_constrained=True)
     assert "grounded" in grounded.notes[0] and "63" in grounded.notes[0]
+    for word in ("True", "true"):
+        options = {"nodes": str(folder / "HexBeam.cdb"), "drop_constrained": word}
+        assert import_file(folder / "file.full", options=options).notes == grounded.notes
+    with pytest.raises(InputError, match="drop_constrained=yes was given; expected true or false"):
+        import_file(folder / "file.full", options={**options, "drop_constrained": "yes"})
     clamped = grounded.nodes.sets.get("NCOMP2")
     assert clamped is not None and len(grounded.nodes) == 300 and len(grounded.dofs) == 900
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from morembs import Envelope, assemble, read_body
 from morembs.cli import app
-from morembs.floating import frame as floating_frame
+from morembs.floating.frame import floating_frame
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import read_mesh
 from morembs.interface import make_interface

@@ -23,7 +23,7 @@ from morembs.floating.frame import floating_frame
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
 from morembs.interface import make_interface
 from morembs.problem import Problem
-from morembs.reducers import CraigBampton, Modal
+from morembs.reducers import CraigBampton, Modal, StaticModesSwitching
 from morembs.storage.body_file import read_body, write_body
 from morembs.storage.safefile import replacing_all
 
@@ -303,3 +303,29 @@ def test_a_body_without_stiffness(files, tmp_path, to):
             K = scipy.io.mmread(done.paths[1])
             assert not (K.toarray() if sp.issparse(K) else K).any()
             assert sl.eigvalsh(scipy.io.mmread(done.paths[0])) == pytest.approx(np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [("simpack", "take 'sid'"), ("SID", "did you mean 'sid'"), ("Nastran", "take 'dmig' or 'op4'"),
+     ("SID_FEM", "take 'sid'"), ("exodyn", "did you mean 'exudyn'"),
+     ("adams", "not written"), ("matlab", "take 'simscape'"), ("step", "known: abaqus")],
+)  # fmt: skip
+def test_other_names_of_targets(files, given, words):
+    with pytest.raises(InputError, match=words):
+        export_body(files["a"], given)
+
+
+@pytest.mark.parametrize("to", EXPORTERS)
+def test_static_modes_of_candidates_stay_behind_and_a_note_says_so(tmp_path, to):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
+    reducer = StaticModesSwitching(
+        base="craig-bampton", base_options={"modes": 4}, candidates="box:0.05,0,0.04,0.35,0,0.04", directions=[2]
+    )
+    with Problem(model, faces) as problem:
+        reduced = reducer.reduce(problem, name="rail")
+        body = elastic_body(problem, reduced, make_part(problem))
+        its = reducer.switching(problem, reduced)
+        path = write_body(tmp_path / "rail.h5", [replace(body, switching=its)])
+    assert any("static modes of candidate loads; left behind" in note for note in export_body(path, to).notes)

@@ -35,6 +35,15 @@ def test_small_meshes(small_meshes, name):
     assert mass == pytest.approx(volume * STEEL["density"], rel=2e-5)
 
 
+def test_units_of_a_mesh_as_text(small_meshes):
+    path = small_meshes / "plate.msh"
+    assert np.array_equal(read_mesh(path, "mm-t-s").nodes.xyz, read_mesh(path, parse_units("mm-t-s")).nodes.xyz)
+    with pytest.raises(InputError, match='expected "length-mass-time"'):
+        read_mesh(path, "mm")
+    with pytest.raises(InputError, match=r"units = 0\.001 was given; expected a text"):
+        read_mesh(path, 1e-3)
+
+
 def test_one_mesh_as_msh_and_as_deck_is_the_same_model(small_meshes):
     a, b = (steel(read_mesh(small_meshes / name)) for name in ("bracket.msh", "bracket.inp"))
     assert np.allclose(np.sort(a.nodes.xyz, axis=0), np.sort(b.nodes.xyz, axis=0), rtol=0, atol=1e-9)

@@ -127,3 +127,12 @@ def test_interfaces_that_cannot_work_are_refused():
         couple(model, [a, a])
     with pytest.raises(InputError, match="coupling"):
         make_interface(model, name="c", nodes=line, coupling="ridgid")
+    for given, meant in (("RBE2", "rigid"), ("rbe3", "average"), ("Rigid", "rigid")):
+        with pytest.raises(InputError, match=f"did you mean '{meant}'"):
+            make_interface(model, name="c", nodes=line, coupling=given)
+    with pytest.raises(InputError, match=r"expected rows of the nodes, select_nodes\(model, 'set:FACE'\) gives them"):
+        make_interface(model, name="c", nodes="set:FACE")
+    with pytest.raises(InputError, match=r'holds the row 27, and the model has 27; .* select_nodes\(model, "ids:27"\)'):
+        make_interface(model, name="c", nodes=model.nodes.ids)
+    with pytest.raises(InputError, match="nodes holds bool; expected rows"):
+        make_interface(model, name="c", nodes=model.nodes.xyz[:, 0] == 0)

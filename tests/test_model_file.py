@@ -13,7 +13,16 @@ import scipy.sparse as sp
 from meshes import STEEL, box, steel, where
 from scipy.spatial.transform import Rotation
 
-from morembs import CraigBampton, InputError, Problem, isotropic, make_interface
+from morembs import (
+    CraigBampton,
+    InputError,
+    Problem,
+    elastic_body,
+    isotropic,
+    make_interface,
+    make_part,
+    write_body,
+)
 from morembs.conversion.coupled_model import CoupledModel
 from morembs.conversion.followers import interface_of_coupling
 from morembs.conversion.imported import AverageElement, Imported, PointMass, RigidElement
@@ -155,7 +164,7 @@ def damage(path: Path, name: str, change) -> None:
         ("element_sets/rows", lambda v: v + 99, "names rows that do not exist"),
         ("couplings/coupling_0/nodes", lambda v: v + 99, "names rows that do not exist"),
         ("format_version", lambda v: np.int64(9), "install a newer one"),
-        ("format", lambda v: np.bytes_("morembs-body"), "not a model file"),
+        ("format", lambda v: np.bytes_("another-kind"), "not a model file"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, name, change, words):
@@ -174,6 +183,14 @@ def test_truncated_and_other_files_are_refused(tmp_path):
             read_model(path)
     with pytest.raises(InputError, match="no such file"):
         read_model(tmp_path / "missing.h5")
+
+
+def test_a_body_file_in_place_of_a_model_file_is_called_so(tmp_path):
+    model = steel(box("hex8", (2, 1, 1), (0.2, 0.1, 0.1)))
+    with Problem(model, [make_interface(model, name="end", nodes=where(model, 0, 0.2))]) as problem:
+        body = elastic_body(problem, CraigBampton(modes=2).reduce(problem), make_part(problem))
+    with pytest.raises(InputError, match="is a body file, the result of a reduction; expected a model file"):
+        read_model(write_body(tmp_path / "bar.h5", [body]))
 
 
 def dense_rigid(xyz: np.ndarray, master: np.ndarray) -> np.ndarray:

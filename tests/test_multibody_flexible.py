@@ -20,6 +20,7 @@ from morembs.multibody import (
     Motion,
     PointLoad,
     RevoluteJoint,
+    RigidBody,
     SphericalJoint,
     System,
     ground,
@@ -343,6 +344,45 @@ def test_tension_at_the_tip_stiffens_a_cantilever_as_beam_theory_says(rod):
         step[6 + i] = e
         change = tip.place(body.moved(x, step)).position - tip.place(body.moved(x, -step)).position
         assert change / (2 * e) == pytest.approx(tip.place(x).jacobian[:3, 6 + i], rel=1e-6, abs=1e-6)
+
+
+def test_loads_of_a_marker_are_those_of_its_joints_and_forces_along_the_body(rod):
+    """Either end of a joint, against its reaction and against the force that was put on."""
+    turn, force = exponential(np.array([0.4, -0.9, 0.3])), np.array([1.0, -2.0, 0.5])
+    found = []
+    for first in (False, True):
+        system = System(gravity=DOWN)
+        body = system.add(FlexibleBody(rod["tangent"], rotation=turn, name="rod"))
+        left, right = body.marker("left"), body.marker("right")
+        hold = ground.marker_at(left.place(body.start()[0]).position)
+        joint = system.add(SphericalJoint(left, hold) if first else SphericalJoint(hold, left))
+        system.add(PointLoad(right, force=force))
+        result = simulate(system, end=0.05, step=1e-3)
+        motion = result.trajectory(body, interfaces=["left", "right"])
+        A, on = motion["rotation"], motion["loads"]
+        assert np.allclose(A @ np.swapaxes(A, 1, 2), np.eye(3)) and np.array_equal(motion["times"], result.time)
+        assert np.array_equal(motion["coordinates"], result.elastic(body))
+        sign = -1 if first else 1
+        assert np.allclose(np.einsum("tij,tj->ti", A, on[:, :3]), sign * result.reaction(joint)[:, :3], atol=1e-9)
+        assert np.allclose(np.einsum("tij,tj->ti", A, on[:, 6:9]), force, atol=1e-12)
+        # The frame lies where the marker of its undeformed origin is.
+        origin = body.marker_at((0, 0, 0), np.zeros((6, body.inertia.n)))
+        assert np.allclose(motion["position"], result.position(origin), atol=1e-14)
+        found.append(on)
+    assert np.allclose(*found, atol=1e-7 * np.abs(found[0]).max())
+
+
+def test_a_restart_comes_once_in_a_trajectory(rod):
+    system, body, _ = pendulum(rod["mean-axes"])
+    one = simulate(system, end=0.01, step=1e-3)
+    twice = replace(one, segments=(*one.segments, replace(one.segments[0], time=one.time + one.time[-1])))
+    motion = twice.trajectory(body)
+    assert len(motion["times"]) == 2 * len(one.time) - 1 and (np.diff(motion["times"]) > 0).all()
+    assert np.array_equal(motion["position"][10], one.trajectory(body)["position"][0])
+    with pytest.raises(InputError, match="expected a FlexibleBody or a LinearBody"):
+        one.trajectory(RigidBody(1.0, (1, 1, 1), name="crank"))
+    with pytest.raises(InputError, match="no marker 'lift'; did you mean 'left'"):
+        one.trajectory(body, interfaces=["lift"])
 
 
 def test_bad_flexible_bodies_are_told(rod):

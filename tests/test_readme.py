@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from morembs.storage.body_file import read_body
+from morembs.storage.model_file import read_model
 
 ROOT = Path(__file__).parent.parent
 
@@ -20,6 +22,55 @@ def test_python_example(tmp_path):
     body = read_body(tmp_path / "conrod.h5").bodies["cb30"]
     assert np.linalg.matrix_rank(body.stiffness_matrix, tol=1e-9 * np.abs(body.stiffness_matrix).max()) == 42 - 6
     assert body.frequencies_hz[6] > 1000
+
+
+def blocks(document):
+    """Python of a page of docs."""
+    text = (ROOT / "docs" / document).read_text()
+    return [one.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
+            for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]  # fmt: skip
+
+
+def printed(code, folder):
+    """Numbers that ``code`` prints, line by line."""
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, capture_output=True, text=True)
+    return [list(map(float, re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", line))) for line in done.stdout.splitlines()]
+
+
+def test_switching_example(tmp_path):
+    first, second = blocks("switching.md")
+    code = first + second + "print(body.inner.size, switching.xyz[0, 0], switching.length)\n"
+    (deflection, changes), (size, start, length) = printed(code, tmp_path)
+    # A beam that is clamped at both ends, 10 N in its middle; the load crosses it in a tenth of a second.
+    static = 10 * 0.5**3 / (192 * 2e9 * 0.05 * 0.03**3 / 12)
+    assert static < -deflection < 1.15 * static
+    assert changes > 10 and size == 6
+    # What the page says of positions.
+    assert start == pytest.approx(0.025) and length == pytest.approx(0.45)
+
+
+def test_contact_examples(tmp_path):
+    ground, plate = blocks("contact.md")
+    times, (gap, force, *_, complementarity), (balance,) = printed(ground, tmp_path)
+    fall = np.sqrt(2 / 9.81)
+    assert times[:2] == pytest.approx([fall, fall * (1 + 2 * 0.8)], abs=1e-9)
+    assert gap > 0 and force == 0 and complementarity < 1e-9
+    assert balance == pytest.approx(9.81, abs=1e-9)
+    ((touch, least, law),) = printed(plate, tmp_path)
+    # 10 mm down to the plate, which sags by some micrometres.
+    assert touch == pytest.approx(np.sqrt(2 * 0.01 / 9.81), rel=1e-3)
+    assert least > -1e-9 and law < 1e-9
+
+
+def test_import_example(tmp_path):
+    """The first command of docs/formats.md needs nothing but the repository; others name files of the reader."""
+    text = (ROOT / "docs" / "formats.md").read_text()
+    first, *others = re.search(r"```\n(morembs import.*?)```", text, re.DOTALL).group(1).splitlines()
+    command = first.replace("data/", f"{ROOT}/data/").split()
+    subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, check=True)
+    assert read_model(tmp_path / "conrod.model.h5").size == 10_956
+    for word in " ".join(others).split():
+        assert "." not in word or word.startswith("part.model") or word.partition(".")[0].isupper(), word
 
 
 def test_solver_example():

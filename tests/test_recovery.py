@@ -20,6 +20,8 @@ from morembs.fem import assemble
 from morembs.interface import make_interface
 from morembs.material import isotropic
 from morembs.model import Mesh, Nodes
+from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
+from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
 from morembs.storage.body_file import read_body, write_body
@@ -195,6 +197,60 @@ def test_notes_say_when_loads_and_correction_do_not_meet(bar, tmp_path):
     result = recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb")
     assert any("lacks its mode-acceleration" in note for note in result.notes)
     assert recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb", stress=False).notes == ()
+
+
+def test_stress_of_a_simulated_body_under_load_is_that_of_beam_theory(tmp_path):
+    """Three free modes know little of a cantilever; the loads that the simulator gives make its stress right."""
+    L, b, h, P, turn = 0.5, 0.04, 0.03, 200.0, exponential(np.array([0.5, 1.1, -0.4]))
+    model = steel(box("hex20", (10, 2, 2), (L, b, h)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
+             for n, x in (("left", 0.0), ("right", L))]  # fmt: skip
+    with Problem(model, faces) as problem:
+        reduced = Modal(modes=3).reduce(problem, "bar")
+        made = elastic_body(problem, reduced, make_part(problem))
+        made = dataclasses.replace(made, recovery=stress_recovery(problem, reduced, single=False))
+        source = read_body(write_body(tmp_path / "bar.h5", [made]))
+    frame = source.bodies["bar"].floating
+    damped = dataclasses.replace(frame, De=2 * np.diag(np.sqrt(np.diag(frame.Ke) * np.diag(frame.integrals.Me))))
+    system = System()
+    body = system.add(FlexibleBody(damped, rotation=turn, name="bar"))
+    at = body.marker("left").place(body.start()[0])
+    system.add(FixedJoint(ground.marker_at(at.position), body.marker("left")))
+    system.add(PointLoad(body.marker("right"), force=turn @ (0, 0, P)))
+    motion = simulate(system, end=0.1, step=1e-3, rho=0.5).trajectory(body, interfaces=["left", "right"])
+    last = {name: value[-1:] for name, value in motion.items()}
+    assert np.allclose(last["loads"][0], [0, 0, -P, 0, P * L, 0, 0, 0, P, 0, 0, 0], atol=2e-3 * P)
+    top = (np.abs(model.nodes.xyz[:, 0] - L / 2) < 1e-9) & (model.nodes.xyz[:, 2] > 0.99 * model.nodes.xyz[:, 2].max())
+    labels = model.nodes.ids[top]
+    its = stored_recovery(tmp_path / "bar.h5", "bar")
+    exact = -P * (L / 2) * (h / 2) / (b * h**3 / 12)
+    for loads, error in ((last["loads"], 0.01), (None, None)):
+        stress = expand(source, source.bodies["bar"], Trajectory(**{**last, "loads": loads}), recovery=its).stress
+        found = stress[0, np.isin(its.points, labels), 0]
+        if error is None:
+            assert np.abs(found / exact - 1).min() > 0.05
+        else:
+            assert np.abs(found / exact - 1).max() < error
+
+
+def test_elastic_coordinates_alone_are_noted(tmp_path):
+    model = steel(box("hex8", (3, 1, 1), (0.3, 0.05, 0.04)))
+    with Problem(model) as problem:
+        reduced = Modal(modes=2).reduce(problem, "bar")
+        path = write_body(tmp_path / "bar.h5", [elastic_body(problem, reduced, make_part(problem))])
+    still = {"times": np.zeros(1), "position": np.zeros((1, 3)), "rotation": np.eye(3)[None]}
+    for given, count, words in (
+        (("times",), 2, "no position and rotation of the frame was given: motions are those seen from"),
+        (("times", "position"), 2, "no rotation of the frame was given: the rotation of the frame is fixed"),
+        (("times", "position", "rotation"), 2, ""),
+        (("times",), 8, ""),
+    ):
+        motion = Trajectory(coordinates=np.zeros((1, count)), **{name: still[name] for name in given})
+        notes = recover(path, motion, tmp_path / "out.vtkhdf", stress=False).notes
+        assert words in "".join(notes) and bool(notes) == bool(words)
+    np.savez(tmp_path / "t.npz", zeit=np.zeros(1), coordinates=np.zeros((1, 8)))
+    with pytest.raises(InputError, match="known: coordinates, loads, position, rotation, times"):
+        recover(path, tmp_path / "t.npz", tmp_path / "out.vtkhdf", stress=False)
 
 
 def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):

@@ -361,6 +361,16 @@ def test_default_name_and_notes(made):
     written.paths[0].unlink()
 
 
+def test_a_large_file_is_noted_with_what_makes_it_small(made, tmp_path, monkeypatch):
+    whole, few = {"nodes": "all"}, {"nodes": "interfaces"}
+    sizes = [export_body(made, "sid", path=tmp_path / f"{n}.SID_FEM", options=o).paths[0].stat().st_size
+             for n, o in enumerate((whole, few))]  # fmt: skip
+    monkeypatch.setattr("morembs.exporters.sid.LARGE", sizes[0] - 1)
+    for number, options in enumerate((whole, few)):
+        notes = " | ".join(export_body(made, "sid", path=tmp_path / f"{number}.SID_FEM", options=options).notes)
+        assert ("MB of text" in notes) == (options is whole)
+
+
 def test_bad_input(made, tmp_path):
     source = read_body(made)
     body, path = source.bodies["cb30"], tmp_path / "a.SID_FEM"

@@ -207,7 +207,9 @@ def test_bad_input_is_named():
     assert "does not exist or is empty" in message(candidates="set:RAIL")
     assert "belong to the interface 'left'" in message(ends(model), candidates="box:0,0,0,0.1,0.1,0.1")
     assert "did you mean 'modal'" in message(base="modall")
-    assert "base_options" in message(base_options={"mode": 3})
+    said = message(base_options={"mode": 3})
+    assert "'mode' is no key of it; its keys are modes, up_to_hz, interfaces" in said and "__init__" not in said
+    assert "'band_hz' is missing" in message(base="gramian", base_options={})
     assert "no candidate node has the component 4" in message(directions=[4])
     first, last = candidates[4:].split(",")[0], candidates.split(",")[-1]
     near = candidates[4:].split(",")[1:3]

@@ -164,6 +164,15 @@ def test_interfaces_and_the_meaning_of_the_inputs(bar, stored):
     assert back.input_interface[:7].tolist() == [0, 0, 0, 0, 1, 1, 1] and (back.input_node_id[:7] == -1).all()
 
 
+def test_names_that_are_not_there_are_told(stored):
+    found = read_body(stored)
+    with pytest.raises(InputError, match="no body 'modul'; did you mean 'modal'"):
+        found.bodies["modul"]
+    with pytest.raises(InputError, match="no interface 'leftt'; did you mean 'left'"):
+        found.interfaces["leftt"]
+    assert found.bodies.get("modul") is None and "modul" not in found.bodies
+
+
 def test_provenance_takes_any_nested_values(stored):
     with h5py.File(stored) as file:
         found = file["provenance"]

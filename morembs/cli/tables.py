@@ -78,7 +78,11 @@ def frame_words(frame: FloatingFrame) -> str:
     return words
 
 
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+
+
 def ranking_words(terms: Sequence[RankedTerm]) -> str:
     """``Oe 45 % (elastic), ...``: the inertia terms that matter most."""
-    shown = [f"{term.name} {100 * term.share:.2g} % ({term.equation})" for term in terms[:SHOWN_TERMS]]
+    shown = [f"{term.name} {_percent(term.share)} % ({term.equation})" for term in terms[:SHOWN_TERMS]]
     return ", ".join(shown) + (", ..." if len(terms) > SHOWN_TERMS else "")

@@ -106,7 +106,10 @@ def _refuse_incomplete(imported: Imported) -> None:
     if imported.K is None and given:
         raise InputError(f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too")
     if imported.K is None and not imported.materials:
-        raise InputError(f"{source} has a mesh but no materials; give them (young, poisson and density)")
+        raise InputError(
+            f"{source} has a mesh but no materials; give them: --material young=..,poisson=..,density=.. at the "
+            "import, materials in Python"
+        )
     for name in given:
         refuse_entries(source, name, getattr(imported, name))
 

@@ -34,6 +34,14 @@ _ALL: tuple[type[Exporter], ...] = (
     MatrixMarketExporter,
 )
 EXPORTERS: dict[str, type[Exporter]] = {exporter.name: exporter for exporter in _ALL}
+# Programs by name, in small letters -> what to export to instead.
+ADVICE: dict[str, str] = {
+    **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib", "modelica", "openmodelica", "dymola"), "take 'sid'"),
+    **dict.fromkeys(("matlab", "simulink"), "take 'simscape', or 'matrix-market' for the matrices alone"),
+    **dict.fromkeys(("nastran", "optistruct"), "take 'dmig' or 'op4'"),
+    **dict.fromkeys(("mtx", "ansys", "octave", "julia", "scipy"), "take 'matrix-market'"),
+    **dict.fromkeys(("adams", "mnf", "recurdyn"), "modal neutral files (.mnf) are not written; --list names what is"),
+}
 # Ends of body files that do not belong to their names.
 _BODY_ENDINGS = (".h5", ".hdf5", ".hdf", ".vtkhdf", ".morembs")
 
@@ -45,7 +53,9 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
         InputError: unknown target or option, or an option of the wrong type.
     """
     if to not in EXPORTERS:
-        raise InputError(f"there is no export to {to!r}; {nearest(to, EXPORTERS)}")
+        word = to.lower().replace("_", "-")
+        advice = ADVICE[word] if word in ADVICE else nearest(word, EXPORTERS)
+        raise InputError(f"there is no export to {to!r}; {advice}")
     kind = EXPORTERS[to]
     known, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
     for key, value in (options or {}).items():

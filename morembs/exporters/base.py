@@ -31,6 +31,7 @@ LOSSES = {
     "stiffening": "its geometric stiffening",
     "stress": "its stress shapes",
     "certificate": "its certificate",
+    "switching": "its static modes of candidate loads",
 }
 
 
@@ -123,8 +124,9 @@ class Task:
             "stiffening": floating is not None and floating.stiffening is not None,
             "stress": body.has_recovery,
             "certificate": body.certificate is not None,
+            "switching": body.has_switching,
         }
-        return tuple(f"the file cannot hold {LOSSES[one]}; it stays behind" for one in what if has[one])
+        return tuple(f"the file cannot hold {LOSSES[one]}; left behind" for one in what if has[one])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +174,7 @@ class Exporter(ABC):
                 "stiffness is not that of a body, reduce it again"
             ) from error
         reason = frequency_domain_only(body.recipe)
-        return replace(written, notes=(*written.notes, reason)) if reason else written
+        return replace(written, notes=(*written.notes, *task.lost("switching"), *([reason] if reason else [])))
 
 
 def _same(path: Path, other: Path) -> bool:

@@ -24,6 +24,8 @@ from morembs.storage.safefile import replacing
 Floats = NDArray[np.float64]
 MOST_NODES = 99999
 LONGEST_NAME = 60
+# Bytes from which the size of a file is said.
+LARGE = 50e6
 # Readers look for these words in any line.
 RESERVED = ("frame", "refmod")
 # Deviation from unit modal mass and diagonal stiffness up to which the coordinates stay as they are.
@@ -115,6 +117,11 @@ class SidFem(Exporter):
         if markers:
             notes.append("nodes: " + ", ".join(f"{at} {name}" for at, name in enumerate(markers, start=1)))
         if self.nodes == "all":
+            size = task.path.stat().st_size
+            if size > LARGE:
+                notes.append(
+                    f'the file has {size / 1e6:,.0f} MB of text; nodes = "interfaces" keeps what joints and loads need'
+                )
             notes.append(
                 f"nodes from {len(markers) + 1} on are the stored nodes in their order; they have no rotations"
             )

@@ -27,7 +27,7 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
-from morembs.units import Units
+from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[[Path], Mesh]] = {
@@ -103,13 +103,18 @@ IMPORTERS: dict[str, Importer] = {
 }
 
 
-def read_mesh(path: str | Path, units: Units | None = None) -> Mesh:
+def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
     """Mesh with node sets and element sets, coordinates in m.
 
+    Args:
+        units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+
     Raises:
-        InputError: the file is missing, cannot be read, or has elements of an unsupported type.
+        InputError: the file is missing, cannot be read, or has elements of an unsupported type; units not known.
     """
-    path = Path(path)
+    path, units = Path(path), parse_units(units) if isinstance(units, str) else units
+    if not isinstance(units, Units | None):
+        raise InputError(f'units = {units!r} was given; expected a text such as "mm-t-s", or what parse_units gives')
     if path.exists() and not path.is_file():
         raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
     if not path.is_file():
@@ -205,7 +210,7 @@ def _typed(importer: Importer, key: str, value: Any) -> Any:
         return value
     kind = importer.kind(key)
     if kind == "bool":
-        if value not in ("true", "false"):
+        if value.lower() not in ("true", "false"):
             raise InputError(f"--set {key}={value} was given; expected true or false")
-        return value == "true"
+        return value.lower() == "true"
     return [part for part in value.split(",") if part] if "Sequence" in kind else value

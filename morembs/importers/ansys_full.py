@@ -70,7 +70,7 @@ def import_ansys_full(path: str | Path, *, nodes: str | Path | None = None, drop
             raise InputError(
                 f"{path.name}: {held} dofs are constrained (D; first: {first}) and their rows are empty; a free body "
                 "needs a model without constraints: delete them (DDELE,ALL), write the .full file again, or give "
-                "drop_constrained=True for a body that is held to the ground there"
+                "drop_constrained=true (--set at the import) for a body that is held to the ground there"
             )
         notes.append(
             f"grounded: {held} constrained dofs (first: {first}) were dropped, so the body is held to the ground there "

@@ -25,15 +25,21 @@ from morembs.multibody.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
+from morembs.multibody.linear_body import LinearBody
+from morembs.multibody.local_response import LocalResponse, local_response
 from morembs.multibody.result import Energy, Result, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import Restart, Switch, simulate
+from morembs.multibody.sliding import MovingLoad, PathSupport, PointOnPath
+from morembs.multibody.sliding_switch import Activation, SlidingSwitch, UnfinishedRunError, simulate_sliding
 from morembs.multibody.surfaces import GridSurface, Path, Plane, Sphere, Surface
+from morembs.multibody.switching import SwitchingBody
 from morembs.multibody.system import Assembly, System
 
 ground = Ground()
 
 __all__ = [
+    "Activation",
     "Assembly",
     "BodyMarker",
     "Compliant",
@@ -52,30 +58,40 @@ __all__ = [
     "GridSurface",
     "Ground",
     "Impact",
+    "LinearBody",
+    "LocalResponse",
     "Marker",
     "Motion",
+    "MovingLoad",
     "Path",
+    "PathSupport",
     "Place",
     "Plane",
     "PointLoad",
+    "PointOnPath",
     "PrismaticJoint",
     "Restart",
     "Result",
     "RevoluteJoint",
     "RigidBody",
     "Segment",
+    "SlidingSwitch",
     "Sphere",
     "SphericalJoint",
     "SpringDamper",
     "State",
     "Surface",
     "Switch",
+    "SwitchingBody",
     "System",
     "TorsionSpring",
     "TriangleSurface",
+    "UnfinishedRunError",
     "VectorComponent",
     "ground",
+    "local_response",
     "rotation",
     "simulate",
     "simulate_contact",
+    "simulate_sliding",
 ]

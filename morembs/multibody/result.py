@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.bodies import FloatingBody
+from morembs.multibody.bodies import FlexibleBody, FloatingBody
 from morembs.multibody.component import Component, Marker, Place
 from morembs.multibody.integrate import State
 from morembs.multibody.joints import Constraint
+from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.system import Assembly
 
 Floats = NDArray[np.float64]
@@ -134,6 +135,47 @@ class Result:
                 rows.append(-multipliers[r] @ G)
         return np.array(rows)
 
+    def load(self, marker: Marker) -> Floats:
+        """(s, 6): force N and moment Nm that all joints and forces put on the body at a marker, along the axes of the
+        body. Contacts are not in it."""
+        rows = []
+        for segment in self.segments:
+            one, assembly = _same(marker, segment.assembly), segment.assembly
+            for t, x, v, multipliers in zip(segment.time, segment.x, segment.v, segment.multipliers, strict=True):
+                wrench = _wrench(one, assembly, float(t), x, v, multipliers)
+                number = assembly.index(one.component)
+                if number is not None and isinstance(one.component, FloatingBody):
+                    R = x[assembly.in_x[number]][3:12].reshape(3, 3)
+                    wrench = np.concatenate((wrench[:3] @ R, wrench[3:] @ R))
+                rows.append(wrench)
+        return np.array(rows)
+
+    def trajectory(self, body: FlexibleBody | LinearBody, interfaces: Sequence[str] = ()) -> dict[str, Floats]:
+        """What ``recover`` needs of an elastic body, by its names: ``numpy.savez("motion.npz", **trajectory)``.
+
+        ``times`` (nt,) s, ``coordinates`` (nt, n), for a floating body ``position`` (nt, 3) m and ``rotation``
+        (nt, 3, 3) of its frame, and where ``interfaces`` are named (markers of the body; all those of the body file, in
+        its order) ``loads`` (nt, 6 k), as ``load`` gives them. A time of a restart comes once, after the switch.
+
+        Raises:
+            InputError: another kind of body, or one that has no such marker.
+        """
+        if not isinstance(body, FlexibleBody | LinearBody):
+            raise InputError(
+                f"the trajectory of {body.name!r} was asked for; expected a FlexibleBody or a LinearBody "
+                "(local_response gives the stress under sliding loads)"
+            )
+        x, times = self.configuration(body), self.time
+        if len(x) != len(times):
+            raise InputError(f"{body.name!r} is not in the system during the whole run; take its segments")
+        found = {"times": times, "coordinates": x}
+        if isinstance(body, FlexibleBody):
+            found |= {"coordinates": x[:, 12:], "position": x[:, :3], "rotation": x[:, 3:12].reshape(-1, 3, 3)}
+        if interfaces:
+            found["loads"] = np.hstack([self.load(body.marker(name)) for name in interfaces])
+        last = np.append(np.diff(times) > 0, True)
+        return {name: values[last] for name, values in found.items()}
+
     def energy(self) -> Energy:
         """Kinetic and potential energy and work over time."""
         kinetic, potential, work, done = [], [], [], 0.0
@@ -149,6 +191,23 @@ class Result:
                 potential.append(V)
                 work.append(done)
         return Energy(kinetic=np.array(kinetic), potential=np.array(potential), work=np.array(work))
+
+
+def _wrench(marker: Marker, assembly: Assembly, t: float, x: Floats, v: Floats, multipliers: Floats) -> Floats:
+    """(6,) of all joints and forces on a marker, at it, along the inertial axes."""
+    total = np.zeros(6)
+    for joint, rows in zip(assembly.joints, assembly.in_rows, strict=True):
+        if marker is joint.first or marker is joint.second:
+            _, on_first, on_second = joint.rows(assembly.place(joint.first, x), assembly.place(joint.second, x))
+            for end, G in ((joint.first, on_first), (joint.second, on_second)):
+                total -= multipliers[rows] @ G if end is marker else 0.0
+    for force in assembly.forces:
+        if any(one is marker for one in force.markers):
+            places = [assembly.place(one, x) for one in force.markers]
+            twists = [assembly.twist(one, place, v) for one, place in zip(force.markers, places, strict=True)]
+            for one, wrench in zip(force.markers, force.wrenches(t, places, twists), strict=True):
+                total += wrench[:6] if one is marker else 0.0
+    return total
 
 
 def _of_name(component: Component, assembly: Assembly) -> Component:

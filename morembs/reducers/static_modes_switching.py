@@ -9,7 +9,7 @@ M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its siz
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -87,9 +87,15 @@ class StaticModesSwitching(Reducer):
         try:
             return BASES[self.base](**self.base_options)
         except TypeError as error:
+            its = fields(BASES[self.base])
+            wrong = [f"{key!r} is no key of it" for key in self.base_options if key not in {one.name for one in its}]
+            lacking = [
+                f"{one.name!r} is missing" for one in its
+                if one.default is MISSING and one.default_factory is MISSING and one.name not in self.base_options
+            ]  # fmt: skip
             raise InputError(
-                f"base_options = {self.base_options} does not fit base = {self.base!r} ({error}); give the keys that "
-                "this method has"
+                f"base_options = {self.base_options} does not fit base = {self.base!r}: "
+                f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(one.name for one in its)}"
             ) from None
 
     def chosen(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:

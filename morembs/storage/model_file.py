@@ -89,7 +89,22 @@ def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> CoupledModel:
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
     """
+    if is_body_file(Path(path)):
+        raise InputError(
+            f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote"
+        )
     return model_of(import_native(Path(path), budget=budget))
+
+
+def is_body_file(path: Path) -> bool:
+    """Whether a file says that it holds reduced bodies."""
+    try:
+        with h5py.File(path, "r") as file:
+            found = file.get("format")
+            return isinstance(found, h5py.Dataset) and found.shape == () and found[()] == b"morembs-body"
+    except (OSError, RuntimeError, KeyError, ValueError):
+        # Reading it as a model says what is wrong.
+        return False
 
 
 def sha256(path: Path) -> str:

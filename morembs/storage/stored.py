@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.storage.stored_check import check_file, refuse_not_finite
@@ -20,7 +20,19 @@ from morembs.switching import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+T = TypeVar("T")
 MATRICES = ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix")
+
+
+class ByName(dict[str, T], Generic[T]):
+    """Parts of a file by their names; a name that is not there is refused with those that are."""
+
+    def __init__(self, what: str, parts: Mapping[str, T]) -> None:
+        super().__init__(parts)
+        self.what = what
+
+    def __missing__(self, name: object) -> T:
+        raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,11 +143,13 @@ def stored_bodies(
         inertia=file["mass_properties/inertia"][()],
         node_ids=file["nodes/ids"][()],
         coordinates=file["nodes/coordinates"][()],
-        interfaces={name: _interface(file[f"interfaces/{name}"]) for name in interfaces},
+        interfaces=ByName("interface", {name: _interface(file[f"interfaces/{name}"]) for name in interfaces}),
         input_interface=file["inputs/interface_index"][()],
         input_component=file["inputs/component"][()],
         input_node_id=file["inputs/node_id"][()],
-        bodies={name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names},
+        bodies=ByName(
+            "body", {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
+        ),
         recipe=json.loads(file["recipe"][()]),
         provenance=_tree(file["provenance"]) if "provenance" in file else {},
     )

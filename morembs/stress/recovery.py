@@ -233,7 +233,8 @@ def recover(
     write_series(target, grid, trajectory.times, wanted, steps(), progress)
     return Recovered(
         path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
-        peak=None if shown is None else shown.peak, notes=() if shown is None else shown.notes(trajectory),
+        peak=None if shown is None else shown.peak,
+        notes=(*_still(chosen, trajectory), *(() if shown is None else shown.notes(trajectory))),
     )  # fmt: skip
 
 
@@ -268,7 +269,10 @@ class _Shown:
         found = []
         bare = self.count - len(np.unique(self.rows[self.known]))
         if bare:
-            found.append(f"{bare} of {self.count} nodes have no stress recovery; their stress is NaN")
+            found.append(
+                f"{bare} of {self.count} nodes have no stress recovery; their stress is NaN "
+                '(nodes = "all" in [stress] covers them)'
+            )
         if not self.known.all():
             lost = len(np.unique(self.recovery.points[~self.known]))
             found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
@@ -277,6 +281,16 @@ class _Shown:
         if trajectory.loads is not None and self.recovery.correction is None:
             found.append("the file has no mode-acceleration correction; the loads were not used")
         return tuple(found)
+
+
+def _still(body: StoredBody, trajectory: Trajectory) -> tuple[str, ...]:
+    """A note on a body that floats, of which only the elastic coordinates were given."""
+    if body.floating is None or trajectory.coordinates.shape[1] == len(body.stiffness_matrix):
+        return ()
+    missing = [name for name in ("position", "rotation") if getattr(trajectory, name) is None]
+    what = " and ".join(missing)
+    still = "motions are those seen from the body's frame" if len(missing) == 2 else f"the {what} of the frame is fixed"
+    return (f"no {what} of the frame was given: {still}; give it to see the body move",) if missing else ()
 
 
 def choose_body(path: Path, source: StoredBodies, name: str | None) -> StoredBody:

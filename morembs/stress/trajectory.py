@@ -32,8 +32,9 @@ class Trajectory:
     (nt, n) of the elastic coordinates of its floating frame.
 
     With elastic coordinates ``position`` (nt, 3) in m and ``rotation`` (nt, 3, 3) are those of the frame (rotation
-    takes components along the body's axes to those of the ground). ``loads`` (nt, m) are the forces and moments on
-    the interfaces, one for each column of the input matrix, along the body's axes.
+    takes components along the body's axes to those of the ground). ``loads`` (nt, m) are the forces and moments that
+    joints and neighbours put on the body at its interfaces, one for each column of the input matrix, along the body's
+    axes.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, times that do not ascend, no rotation.
@@ -148,10 +149,10 @@ def read_trajectory(path: str | Path) -> Trajectory:
     known = [one.name for one in fields(Trajectory)]
     for name in found:
         if name not in known:
-            raise InputError(f"{place} holds an array {name!r}; {nearest(name, ['time', *known[1:]])}")
+            raise InputError(f"{place} holds an array {name!r}; {nearest(name, known)}")
     for name in ("times", "coordinates"):
         if name not in found:
-            raise InputError(f"{place} holds no array {name.removesuffix('s') if name == 'times' else name!r}")
+            raise InputError(f"{place} holds no array {name!r}; expected times and coordinates")
     try:
         return Trajectory(**found)
     except InputError as error:
