@@ -10,6 +10,7 @@ import morembs.linalg  # noqa: F401
 # isort: split
 from morembs.body import ElasticBody, elastic_body, make_part
 from morembs.errors import InputError, MorembsError
+from morembs.examination import examined
 from morembs.exporters import export_body
 from morembs.fem import assemble
 from morembs.floating.frame import FloatingFrame, floating_frame
@@ -82,6 +83,7 @@ __all__ = [
     "certify",
     "direct_response",
     "elastic_body",
+    "examined",
     "expand",
     "export_body",
     "floating_frame",

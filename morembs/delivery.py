@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 from morembs.body import ElasticBody, Part, elastic_body
 from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame, check_frame, floating_frame, why_not_floating
+from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import ranked_terms
 from morembs.floating.stiffening import Envelope
-from morembs.floating.stiffening_terms import geometric_stiffening, why_no_stiffening
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -56,19 +56,6 @@ class Delivery:
     envelope: Envelope | None = None
     stiffening: Envelope | None = None
     stress: StressOptions | None = field(default=None)
-
-    def check(self, problem: Problem) -> None:
-        """Refuse before any long work what cannot be delivered for this model.
-
-        Raises:
-            InputError: an impossible frame, stiffening or stress without elements.
-        """
-        check_frame(self.kind, self.interfaces, list(problem.coupling.frame_columns))
-        reason = why_no_stiffening(problem.model) if self.stiffening is not None else ""
-        if reason:
-            raise InputError(f"[stiffening]: {reason}")
-        if self.stress is not None and problem.model.mesh is None:
-            raise InputError("[stress]: this model has matrices only, and stress needs elements; leave [stress] out")
 
 
 def deliver(

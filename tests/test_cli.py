@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,12 @@ from morembs.storage.body_file import read_body
 RUNNER = CliRunner()
 # The beam of BEAM: 60 x 20 x 20 mm of steel.
 MASS = 7850 * 0.06 * 0.02 * 0.02
+
+
+@pytest.fixture(autouse=True)
+def no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slow machine even a small job lasts long enough for a line."""
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 1e9)
 
 
 def run(*arguments: str) -> Any:
@@ -244,12 +252,49 @@ def test_usage() -> None:
         assert "130 interrupted" in " ".join(RUNNER.invoke(cli.app, [*verb, "--help"]).stdout.split())
 
 
-def test_quiet_without_a_terminal(tmp_path: Path) -> None:
-    code = "from morembs.cli import commands as cli, terminal; terminal.PATIENCE_SECONDS = 0.0; cli.main()"
-    command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    assert done.stderr == ""
-    assert json.loads(done.stdout)["dofs"] == 189
+def test_lines_without_a_terminal(tmp_path: Path) -> None:
+    """Stages on standard error, a clean document on standard output; nothing where it is quick, or --quiet."""
+    fast = "terminal.STAGE_SECONDS = 0.0"
+    for seconds, options in ((0.0, ["--json"]), (0.0, ["--json", "--quiet"]), (1e9, ["--json"])):
+        code = (
+            f"from morembs.cli import commands as cli, terminal; terminal.PATIENCE_OF_LINES = {seconds}; {fast}; "
+            "cli.main()"
+        )
+        command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), *options]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        assert json.loads(done.stdout)["dofs"] == 189
+        lines = done.stderr.splitlines()
+        if seconds or "--quiet" in options:
+            assert lines == []
+        else:
+            told = [re.fullmatch(r"\[\d+ s\] ([a-z ]+).*", line) for line in lines]
+            assert all(told), lines
+            assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {one[1] for one in told if one}
+
+
+def test_long_work_goes_on_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call that reports nothing for long is told all the same, and one that reports a lot is not told each time."""
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 0.0)
+    monkeypatch.setattr(terminal, "STAGE_SECONDS", 0.05)
+    monkeypatch.setattr(terminal, "REPEAT_SECONDS", 0.2)
+    lines: list[str] = []
+    with terminal.LineProgress(lines.append).shown() as progress:
+        progress.stage("factorise")
+        time.sleep(0.7)
+        silent = len(lines)
+        progress.stage("solve modes")
+        for step in range(700):
+            progress.update(f"{step} converged")
+            time.sleep(0.001)
+    assert 3 <= silent <= 5 and all(line.endswith(" s] factorise") for line in lines[:silent])
+    told = lines[silent:]
+    assert 3 <= len(told) <= 6 and "solve modes" in told[0]
+    assert all("converged" in line for line in told[1:])
+    assert not progress_threads()
+
+
+def progress_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if "_watch" in thread.name]
 
 
 @pytest.mark.parametrize("visible", [True, False])

@@ -347,6 +347,37 @@ def test_likely_units_are_named(name):
         assert grave(examine(model.K, model.M, **given, units=parse_units(name))) == set()
 
 
+@pytest.mark.parametrize("true", ["m-kg-s", *STEEL_IN])
+@pytest.mark.parametrize("wrong", ["m-kg-s", "mm-t-s"])
+def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
+    """Numbers of one system that were converted to SI as if they were of another, as an import does."""
+    if wrong == true:
+        return
+    young, density, length = {"m-kg-s": (2.1e11, 7850.0, 0.5), **STEEL_IN}[true]
+    units = parse_units(wrong)
+    length *= units.length
+    size = (length, 0.1 * length, 0.1 * length)
+    model = bar(size=size, young=young * units.stress, density=density * units.density)
+    for given in (known(model), {**known(model), "mesh": model.mesh, "materials": model.materials}):
+        seen = finding(examine(model.K, model.M, **given, declared=units), "units")
+        assert f"taken in {wrong} as declared" in seen.sentence and f"look like {true}" in seen.sentence
+        assert f'"{true}"' in seen.cure and f"--units {true}" in seen.cure
+    if (wrong, true) == ("mm-t-s", "m-kg-s"):
+        unknown = finding(examine_model(model), "units")
+        assert "as declared" not in unknown.sentence and f"{true} that was taken for {wrong}" in unknown.sentence
+        assert "again with --units m-kg-s" in unknown.cure
+
+
+def test_a_material_in_si_beside_millimetres():
+    """Two metres or two millimetres: metres. Of 50 both cures are named, as either may be meant; 500 m are too long."""
+    mm = parse_units("mm-t-s")
+    for length, meters, material in ((2.0, True, False), (50.0, True, True), (500.0, False, True)):
+        size = tuple(length * mm.length * np.array([1.0, 0.1, 0.1]))
+        model = bar(size=size, young=2.1e11 * mm.stress, density=7850.0 * mm.density)
+        seen = finding(examine(model.K, model.M, **known(model), materials=model.materials, declared=mm), "units")
+        assert ("modulus 2.1e+05, density 7.85e-09" in seen.cure) == material and ('"m-kg-s"' in seen.cure) == meters
+
+
 def test_any_sparse_format_and_entries_in_pieces():
     """Entries that add up, as in a file that lists elements; complex stiffness with structural damping."""
     model = bar()

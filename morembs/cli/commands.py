@@ -21,7 +21,7 @@ from morembs.cli.report import (
     result_json,
     without_nan,
 )
-from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, Done, Jobs, console, each_job, print_json
+from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, Done, Jobs, Quiet, console, each_job, print_json, warn
 from morembs.errors import InputError
 from morembs.jobs.check import check_job
 from morembs.jobs.job import load_job
@@ -39,7 +39,7 @@ app = typer.Typer(
 
 
 @app.command(epilog=EPILOG)
-def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
+def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
     """Reduce the models of job files and write their bodies."""
 
     owner: dict[Path, Path] = {}
@@ -49,10 +49,16 @@ def reduce(jobs: Jobs, as_json: AsJson = False) -> None:
         other = owner.setdefault(job.output.resolve(), path)
         if other is not path:
             raise InputError(f"the output {job.output} is that of {other} too; give each job its own [output] path")
-        result = run_job(job, progress)
-        return result_json(result), lambda: print_result(console(), result)
+        told: list[str] = []
 
-    each_job(jobs, as_json, work)
+        def tell(sentence: str) -> None:
+            told.append(sentence)
+            warn(sentence)
+
+        result = run_job(job, progress, tell)
+        return result_json(result), lambda: print_result(console(), result, told)
+
+    each_job(jobs, as_json, work, quiet)
 
 
 @app.command(epilog=EPILOG)
@@ -60,6 +66,7 @@ def compare(
     job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
     as_json: AsJson = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run a job and set its reductions side by side: order, errors, time, memory."""
 
@@ -75,7 +82,7 @@ def compare(
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
-        found = contenders(run_job(loaded, progress))
+        found = contenders(run_job(loaded, progress, warn))
         if picture is not None:
             draw_contenders(picture, found, path.name)
         document = {
@@ -84,18 +91,18 @@ def compare(
         }
         return document, lambda: print_contenders(console(), str(path), found)
 
-    each_job([job], as_json, work)
+    each_job([job], as_json, work, quiet)
 
 
 @app.command(epilog=EPILOG)
-def check(jobs: Jobs, as_json: AsJson = False) -> None:
+def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
     """Check job files and forecast size and memory; factorises nothing, writes nothing."""
 
     def work(path: Path, progress: Progress) -> Done:
         forecast = check_job(load_job(path), progress)
         return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    each_job(jobs, as_json, work)
+    each_job(jobs, as_json, work, quiet)
 
 
 app.add_typer(bodies)

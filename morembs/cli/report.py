@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from morembs.body import ElasticBody
@@ -23,6 +24,7 @@ from morembs.cli.tables import (
     titled,
     words,
 )  # fmt: skip
+from morembs.jobs.duration import duration_words
 from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
@@ -85,8 +87,8 @@ def without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def print_result(console: Console, result: JobResult) -> None:
-    """Frequencies, mass and cost of a finished job."""
+def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) -> None:
+    """Frequencies, mass and cost of a finished job; a terminal shows the warnings ``told`` before already."""
     part = result.bodies[0].part
     console.print(
         f"[bold]{result.job.path.name}[/]: {result.nodes:,} nodes, {result.elements:,} elements, "
@@ -119,7 +121,8 @@ def print_result(console: Console, result: JobResult) -> None:
                 soft_wrap=True,
             )
     for warning in result.warnings:
-        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
+        if warning not in told or not console.is_terminal:
+            console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)
     written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
     console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
 
@@ -161,6 +164,9 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
             continue
         if key == "interface_nodes":
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
+        elif key == "reduction_seconds":
+            known = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in value.items())
+            value = f"{known} (within a factor of three)" if known else "not known before the modes are counted"
         elif key == "extent":
             value = " x ".join(f"{length:.4g}" for length in value) + " m"
         if key.endswith("bytes_words"):
@@ -169,12 +175,12 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
             shown = f"{value:,}"
         else:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-        table.add_row(key.removesuffix("bytes_words").replace("_", " "), shown)
+        table.add_row(key.removesuffix("bytes_words").replace("_", " "), escape(shown))
     titled(console, f"{job} is sound", table)
     if forecast.choice:
         console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
     for text in forecast.warnings:
-        console.print(f"[yellow]warning:[/] {text}", highlight=False)
+        console.print(f"[yellow]warning:[/] {escape(text)}", highlight=False, soft_wrap=True)
 
 
 def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Timer
+from threading import Event, Lock, Thread, Timer
 from typing import Annotated, Any
 
 import typer
@@ -16,12 +17,14 @@ from rich.progress import Progress as Bar
 from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs.errors import MorembsError
-from morembs.progress import Progress
+from morembs.progress import SILENT, Progress
 
 # Bad input, and the usual code of a process that Ctrl-C ends.
 BAD_INPUT, INTERRUPTED = 2, 130
-# Shorter work shows no progress.
-PATIENCE_SECONDS = 1.0
+# Shorter work shows no progress: on a terminal, and where lines are written.
+PATIENCE_SECONDS, PATIENCE_OF_LINES = 1.0, 5.0
+# Lines: a new stage is told after this, and a stage that goes on is told again each so many seconds.
+STAGE_SECONDS, REPEAT_SECONDS = 1.0, 15.0
 PIPE_WIDTH = 160
 
 EPILOG = (
@@ -32,6 +35,7 @@ EPILOG = (
 
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
 
 # Plain values for JSON, and what prints them for people.
 Done = tuple[dict[str, Any], Callable[[], None]]
@@ -70,11 +74,75 @@ class TerminalProgress:
             self._bar.stop()
 
 
+class LineProgress:
+    """Lines on standard error where no terminal is: a stage that begins, and each quarter of a minute what it does.
+
+    A thread looks at the clock, so that long calls of libraries are told too, as far as they let other threads run.
+    Work that takes less than ``PATIENCE_OF_LINES`` writes nothing.
+    """
+
+    def __init__(self, write: Callable[[str], object]) -> None:
+        self._write = write
+        self._start = time.monotonic()
+        self._stage, self._news, self._told = "", "", ""
+        self._last = -REPEAT_SECONDS
+        self._lock, self._end = Lock(), Event()
+
+    def stage(self, name: str) -> None:
+        """A new stage begins."""
+        with self._lock:
+            self._stage, self._news = name, ""
+        self._look()
+
+    def update(self, text: str) -> None:
+        """News within the stage."""
+        with self._lock:
+            self._news = text
+        self._look()
+
+    def _look(self) -> None:
+        """Write a line if one is due."""
+        with self._lock:
+            elapsed = time.monotonic() - self._start
+            since = elapsed - self._last
+            due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
+            if elapsed < PATIENCE_OF_LINES or not due or not (self._stage or self._news):
+                return
+            self._told, self._last = self._stage, elapsed
+            self._write(f"[{elapsed:,.0f} s] " + ": ".join(filter(None, (self._stage, self._news))))
+
+    def _watch(self) -> None:
+        while not self._end.wait(min(STAGE_SECONDS, REPEAT_SECONDS) / 2):
+            self._look()
+
+    @contextmanager
+    def shown(self) -> Iterator[Progress]:
+        """Write lines while work goes on."""
+        watcher = Thread(target=self._watch, daemon=True)
+        watcher.start()
+        try:
+            yield self
+        finally:
+            self._end.set()
+            watcher.join()
+
+
 @contextmanager
-def progress_line() -> Iterator[Progress]:
-    """Progress on standard error while work goes on, where somebody watches."""
-    with TerminalProgress(Console(stderr=True), sys.stderr.isatty()).shown() as progress:
-        yield progress
+def progress_line(quiet: bool = False) -> Iterator[Progress]:
+    """Progress on standard error while work goes on: one line that changes where somebody watches, else lines."""
+    if quiet:
+        yield SILENT
+    elif sys.stderr.isatty():
+        with TerminalProgress(Console(stderr=True), True).shown() as progress:
+            yield progress
+    else:
+        with LineProgress(lambda line: typer.echo(line, err=True)).shown() as progress:
+            yield progress
+
+
+def warn(sentence: str) -> None:
+    """A warning on standard error, before the work that it is about."""
+    typer.echo(f"warning: {sentence}", err=True)
 
 
 @contextmanager
@@ -98,14 +166,14 @@ def messages(failed: list[str], prefix: str = "") -> Iterator[None]:
     typer.echo(f"error: {prefix}{message}", err=True)
 
 
-def each_job(jobs: Sequence[Path], as_json: bool, work: Work) -> None:
+def each_job(jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False) -> None:
     """Do ``work`` for each job."""
     documents: list[dict[str, Any]] = []
     failed: list[str] = []
     for path in jobs:
         faults = len(failed)
         with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
-            with progress_line() as progress:
+            with progress_line(quiet) as progress:
                 document, show = work(path, progress)
             documents.append(document)
             if not as_json:

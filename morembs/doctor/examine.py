@@ -61,7 +61,8 @@ class _Case:
 def examine(
     K: sp.sparray, M: sp.sparray, D: sp.sparray | None = None, nodes: Nodes | None = None, dofs: DofMap | None = None,
     mesh: Mesh | None = None, materials: Sequence[Material] = (), *, deep: bool = False, units: Units | None = None,
-    solver: LinearSolver | None = None, up_to_hz: float | None = None, budget: Budget = UNLIMITED,
+    declared: Units | None = None, solver: LinearSolver | None = None, up_to_hz: float | None = None,
+    budget: Budget = UNLIMITED,
 ) -> Diagnosis:  # fmt: skip
     """What is wrong with a model, and what it is.
 
@@ -71,6 +72,7 @@ def examine(
         materials: those of the mesh.
         deep: factorise: count zero-energy motions, find mechanisms, estimate the lowest frequencies.
         units: of the input; SI where not given. Numbers in sentences have SI units only where the input has them.
+        declared: the units that the input was taken for before it was converted to ``units``, where it was.
         solver: for ``deep``.
         up_to_hz: for ``deep``, count the modes below this exactly.
 
@@ -95,7 +97,7 @@ def examine(
     case.facts["parts"] = int(part.max(initial=-1)) + 1
     case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names)
     if case.nodes is not None and case.dofs is not None:
-        _geometry(case, mesh, tuple(materials), units)
+        _geometry(case, mesh, tuple(materials), units, declared)
     if deep and not any(one.severity == "error" and one.code in _BLOCKING for one in case.found):
         found, facts = mode_findings(
             case.K, case.M, nodes=case.nodes, dofs=case.dofs, solver=solver, up_to_hz=up_to_hz, time=units.time,
@@ -276,7 +278,9 @@ def _ordered(case: _Case) -> None:
         case.dofs = other[1]
 
 
-def _geometry(case: _Case, mesh: Mesh | None, materials: tuple[Material, ...], units: Units) -> None:
+def _geometry(
+    case: _Case, mesh: Mesh | None, materials: tuple[Material, ...], units: Units, declared: Units | None
+) -> None:
     """Rigid motion, mass and units, with nodes and dofs known."""
     nodes, dofs = case.nodes, case.dofs
     if nodes is None or dofs is None:
@@ -302,7 +306,7 @@ def _geometry(case: _Case, mesh: Mesh | None, materials: tuple[Material, ...], u
     estimated = estimate(case.K, case.M, nodes, dofs)
     if estimated is not None:
         case.facts["speed_of_sound"], case.facts["density"] = estimated
-    case.found += unit_findings(estimated, materials, 2 * found.length, units)
+    case.found += unit_findings(estimated, materials, 2 * found.length, units, declared)
 
 
 def _grounded_damping(case: _Case, R: Floats) -> None:

@@ -25,8 +25,12 @@ SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
 MATERIAL_SPEED, MATERIAL_DENSITY = (8.0, 3e4), (0.5, 3e4)
 # A body larger than this is a mistake, one larger than that is worth a note (m).
 TOO_LARGE, LARGE = 2000.0, 100.0
+# Beyond this length two mistakes are likely, and both are named.
+LONG = 5.0
 METAL_SPEED, METAL_DENSITY = 5000.0, 5000.0
 SAMPLE = 1000
+# Distance to a metal, in powers of ten, within which numbers that were converted twice count as understood.
+NEAR = 1.0
 SYSTEMS = (
     "m-kg-s",
     "mm-t-s",
@@ -72,9 +76,13 @@ def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tu
 
 
 def unit_findings(
-    estimated: tuple[float, float] | None, materials: Sequence[Material], size: float, units: Units
-) -> list[Finding]:
-    """Whether numbers taken for ``units`` can be those of an elastic body of ``size`` (in the same units)."""
+    estimated: tuple[float, float] | None, materials: Sequence[Material], size: float, units: Units,
+    declared: Units | None = None,
+) -> list[Finding]:  # fmt: skip
+    """Whether numbers in ``units`` can be those of an elastic body of ``size`` (in the same units).
+
+    ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.
+    """
     if materials:
         pairs = [(float(np.sqrt(max(m.stiffness[0, 0], 0) / m.density)), m.density) for m in materials]
         speeds, densities = MATERIAL_SPEED, MATERIAL_DENSITY
@@ -88,36 +96,80 @@ def unit_findings(
         # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
         light = light or (rho < MATERIAL_DENSITY[0] and size * units.length > LARGE)
         if slow or light:
-            return [_wrong(speed, density, c, rho, size, units)]
+            return [_wrong(c, rho, size * units.length, units, declared)]
     meters = size * units.length
     if meters > LARGE:
         severity = "warning" if meters > TOO_LARGE else "note"
         sentence = f"the body is {meters:.4g} m long"
-        cure = "if its coordinates are in mm, say so in the units"
+        cure = (
+            "if its coordinates are in mm, declare such units and give the material in them too (steel in mm-t-s: "
+            "210e3 MPa and 7.85e-9 t/mm3)"
+        )
         return [Finding(code="size", severity=severity, sentence=sentence, cure=cure)]
     return []
 
 
-def _wrong(speed: float, density: float, c: float, rho: float, size: float, units: Units) -> Finding:
+def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | None) -> Finding:
+    """The finding for a speed of sound ``c`` in m/s, a density ``rho`` in kg/m3 and a size in m."""
+    taken = declared or units
     sentence = (
-        f"in {units.name} sound would travel at about {c:.2g} m/s in this body, its density would be about {rho:.2g} "
-        f"kg/m3 and it would be {size * units.length:.3g} m long"
+        f"taken in {taken.name}{' as declared' if declared is not None else ''}, sound would travel at about {c:.2g} "
+        f"m/s in this body, its density would be about {rho:.2g} kg/m3 and it would be {meters:.3g} m long"
     )
-    name = likely_units(speed, density, size, units)
+    words, cure = _diagnosed(c, rho, meters, taken)
+    if not words and declared is None:
+        # Perhaps an import converted them from other units than they were in.
+        for name in SYSTEMS:
+            likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), NEAR)
+            if likely is not None:
+                words = f"the numbers look like {likely} that was taken for {name}"
+                cure = f"if the model was imported, import it again with --units {likely}"
+                break
+    if not words:
+        cure = "no known system of units makes sense of them; check the units of length, modulus and density"
+    return Finding(code="units", severity="warning", sentence=f"{sentence}; {words}" if words else sentence, cure=cure)
+
+
+def _written(c: float, rho: float, meters: float, units: Units) -> tuple[float, float, float]:
+    """Speed of sound, density and size as the numbers of an input in ``units`` have them."""
+    return c * units.time / units.length, rho / units.density, meters / units.length
+
+
+def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str]:
+    """What the numbers of an input taken in the units ``taken`` look like, and the cure; empty where not known."""
+    speed, density, size = _written(c, rho, meters, taken)
+    name = likely_units(speed, density, size, taken)
+    material = (
+        f"give the material in {taken.name} too (steel: modulus {2.1e11 / taken.stress:.3g}, density "
+        f"{7850 / taken.density:.3g})"
+    )
+    # A modulus in Pa and a density in kg/m3, while the coordinates may well be as they were taken.
+    beside = 300 < speed < 3e4 and 100 < density < MATERIAL_DENSITY[1] and 1e-5 < meters < LONG
     if name is not None:
         there = parse_units(name)
-        sentence += f"; the numbers look like {name} (a body {size * there.length:.3g} m long)"
-        cure = f'give units = "{name}"'
-    elif density * units.density > 100 and c < 100:
-        sentence += "; it looks like lengths and moduli in mm and N/mm2 (MPa) beside a density in kg/m3"
-        cure = "give the density in t/mm3 (steel 7.85e-9), and units mm-t-s"
-    else:
-        cure = "check the units of length, modulus and density"
-    return Finding(code="units", severity="warning", sentence=sentence, cure=cure)
+        words = (
+            f"the numbers look like {name} (sound at {speed * there.length / there.time:.2g} m/s, "
+            f"{density * there.density:.2g} kg/m3, a body {size * there.length:.3g} m long)"
+        )
+        cure = f'give units = "{name}" in a job or in Python, --units {name} in an import'
+        return words, f"{cure}; or, if the coordinates are in {taken.name}, {material}" if (
+            beside and size * there.length > LONG
+        ) else cure
+    if _mixed(speed, density):
+        words = "it looks like lengths and moduli in mm and N/mm2 (MPa) beside a density in kg/m3"
+        return words, "give the density in t/mm3 (steel 7.85e-9), and units mm-t-s"
+    if beside:
+        return f"it looks like a material in Pa and kg/m3 beside coordinates in {taken.name}", material
+    return "", ""
 
 
-def likely_units(speed: float, density: float, size: float, declared: Units) -> str | None:
-    """The system in which the numbers are nearest to a metal; None where none comes near."""
+def _mixed(speed: float, density: float) -> bool:
+    """Whether a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
+    return 100 < density < MATERIAL_DENSITY[1] and 0.3 < speed < 30
+
+
+def likely_units(speed: float, density: float, size: float, declared: Units, furthest: float = np.inf) -> str | None:
+    """The system in which the numbers are nearest to a metal; None where none comes near, or beyond ``furthest``."""
     best: tuple[float, str] | None = None
     for name in SYSTEMS:
         there = parse_units(name)
@@ -127,6 +179,6 @@ def likely_units(speed: float, density: float, size: float, declared: Units) -> 
             continue
         # The speed is the better estimate of the two.
         distance = 2 * abs(np.log10(c / METAL_SPEED)) + abs(np.log10(rho / METAL_DENSITY))
-        if best is None or distance < best[0]:
+        if distance < furthest and (best is None or distance < best[0]):
             best = distance, name
     return None if best is None else best[1]

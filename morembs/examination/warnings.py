@@ -20,8 +20,10 @@ from morembs.model import DofMap, FEModel
 from morembs.units import Units
 
 
-def diagnosis_of(model: FEModel, *, deep: bool = False, budget: Budget = UNLIMITED) -> Diagnosis:
-    """What is wrong with a model (SI); rigid elements are eliminated before.
+def diagnosis_of(
+    model: FEModel, *, deep: bool = False, declared: Units | None = None, budget: Budget = UNLIMITED
+) -> Diagnosis:
+    """What is wrong with a model (SI, of an input in the units ``declared``); rigid elements are eliminated before.
 
     Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
     """
@@ -35,28 +37,34 @@ def diagnosis_of(model: FEModel, *, deep: bool = False, budget: Budget = UNLIMIT
     if not np.ptp(model.nodes.xyz, axis=0).any():
         # All in one point: matrices without a place in space.
         return examine(K, M, D, deep=deep, budget=budget)
-    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, budget=budget)
+    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget)
 
 
-def examined(model: FEModel, *, budget: Budget = UNLIMITED) -> tuple[str, ...]:
-    """Warnings of the cheap examination, one sentence each.
+def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+    """Warnings of the cheap examination of a model (SI), one sentence each; none where nothing looks wrong.
+
+    Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
+    that the input was taken for, for that sentence.
 
     Raises:
         InputError: matrices that no reduction takes, or errors of the examination, all in one message.
     """
     refuse_complex(model)
-    diagnosis = diagnosis_of(model, budget=budget)
+    diagnosis = diagnosis_of(model, declared=declared, budget=budget)
     # Interfaces may join parts; the coupled model is looked at later.
     Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
     refuse_unsymmetric(model)
     return _sentences(diagnosis.warnings)
 
 
-def examined_mesh(model: FEModel) -> tuple[str, ...]:
-    """Warnings about a model that was assembled here: its matrices are sound by construction, its units may not be."""
+def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
+    """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
+
+    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units.
+    """
     size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
-    found = unit_findings(None, model.materials, size, Units())
-    return _sentences(tuple(one for one in found if one.severity == "warning"))
+    found = unit_findings(None, model.materials, size, Units(), declared)
+    return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,26 +12,24 @@ from scipy.sparse.csgraph import connected_components
 from morembs.budget import Budget, available_bytes, resident_bytes
 from morembs.elements import TYPES
 from morembs.errors import InputError
-from morembs.examination.warnings import examined
 from morembs.fem import check_mesh, stiffness_pattern
 from morembs.importers import read_mesh
 from morembs.interface import Interface, couple
+from morembs.jobs.duration import reduction_seconds
 from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
 from morembs.jobs.inputs import (
-    check_candidates,
     damping_of,
     interfaces_of,
     materials_of,
     modelling,
-    preload_of,
     prepare_output,
-    refuse_reductions_that_do_not_fit,
     solver_of,
     source_of,
     units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.jobs.preflight import model_warnings, preflight
 from morembs.jobs.run import count_elements
 from morembs.linalg.solver import LinearSolver
 from morembs.linalg.threads import blas_threads, limit_threads
@@ -70,13 +67,14 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     size = 3 * len(mesh.nodes)
     empty = sp.csr_array((size, size))
     dofs = DofMap.translations(len(mesh.nodes))
-    model = FEModel(K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, source=mesh.source)
+    model = FEModel(
+        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source
+    )
+    warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
-    _check_preload(job, interfaces)
-    check_candidates(job, model, interfaces)
     coupling = couple(model, interfaces)
     coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
-    refuse_reductions_that_do_not_fit(job, coupled, inputs)
+    warnings += preflight(job, model, interfaces, coupling, 6)
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.coupling == "rigid"])
     if rigid > 6:
@@ -92,6 +90,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
             stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
         )
         threads = blas_threads()
+        seconds = _reduction_seconds(job, coupled, inputs, cost)
     plan = cost.plan
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
@@ -101,14 +100,8 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
         factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk, columns_bytes=cost.columns,
         peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads, extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        warnings=_warnings(cost, solver.scratch),
+        reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
     )  # fmt: skip
-
-
-def _check_preload(job: Job, interfaces: Sequence[Interface]) -> None:
-    load = preload_of(job)
-    if load is not None:
-        load.check(interfaces)
 
 
 def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
@@ -116,19 +109,18 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         model = read_model(source_of(job), budget=budget)
         progress.stage("examine")
-        warnings = examined(model, budget=budget)
+        warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
-        _check_preload(job, interfaces)
-        check_candidates(job, model, interfaces)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
             coupling, rigid = problem.coupling, problem.rigid.shape[1]
         coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
-        refuse_reductions_that_do_not_fit(job, coupled, inputs)
+        warnings += preflight(job, model, interfaces, coupling, rigid)
         progress.stage("analyse")
         columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
         columns = max(columns, job.tables.check.full_modes)
         cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
         threads = blas_threads()
+        seconds = _reduction_seconds(job, coupled, inputs, cost)
     plan, matrices = cost.plan, [A for A in (model.K, model.M, model.D) if A is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
@@ -138,8 +130,15 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         factor_entries=plan.factor_entries, factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk,
         columns_bytes=cost.columns, peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads,
         extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+        reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
     )  # fmt: skip
+
+
+def _reduction_seconds(job: Job, coupled: int, inputs: int, cost: Cost) -> dict[str, float]:
+    """Name -> time of each reduction, as far as it can be told."""
+    entries = cost.plan.factor_entries
+    found = {name: reduction_seconds(one, coupled, inputs, entries) for name, one in modelling(job).items()}
+    return {name: seconds for name, seconds in found.items() if seconds is not None}
 
 
 def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ factor and the dense columns of the modes.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import scipy.sparse as sp
@@ -36,7 +36,8 @@ class JobForecast:
     """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
 
     ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
-    factorisation with ``threads`` threads at the speed of this machine now.
+    factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
+    reduction beside it as far as it can be told, within a factor of three.
     """
 
     solver: str
@@ -59,6 +60,7 @@ class JobForecast:
     threads: int
     extent: tuple[float, float, float]
     interface_nodes: dict[str, int]
+    reduction_seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def run_import(
     diagnosis = None
     if check or strict:
         progress.stage("examine")
-        diagnosis = diagnosis_of(model)
+        diagnosis = diagnosis_of(model, declared=units)
         if strict:
             diagnosis.refuse_errors()
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -12,13 +12,12 @@ from morembs.body import ElasticBody, make_part
 from morembs.budget import Budget
 from morembs.delivery import Delivery, deliver
 from morembs.errors import InputError, SolverError
-from morembs.examination.warnings import delivered_warnings, examined, examined_mesh
+from morembs.examination.warnings import delivered_warnings
 from morembs.fem import assemble
 from morembs.importers import read_mesh
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
     MOST_MOTIONS,
-    check_candidates,
     damping_of,
     delivery_of,
     interfaces_of,
@@ -26,13 +25,13 @@ from morembs.jobs.inputs import (
     preload_of,
     prepare_output,
     reducers_of,
-    refuse_reductions_that_do_not_fit,
     solver_of,
     source_of,
     units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.jobs.preflight import model_warnings, preflight
 from morembs.linalg.solver import FactorStats, LinearSolver
 from morembs.linalg.threads import limit_threads
 from morembs.material import Material
@@ -78,8 +77,14 @@ class JobResult:
         return self.factor.backend
 
 
-def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
+def unheard(_: str) -> None:
+    """The default for warnings: they are in the result too."""
+
+
+def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] = unheard) -> JobResult:
     """Reduce the model of ``job`` and write its body file and picture.
+
+    ``warn`` hears each warning about the model and the cost of its reductions before the long work begins.
 
     Raises:
         MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
@@ -88,18 +93,25 @@ def run_job(job: Job, progress: Progress = SILENT) -> JobResult:
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
-        return _run(job, solver, materials, budget, watch)
+        return _run(job, solver, materials, budget, watch, warn)
 
 
-def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> JobResult:
+def _run(
+    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch,
+    warn: Callable[[str], None],
+) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model, warnings = _read(job, materials, budget, watch)
+    model = _read(job, materials, budget, watch)
+    warnings = model_warnings(job, model, budget)
+    for warning in warnings:
+        warn(warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
-        check_candidates(job, model, interfaces)
-        wanted = delivery_of(job)
-        wanted.check(problem)
+        costs = preflight(job, model, interfaces, problem.coupling, problem.rigid.shape[1])
+        for warning in costs:
+            warn(warning)
+        warnings += costs
     preload, preload_notes = preload_of(job), {}
     if preload is not None:
         with watch.stage("preload"), problem:
@@ -109,7 +121,7 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
                 model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
             )
     with problem:
-        bodies = _reduce(job, problem, wanted, watch)
+        bodies = _reduce(job, problem, delivery_of(job), watch)
         warnings += delivered_warnings(bodies)
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
@@ -135,24 +147,21 @@ def _run(job: Job, solver: LinearSolver, materials: Sequence[Material], budget: 
     )  # fmt: skip
 
 
-def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> tuple[FEModel, tuple[str, ...]]:
-    """The model of the job, from its model file or assembled from its mesh, and what there is to warn of."""
+def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> FEModel:
+    """The model of the job, from its model file or assembled from its mesh."""
     asked, progress = job.tables.model, watch.progress
     if asked.file is not None:
         with watch.stage("read"):
-            model: FEModel = read_model(job.resolve(asked.file), budget=budget)
-            return model, examined(model, budget=budget)
+            return read_model(job.resolve(asked.file), budget=budget)
     with watch.stage("read"):
         mesh = read_mesh(source_of(job), units_of(job))
     with watch.stage("assemble"):
-        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
-    return model, examined_mesh(model)
+        return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
 
 def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> tuple[ElasticBody, ...]:
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
-    refuse_reductions_that_do_not_fit(job, size, problem.B.shape[1])
     count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
     with watch.stage("factorise"):
         if wants_modes(job):
