@@ -237,8 +237,8 @@ def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
     values, U = sl.eigh(G / np.outer(scale, scale))
     good = values > 1e-12
     Phi = (R / scale) @ (U[:, good] / np.sqrt(values[good]))
-    size = np.linalg.norm(Phi, axis=0) * max_norm(K)
-    _, s, Wt = np.linalg.svd((K @ Phi) / size, full_matrices=False)
+    Phi = Phi / np.linalg.norm(Phi, axis=0)
+    _, s, Wt = np.linalg.svd((K @ Phi) / max_norm(K), full_matrices=False)
     Z = Phi @ Wt.T[:, s < STRAIN_FREE]
     if Z.shape[1]:
         Z = Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T

@@ -260,6 +260,35 @@ def test_a_hinge_is_reported_with_its_number_of_rigid_modes():
         problem.elastic_modes(count=3)
 
 
+@pytest.mark.parametrize("free", [1, 2], ids=["hinged along an edge", "that slides too"])
+@pytest.mark.parametrize("reducer", [Modal(modes=4), FreeInterface(modes=4), CraigBampton(modes=4)])
+def test_bodies_that_are_partly_held_keep_their_rigid_motions(free, reducer):
+    """Lengths and angles mix in what is left of the six motions."""
+    whole = steel(box("hex8", (8, 2, 2), (0.8, 0.1, 0.1)))
+    xyz = whole.nodes.xyz
+    if free == 1:
+        held = np.isin(whole.dofs.node, np.flatnonzero((xyz[:, 0] == 0) & (xyz[:, 2] == 0)))
+    else:
+        # The edge may slide along itself.
+        edge = np.flatnonzero((xyz[:, 0] == 0) & (xyz[:, 2] == 0))
+        held = np.isin(whole.dofs.node, edge) & (whole.dofs.component != 1)
+    keep = np.flatnonzero(~held)
+    dofs = DofMap(node=whole.dofs.node[keep], component=whole.dofs.component[keep])
+    K, M = (sp.csr_array(A[keep][:, keep]) for A in (whole.K, whole.M))
+    model = FEModel(K=K, M=M, nodes=whole.nodes, dofs=dofs, mesh=whole.mesh, materials=whole.materials)
+    tip = make_interface(model, name="tip", nodes=where(model, 0, 0.8), coupling="rigid")
+    with Problem(model, [tip]) as problem:
+        assert problem.rigid.shape[1] == free
+        assert np.abs(problem.K @ problem.rigid).max() < 1e-12 * abs(problem.K).max() * np.abs(problem.rigid).max()
+        reduced = reducer.reduce(problem)
+        exact = reduced.V.T @ (problem.K @ reduced.V)
+        assert np.abs(reduced.K - exact).max() < 1e-9 * np.abs(exact).max()
+        values = sl.eigvalsh(reduced.K, reduced.M)
+        dense = sl.eigvalsh(problem.K.toarray(), problem.M.toarray())
+    assert np.abs(values[:free]).max() < 1e-8 * dense[free]
+    assert values[free] == pytest.approx(dense[free], rel=1e-2 if isinstance(reducer, CraigBampton) else 1e-8)
+
+
 def test_unconnected_parts_are_reported():
     with pytest.raises(InputError, match=r"2 unconnected parts.*12 rigid-body modes"):
         Problem(steel(hexes((0, 0, 0), (3, 0, 0))))
