@@ -15,14 +15,14 @@ from morembs.linalg.threads import measured_speed
 from morembs.reducers import Reducer
 
 # Columns of the space for each mode, and blocks on top; operations of the small problem over k^3.
-_PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 5.0
+_PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 2.5
 # Operations over n^3 where all modes are found at once, and part of the speed of a product that it reaches.
 _DENSE, _DENSE_EFFICIENCY = 15.0, 0.4
 # Part of that speed that triangular solves reach.
 _SOLVES = 0.2
 # Columns for each input and operations over p^3 of the reference model; what methods take of these in all.
-_PER_INPUT, _REFERENCE = 5, 4e5
-_OF_REFERENCE = {"auto": 12.0, "gramian": 3.0, "balanced-truncation": 3.0, "irka": 3.0}
+_PER_INPUT, _REFERENCE = 5, 1e5
+_OF_REFERENCE = {"auto": 4.0, "gramian": 3.0, "balanced-truncation": 3.0, "irka": 3.0}
 _COMPARED = 2.0
 
 

@@ -23,6 +23,8 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 TOLERANCE = 1e-9
 MAX_STEPS = 400
+# Growth of the space between two looks at its Ritz values.
+LOOK = 1.05
 
 
 class BlockLanczos:
@@ -127,13 +129,18 @@ def largest(
     Raises:
         SolverError: no convergence.
     """
+    looked = 0
     for _ in range(MAX_STEPS):
         if lanczos.full():
             lanczos.restart(min(count + 2 * lanczos.block, lanczos.size - lanczos.block))
+            looked = 0
         lanczos.expand()
-        theta, Y, residual = lanczos.ritz()
-        if lanczos.size < count:
+        # The small eigenvalue problem of a large space costs more than its growth.
+        due = lanczos.size >= max(count, LOOK * looked) or lanczos.full() or not lanczos.pending.shape[1]
+        if lanczos.size < count or not due:
             continue
+        looked = lanczos.size
+        theta, Y, residual = lanczos.ritz()
         good = residual[:count] <= TOLERANCE * np.abs(theta[:count])
         progress.update(f"{int(good.sum())} of {count} {what} converged")
         if good.all() or not lanczos.pending.shape[1]:

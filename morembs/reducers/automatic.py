@@ -13,21 +13,22 @@ election, each cut to its smallest order that meets the tolerance over the band:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.damping import Damping
 from morembs.errors import InputError, SolverError
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces
 from morembs.responses.band import band_frequencies, beyond, checked_band
-from morembs.responses.reference import Reference, reference_model
+from morembs.responses.reference import Reference, product, reference_model
 
 Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
@@ -125,6 +126,25 @@ def _better(one: tuple[Floats, float], other: tuple[Floats, float], tolerance: f
     return error < least
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Small:
+    """A reduced model in its modal coordinates: ``V`` (k, n) in those of the reference, ``B`` (n, p) loads."""
+
+    V: Floats
+    theta: Floats
+    B: Floats
+    D: Floats | None
+    damping: Damping
+
+    def state(self, w: float) -> NDArray[Any]:
+        """(n, p) at ``w`` rad/s, real where there is no damping."""
+        if self.D is not None:
+            A = np.diag(self.theta - w**2) + 1j * w * self.D
+            return np.asarray(np.linalg.solve(A, self.B.astype(complex)))
+        a = self.theta * (1 + 1j * self.damping.structural) + 1j * w * self.damping.of_modes(self.theta) - w**2
+        return np.asarray(self.B / (a if a.imag.any() else a.real)[:, None])
+
+
 class _Election:
     """Families of bases (k, n) in the coordinates of a reference model, and their errors."""
 
@@ -138,11 +158,12 @@ class _Election:
         self.F = reference.F * scale
         self.known = reference.values <= beyond(float(omega[-1]) / (2 * np.pi))
         self.cut = beyond(float(omega[-1]) / (2 * np.pi))
-        full = self.F.T @ reference.states(1j * omega, self.F)
+        full = self._full()
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
-        self.counted = (reference.inputs, self.F.shape[1])
+        self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
         self.sizes = self._norms(full)
-        self.size = self.sizes[:, 1]
+        self.size = self.sizes[:, -1]
+        self.worst_first = np.arange(len(omega))[::-1]
         # Only undamped models, Rayleigh and structural damping have a bound; for others the errors are measured.
         self.full = full if reference.damping.is_modal or reference.D is not None else None
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
@@ -169,7 +190,7 @@ class _Election:
             return columns, error
         while few < many:
             middle = (few + many) // 2
-            tried = self.error(columns[:, :middle])
+            tried = self._exceeds(columns[:, :middle], tolerance)
             if tried <= tolerance:
                 many, error = middle, tried
             else:
@@ -182,55 +203,75 @@ class _Election:
 
     def errors(self, C: Floats) -> Floats:
         """Errors (nf,) relative to |H|: the residual bound, or as measured where the damping allows no bound."""
-        reference, values = self.reference, self.reference.values
         if not C.shape[1]:
             return np.ones(len(self.omega))
-        V, states = self._reduced(C)
-        a = values * (1 + 1j * reference.damping.structural) - self.omega[:, None] ** 2
-        a = a + 1j * self.omega[:, None] * reference.damping_of_modes()
-        found = np.empty((len(self.omega), 2))
-        for j, (w, y) in enumerate(zip(self.omega, states, strict=True)):
-            if self.full is not None:
-                off = self.full[j] - self.F.T @ (V @ y)
-                found[j] = [np.linalg.norm(off[:m, :m]) for m in self.counted]
-                continue
-            r = self.F - a[j, :, None] * (V @ y)
-            seen = r[self.known].T @ (r[self.known] / a[j, self.known, None])
-            tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
-            gamma = self.cut / (self.cut - w**2)
-            found[j] = [
-                np.linalg.norm(seen[:m, :m]) + gamma * np.linalg.norm(tail[:, :m]) * np.linalg.norm(tail[:, :m], 2)
-                for m in self.counted
-            ]
-        return np.asarray((found / self.sizes).max(axis=1))
+        reduced = self._reduced(C)
+        found = np.array([self._error_at(j, reduced) for j in range(len(self.omega))])
+        self.worst_first = np.argsort(-found, kind="stable")
+        return found
+
+    def _exceeds(self, C: Floats, tolerance: float) -> float:
+        """Largest error over the band, or the first found above ``tolerance``."""
+        if not C.shape[1]:
+            return 1.0
+        reduced, worst = self._reduced(C), 0.0
+        # Where the last basis was worst this one is most likely too far off.
+        for j in self.worst_first.tolist():
+            worst = max(worst, self._error_at(j, reduced))
+            if worst > tolerance:
+                break
+        return worst
+
+    def _error_at(self, j: int, reduced: _Small) -> float:
+        """Error at the frequency ``j``."""
+        reference, values, w = self.reference, self.reference.values, float(self.omega[j])
+        u = product(reduced.V, reduced.state(w))
+        if self.full is not None:
+            off = self.full[j] - self.F.T @ u
+            return float(max(np.linalg.norm(off[:m, :m]) / self.sizes[j, i] for i, m in enumerate(self.counted)))
+        a = values * (1 + 1j * reference.damping.structural) - w**2 + 1j * w * reference.damping_of_modes()
+        a = a if a.imag.any() else a.real
+        r = self.F - a[:, None] * u
+        seen = r[self.known].T @ (r[self.known] / a[self.known, None])
+        tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
+        gram = tail.conj().T @ tail
+        gamma = self.cut / (self.cut - w**2)
+        found = 0.0
+        for i, m in enumerate(self.counted):
+            # Frobenius and spectral norm of the tail from its Gram matrix.
+            top = sl.eigvalsh(gram[:m, :m], subset_by_index=[m - 1, m - 1])[0]
+            rest = np.sqrt(max(float(np.trace(gram[:m, :m]).real), 0.0) * max(float(top), 0.0))
+            found = max(found, float(np.linalg.norm(seen[:m, :m]) + gamma * rest) / float(self.sizes[j, i]))
+        return found
 
     def measured(self, C: Floats, theta: Floats) -> float:
         """Largest error over the band of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
-        full = self.F.T @ self.reference.states(1j * self.omega, self.F)
-        V, states = self._reduced(C, theta if len(theta) == C.shape[1] else None)
-        return float((self._norms(full - self.F.T @ V @ states) / self.sizes).max())
+        full = self._full()
+        reduced = self._reduced(C, theta if len(theta) == C.shape[1] else None)
+        seen = self.F.T @ reduced.V
+        H = np.array([product(seen, reduced.state(float(w))) for w in self.omega])
+        return float((self._norms(full - H) / self.sizes).max())
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:
         """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
         return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
 
-    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[Floats, NDArray[np.complex128]]:
-        """Eigenvectors (k, n) of the pencil on span(C), and their coordinates (nf, n, p) over the band.
+    def _full(self) -> NDArray[Any]:
+        """H (nf, p, p) of the reference model."""
+        return np.array([self.F.T @ self._states(w) for w in self.omega])
 
-        ``real`` (n,) replaces the eigenvalues.
-        """
+    def _states(self, w: float) -> NDArray[Any]:
+        """(k, p) modal coordinates of the reference model at ``w`` rad/s, real ones where there is no damping."""
+        X = self.reference.states(np.array([1j * w]), self.F)[0]
+        return np.asarray(X if X.imag.any() else X.real)
+
+    def _reduced(self, C: Floats, real: Floats | None = None) -> _Small:
+        """The model on span(C); ``real`` (n,) replaces its eigenvalues."""
         reference = self.reference
         theta, Y = sl.eigh(C.T @ (reference.values[:, None] * C))
-        theta = theta if real is None else real
         V = C @ Y
-        B, w = V.T @ self.F, self.omega[:, None]
-        damping = reference.damping
-        if reference.D is None:
-            stiffness = theta * (1 + 1j * damping.structural)
-            return V, B / (stiffness + 1j * w * damping.of_modes(theta) - w**2)[:, :, None]
-        D = V.T @ reference.D @ V
-        A = np.array([np.diag(theta - x**2) + 1j * x * D for x in self.omega])
-        return V, np.linalg.solve(A, np.broadcast_to(B.astype(complex), (len(A), *B.shape)))
+        D = None if reference.D is None else V.T @ reference.D @ V
+        return _Small(V=V, theta=theta if real is None else real, B=V.T @ self.F, D=D, damping=reference.damping)
 
     def _orthonormal(self, X: Floats) -> Floats:
         """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
@@ -244,6 +285,8 @@ class _Election:
         start = np.linalg.qr(weight * self.fixed)[0]
         X = weight * snapshots
         X = X - start @ (start.T @ X)
+        # Of wide snapshots the triangle has the left singular vectors too.
+        X = np.asarray(np.linalg.qr(X.T, mode="r")).T if X.shape[1] > 2 * len(X) else X
         U, s, _ = sl.svd(X, full_matrices=False)
         columns = np.hstack([start, U[:, s > NOISE * s[0]]]) / weight
         # Nested spans: the first n columns of Q span the first n of these.
@@ -255,9 +298,7 @@ class _Election:
 
     def _gramian(self, _: float, exponent: float) -> Floats:
         weights = self._weights(exponent)
-        states = self.reference.states(1j * self.omega, self.F) * weights[:, None, None]
-        flat = np.concatenate(list(states), axis=1)
-        return self._leading(np.hstack([flat.real, flat.imag]))
+        return self._leading(_parts([self._states(w) * weight for w, weight in zip(self.omega, weights, strict=True)]))
 
     def _krylov(self, tolerance: float, exponent: float) -> Floats:
         """Greedy responses, compressed to their principal vectors."""
@@ -282,12 +323,17 @@ class _Election:
 
     def _seen(self, C: Floats, exponent: float) -> Floats:
         """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
-        V, states = self._reduced(C)
-        weights = self._weights(exponent)
-        flat = np.concatenate(list(states * weights[:, None, None]), axis=1)
-        return np.asarray(C.T @ V @ np.hstack([flat.real, flat.imag]))
+        reduced, weights = self._reduced(C), self._weights(exponent)
+        states = [reduced.state(w) * weight for w, weight in zip(self.omega, weights, strict=True)]
+        return np.asarray(C.T @ reduced.V @ _parts(states))
 
     def _modal(self, _: float, __: float) -> Floats:
         """Static responses first, then modes in the order of their frequencies."""
         static = self._orthonormal(self.F / self.reference.values[:, None])
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
+
+
+def _parts(states: Sequence[NDArray[Any]]) -> Floats:
+    """Real and, where there are any, imaginary parts of ``states`` (k, p) each, side by side."""
+    flat = np.concatenate(states, axis=1)
+    return np.hstack([flat.real, flat.imag]) if np.iscomplexobj(flat) else flat
