@@ -298,8 +298,10 @@ def active_set(its: Switching, candidates: Ints) -> ActiveSet:
     """
     R, Q = its.R(candidates), its.Q(candidates)
     size = np.sqrt(np.maximum(np.diag(R), 0.0))
-    least = np.sqrt(RANK * float(np.max(its.stiffness[0], initial=0.0)))
-    alive = size > least
+    # Forces are measured against forces and moments against moments, so that units do not matter.
+    turns = its.turns[candidates]
+    largest = [float(np.max(its.stiffness[0, its.turns == kind], initial=0.0)) for kind in (False, True)]
+    alive = size > np.sqrt(RANK * np.where(turns, largest[1], largest[0]))
     if not alive.any():
         named = ", ".join(str(int(k)) for k in np.unique(its.node_ids[its.node[candidates]]))
         raise InputError(

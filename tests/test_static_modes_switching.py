@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from meshes import box, steel, where
+from sliding import hermite_beam
 
 from morembs.errors import InputError
 from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel
+from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, StaticModesSwitching, static_modes_switching
 from morembs.reducers import candidates as candidate_module
@@ -173,6 +174,40 @@ def test_paths_are_chained_and_normals_point_outwards():
     )
     with Problem(model) as problem:
         assert np.allclose(flat.switching(problem, flat.reduce(problem)).direction, [[0, 0, 1]])
+
+
+def test_rank_of_forces_and_moments_does_not_depend_on_the_size_of_the_part():
+    beam = hermite_beam()
+    for length in (1.0, 1e-4):
+        turned = np.where(beam.dofs.component == 5, length, 1.0)
+        K, M = (sp.csr_array(A.toarray() * np.outer(turned, turned)) for A in (beam.K, beam.M))
+        nodes = Nodes(ids=beam.nodes.ids, xyz=length * beam.nodes.xyz, sets=beam.nodes.sets)
+        small = FEModel(K=K / length**3, M=M * length, nodes=nodes, dofs=beam.dofs)
+        with Problem(small) as problem:
+            reducer = StaticModesSwitching(base_options={"modes": 4}, candidates="set:RAIL", directions=[1, 5])
+            its = reducer.switching(problem, reducer.reduce(problem))
+        active = its.of_nodes(12, 6)
+        found = active_set(its, active)
+        assert found.rank == len(active) == 12 and its.notes["empty_candidates"] == 0
+        R, force = its.R(active), np.eye(12)[4]
+        answer = R @ (found.Y @ ((found.Y.T @ (R @ force)) / found.omega**2))
+        assert np.abs(answer - R @ force)[::2].max() < 1e-10 * np.abs(R @ force)[::2].max()
+
+
+def test_paths_that_are_no_open_line_are_refused_and_graded_ones_are_not():
+    ids = np.arange(100, 140)
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(13.0), [0.0, 0.9, 1.8]))
+    rows = np.stack([x, y, 0 * x], axis=1)
+    for points in (ring, rows):
+        with pytest.raises(InputError, match="lie beside each other"):
+            candidate_module.chain(points, ids)
+    graded = np.cumsum(1.3 ** np.arange(20))[:, None] * [0.6, 0.0, 0.8]
+    assert np.array_equal(candidate_module.chain(graded, ids), np.arange(20))
+    # Round-off across a line does not turn it round.
+    along = np.stack([1e-17 * (-1.0) ** np.arange(9), np.zeros(9), np.arange(9.0)], axis=1)
+    assert np.array_equal(candidate_module.chain(along, ids), np.arange(9))
 
 
 def test_round_trip_through_a_file(tmp_path):

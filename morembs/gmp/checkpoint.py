@@ -63,6 +63,13 @@ class Checkpoint:
                 rows = {len(value) for value in values.values()}
                 if len(rows) > 1:
                     raise KeyError("rows")
+                if values["keys"].dtype.kind not in "iu" or values["keys"].shape[1:] != (4,):
+                    raise ValueError("keys")
+                for name in _NAMES:
+                    if values[name].dtype.kind != "f" or not np.isfinite(values[name]).all():
+                        raise ValueError(name)
+                if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
+                    raise ValueError("notes")
         except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
                 f"{self.path} cannot be read as equilibria of an earlier run ({error}); give the name of such a file, "

@@ -36,8 +36,8 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
     """
     held = np.concatenate(tuple(component.frames.values()))
     free = np.setdiff1d(np.arange(component.size), held)
-    if count < 0:
-        raise InputError(f"{count} modes were given; expected zero or more")
+    if not isinstance(count, (int, np.integer)) or count < 0:
+        raise InputError(f"{count!r} modes were given; expected a number of them, zero or more")
     K, M = component.tangent(component.reference)[free][:, free], component.M[free][:, free]
     tried = count + max(4, count // 2)
     while True:

@@ -60,4 +60,7 @@ def read_dof_map(path: Path) -> tuple[Ints, Ints]:
 
 
 def _fields(line: str, mark: str | None) -> list[str]:
-    return [field.strip() for field in (next(csv.reader([line], delimiter=mark)) if mark else line.split())]
+    try:
+        return [field.strip() for field in (next(csv.reader([line], delimiter=mark)) if mark else line.split())]
+    except csv.Error as error:
+        raise InputError(f"the line {line[:60]!r} of the dof table cannot be read ({error}); check the file") from error

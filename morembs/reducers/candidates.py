@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from morembs.errors import InputError
 from morembs.interface import Interface
@@ -19,8 +20,10 @@ from morembs.surface import outer_faces
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NORMALS = "normals"
-# A step along the path that is longer than this many usual ones is a gap in it.
+# A step along the path that is longer than this many of those beside it is a gap in it.
 GAP = 3.5
+# Points nearer than this many steps are neighbours.
+BESIDE = 1.2
 
 
 class Candidates:
@@ -154,20 +157,36 @@ def chain(xyz: Floats, ids: Ints) -> Ints:
     if n < 2:
         raise InputError(f'candidates: {n} node was given; a path needs two or more (or take kind = "surface")')
     order = _walk(xyz, _walk(xyz, 0)[-1])
-    if tuple(xyz[order[-1]]) < tuple(xyz[order[0]]):
+    along = xyz[order[-1]] - xyz[order[0]]
+    if along[np.argmax(np.abs(along) > 1e-6 * np.linalg.norm(along))] < 0:
         order = order[::-1]
     steps = np.linalg.norm(np.diff(xyz[order], axis=0), axis=1)
-    usual = float(np.median(steps))
-    if steps.min() <= 1e-9 * max(usual, np.finfo(float).tiny):
+    if steps.min() <= 1e-9 * max(float(np.median(steps)), np.finfo(float).tiny):
         k = int(steps.argmin())
         raise InputError(f"candidates: nodes {ids[order[k]]} and {ids[order[k + 1]]} of the path lie in one point")
-    if steps.max() > GAP * usual:
-        k = int(steps.argmax())
+    beside = np.maximum(np.append(steps[1:], 0.0), np.insert(steps[:-1], 0, 0.0))
+    far = np.flatnonzero((steps > GAP * beside) & (beside > 0))
+    if len(far):
+        k = int(far[steps[far].argmax()])
         raise InputError(
             f"candidates: the path jumps by {steps[k]:.4g} m from node {ids[order[k]]} to node {ids[order[k + 1]]}, "
-            f'where {usual:.4g} m is usual; select the nodes of one line, or take kind = "surface"'
+            f'where {beside[k]:.4g} m is usual; select the nodes of one line, or take kind = "surface"'
         )
+    _refuse_rows(xyz[order], ids[order], steps)
     return order
+
+
+def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
+    """Refuse points that lie as close as neighbours without following each other: rings, and rows side by side."""
+    step = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
+    distance, near = cKDTree(xyz).query(xyz, k=min(4, len(xyz)))
+    apart = np.abs(near - np.arange(len(xyz))[:, None])
+    k, column = np.nonzero((apart > 1) & (distance < BESIDE * step[:, None]))
+    if len(k):
+        raise InputError(
+            f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie beside each other without following "
+            'each other, so the nodes are no open line; select one row, or take kind = "surface"'
+        )
 
 
 def _walk(xyz: Floats, start: int) -> Ints:

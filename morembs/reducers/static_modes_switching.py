@@ -198,7 +198,8 @@ def _tables(
         budget.relax()
     model = problem.model
     sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
-    alive = R[0] > EMPTY * whole.max(initial=0.0)
+    largest = [whole[its.turns == kind].max(initial=0.0) for kind in (False, True)]
+    alive = R[0] > EMPTY * np.where(its.turns, largest[1], largest[0])
     if not alive.any():
         raise InputError(
             "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"
