@@ -94,6 +94,9 @@ def test_tables_are_those_of_dense_static_modes(base, options, coupled):
     assert (np.abs(its.coupling - coupling) / size).max() < 1e-7
     assert np.abs(its.modes - B.T @ reduced.V).max() < 1e-12 * np.abs(its.modes).max()
     assert np.abs(its.weight - reduced.V.T @ (M @ moving)).max() < 1e-9 * np.abs(M).sum()
+    weight = Psi.T @ (M @ moving)
+    heavy = np.sqrt(np.diag(Q).max() * np.abs(moving.T @ (M @ moving)).max())
+    assert np.abs(its.static_weight - weight).max() < 1e-8 * heavy
     invariant = base == "modal"
     assert (its.notes["mass_coupling"] < 1e-8) == invariant
 

@@ -250,3 +250,21 @@ def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
         PathSupport(body.path(), rider.marker("c"), up=(0, 1, 0))
     with pytest.raises(InputError, match="dynamic variant only"):
         PointOnPath(body.path(), RigidBody(1.0, (1, 1, 1), markers={"c": (0, 0, 0)}).marker("c"), up=(0, 1, 0))
+
+
+def test_loads_at_one_place_are_as_one(beam):
+    reduced, its = beam
+    found = []
+    for shares in ((2.0,), (0.5, 1.5)):
+        body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=(0.43,) * len(shares))
+        system = System()
+        system.add(body)
+        loads = [
+            system.add(MovingLoad(body.path(k), position=lambda t: 0.43, force=(0, -share, 0), name=f"load {k}"))
+            for k, share in enumerate(shares)
+        ]
+        result = simulate_sliding(system, SlidingSwitch(body), end=0.02, step=2e-3)
+        found.append(local_response(result, body, loads[0]).displacement)
+    # Static modes answer at once, so that what one load leaves out would be seen in the first step.
+    assert np.abs(found[0][0]).max() > 1e-5
+    assert np.abs(found[1] - found[0]).max() < 1e-12 * np.abs(found[0]).max()
