@@ -268,3 +268,17 @@ def test_loads_at_one_place_are_as_one(beam):
     # Static modes answer at once, so that what one load leaves out would be seen in the first step.
     assert np.abs(found[0][0]).max() > 1e-5
     assert np.abs(found[1] - found[0]).max() < 1e-12 * np.abs(found[0]).max()
+
+
+def test_a_frame_far_from_its_body_is_refused():
+    model = steel(box("hex8", (8, 2, 1), (0.8, 0.05, 0.02)))
+    reducer = StaticModesSwitching(
+        base_options={"modes": 3}, candidates="box:0,0.02,0.019,0.8,0.03,0.021", directions=[2]
+    )
+    with Problem(model) as problem:
+        reduced = reducer.reduce(problem)
+        its = reducer.switching(problem, reduced)
+        near, far = (floating_frame(problem, reduced, origin=origin) for origin in ((0, 0, 0), (3, -20, 11)))
+    SwitchingBody(FlexibleBody(near), its)
+    with pytest.raises(InputError, match="radii of gyration, and every switch"):
+        SwitchingBody(FlexibleBody(far), its)

@@ -29,6 +29,8 @@ Ints = NDArray[np.int64]
 VARIANTS = ("quasi-static", "dynamic")
 # Active sets that are kept for reuse.
 _KEPT = 64
+# Distance of the frame of a floating body from its centre of mass, in radii of gyration.
+FARTHEST = 10.0
 # Nodes of the path that one place of it depends on.
 _SUPPORT = 4
 
@@ -93,6 +95,7 @@ class SwitchingBody(Component):
                 f"{label} has {len(self.map)} reduced coordinates, but its static modes were made beside "
                 f"{switching.modes.shape[1]}; take both from one reduction"
             )
+        self._refuse_far(label)
         nodes = len(switching.node_ids)
         self.width = min(_SUPPORT + 2 * look_ahead, nodes)
         places = np.atleast_1d(np.asarray(at, dtype=float))
@@ -107,6 +110,20 @@ class SwitchingBody(Component):
         self.configuration_size = inner.configuration_size + self.extra + self.windows
         self._active: OrderedDict[tuple[int, ...], Active] = OrderedDict()
         self._first = np.array([self.window_about(float(s)) for s in places], dtype=float)
+
+    def _refuse_far(self, label: str) -> None:
+        """Refuse a floating frame so far from its body that restarts at switches lose their digits."""
+        if not isinstance(self.inner, FlexibleBody):
+            return
+        its = self.inner.frame.integrals
+        center = its.first / its.mass
+        about_center = np.trace(its.inertia) / (2 * its.mass) - center @ center
+        if center @ center > FARTHEST**2 * about_center:
+            raise InputError(
+                f"{label}: the origin of its frame is {np.linalg.norm(center):.4g} m from its centre of mass, more "
+                f"than {FARTHEST:g} radii of gyration, and every switch would lose digits; take [frame] origin = "
+                '"center-of-mass"'
+            )
 
     def refuse_outside(self, s: float, when: str) -> None:
         """Raise InputError where ``s`` is not on the path."""
