@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import random
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
@@ -68,3 +69,22 @@ def folder(path: Path, tables: Mapping[str, str | None] | None = None, text: str
     (path / "part.inp").write_text(deck(BEAM) if text is None else text)
     (path / "job.toml").write_text(job(tables))
     return path / "job.toml"
+
+
+def damaged(sources: Sequence[str], count: int, seed: int, marks: bytes) -> Iterator[bytes]:
+    """``count`` damaged copies: cut off, bytes changed to some of ``marks``, lines swapped, lines doubled."""
+    chance = random.Random(seed)
+    for turn in range(count):
+        data = bytearray(sources[turn % len(sources)].encode())
+        how = turn // len(sources) % 4
+        if how == 0:
+            data = data[: chance.randrange(len(data))]
+        elif how == 1:
+            for _ in range(chance.randrange(1, 4)):
+                data[chance.randrange(len(data))] = chance.choice(marks)
+        else:
+            rows = bytes(data).split(b"\n")
+            i, j = chance.randrange(len(rows)), chance.randrange(len(rows))
+            rows[i], rows[j] = (rows[j], rows[i]) if how == 2 else (rows[i], rows[i])
+            data = bytearray(b"\n".join(rows))
+        yield bytes(data)

@@ -1,10 +1,10 @@
 """Abaqus and CalculiX decks: labels, sets, instances, materials, couplings, masses; what is left out is told."""
 
-import random
 
 import meshio
 import numpy as np
 import pytest
+from decks import damaged
 from meshes import STEEL, box, steel
 
 from morembs.elements import TYPES
@@ -348,23 +348,11 @@ def test_surface_of_a_deck_by_abaqus(shared_data):
 
 def test_damaged_decks_end_in_one_message(tmp_path):
     """Cut off, bytes changed, lines swapped or doubled: a deck is read or refused, never a crash."""
-    chance, path = random.Random(5), tmp_path / "deck.inp"
+    path = tmp_path / "deck.inp"
     sources = [FULL, PARTS.format(mesh=lines(box("tet4", (1, 1, 1), (1, 1, 1))))]
     refused = 0
-    for turn in range(400):
-        data = bytearray(sources[turn % 2].encode())
-        how = turn // 2 % 4
-        if how == 0:
-            data = data[: chance.randrange(len(data))]
-        elif how == 1:
-            for _ in range(chance.randrange(1, 4)):
-                data[chance.randrange(len(data))] = chance.choice(b"0123456789,.*-=\n\r\t AzE\"\xff\x00")
-        else:
-            rows = bytes(data).split(b"\n")
-            i, j = chance.randrange(len(rows)), chance.randrange(len(rows))
-            rows[i], rows[j] = (rows[j], rows[i]) if how == 2 else (rows[i], rows[i])
-            data = bytearray(b"\n".join(rows))
-        path.write_bytes(bytes(data))
+    for data in damaged(sources, 400, 5, b"0123456789,.*-=\n\r\t AzE\"\xff\x00"):
+        path.write_bytes(data)
         try:
             import_abaqus(path)
         except InputError:

@@ -37,7 +37,6 @@ from morembs.units import Units
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-HALF_STORED = "half-stored"
 
 
 @dataclass(eq=False)

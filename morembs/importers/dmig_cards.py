@@ -20,7 +20,6 @@ Ints = NDArray[np.int64]
 _MARK, _FIELD, _FIELDS = 8, 16, 4
 _LINE = _MARK + _FIELD * _FIELDS
 _STAR, _D, _BLANK, _COMMENT = ord("*"), ord("D"), ord(" "), ord("$")
-_CARD = re.compile(rb"^[A-Za-z]", re.MULTILINE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
