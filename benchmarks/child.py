@@ -29,13 +29,13 @@ from threadpoolctl import threadpool_info
 from morembs.budget import resident_bytes
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import sprung
-from morembs.linalg.mixed import Mixed
-from morembs.linalg.mumps import Mumps
-from morembs.linalg.select import SOLVERS, select_solver
-from morembs.linalg.solver import LinearSolver
+from morembs.linalg.sparse.mixed import Mixed
+from morembs.linalg.sparse.mumps import Mumps
+from morembs.linalg.sparse.select import SOLVERS, select_solver
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.threads import blas_threads
 from morembs.linalg.statics import support_dofs
-from morembs.linalg.symmetric import Lower
-from morembs.linalg.threads import blas_threads
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 from morembs.progress import peak_memory_bytes
 
@@ -49,8 +49,8 @@ _RESIDUALS = 4
 
 def machine(spec: Spec) -> Row:
     """Cores, threads, and versions of the libraries."""
-    from morembs.linalg.cholmod_library import cholmod_library
-    from morembs.linalg.mumps_library import embedded_library, system_library
+    from morembs.linalg.sparse.cholmod_library import cholmod_library
+    from morembs.linalg.sparse.mumps_library import embedded_library, system_library
 
     found = {"mumps": system_library("float64"), "mumps-embedded": embedded_library("float64")}
     found["cholmod"] = cholmod_library()

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from morembs import Problem, full_response, make_interface
 from morembs.budget import resident_bytes
+from morembs.certificate.response import reduced_response
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.model import FEModel
+from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.progress import peak_memory_bytes
 from morembs.reducers.krylov import Krylov
-from morembs.responses.response import reduced_response
-from morembs.selection import select_nodes
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -16,14 +16,14 @@ import numpy as np
 from measure import Report, Row, Settings, child, in_rounds
 
 from morembs.budget import Budget, resident_bytes
-from morembs.fem import assemble
-from morembs.linalg.select import select_solver
-from morembs.material import isotropic
+from morembs.linalg.sparse.select import select_solver
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
 from morembs.problem import Problem
 from morembs.progress import peak_memory_bytes
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.switching import Switching
+from morembs.reducers.switching_tables import Switching
 
 Spec = dict[str, Any]
 LINE, SURFACE = "line, band 24", "surface, all pairs"

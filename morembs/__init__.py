@@ -9,20 +9,27 @@ import morembs.linalg  # noqa: F401
 
 # isort: split
 from morembs.body import ElasticBody, elastic_body, make_part
+from morembs.body.file import read_body, write_body
+from morembs.body.stress_shapes import stress_recovery
+from morembs.certificate.certify import Certificate, certify
+from morembs.certificate.response import full_response, reduced_response
+from morembs.diagnostics import examined
 from morembs.errors import InputError, MorembsError
-from morembs.examination import examined
 from morembs.exporters import export_body
-from morembs.fem import assemble
 from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.floating.ranking import ranked_terms
 from morembs.floating.stiffening import Envelope
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import read_mesh
 from morembs.interface import Interface, make_interface
-from morembs.linalg.select import available_solvers, select_solver
-from morembs.material import Material, isotropic, orthotropic
+from morembs.linalg.sparse.select import available_solvers, select_solver
 from morembs.model import FEModel, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import Material, isotropic, orthotropic
+from morembs.model.selection import select_nodes
 from morembs.problem import Damping, Problem
+from morembs.recovery.recover import expand, recover
+from morembs.recovery.trajectory import Trajectory, read_trajectory
 from morembs.reducers import (
     REDUCERS,
     Automatic,
@@ -38,17 +45,11 @@ from morembs.reducers import (
     StaticModesSwitching,
 )
 from morembs.responses.band import band_frequencies
-from morembs.responses.certify import Certificate, certify
 from morembs.responses.direct import direct_response
-from morembs.responses.response import full_response, reduced_response
-from morembs.selection import select_nodes
-from morembs.storage.body_file import read_body, write_body
-from morembs.stress.recovery import expand, recover
-from morembs.stress.shapes import stress_recovery
-from morembs.stress.trajectory import Trajectory, read_trajectory
 from morembs.units import parse_units
+from morembs.version import VERSION
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 __all__ = [
     "REDUCERS",

@@ -19,10 +19,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.coupled_model import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
 from morembs.errors import InputError, nearest
 from morembs.model import FEModel, frozen, rigid_motion, skew
-from morembs.surface import nodal_areas, outer_faces
+from morembs.model.coupled import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
+from morembs.model.surface import nodal_areas, outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -21,13 +21,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.body.file import read_body
+from morembs.body.stored import StoredBodies, StoredBody
 from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
 from morembs.jobs.job import load_job
+from morembs.jobs.picture import save
 from morembs.jobs.run import run_job
-from morembs.picture import save
-from morembs.storage.body_file import read_body
-from morembs.storage.stored import StoredBodies, StoredBody
 
 HERE = Path(__file__).resolve().parent
 Floats = NDArray[np.float64]

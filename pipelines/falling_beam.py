@@ -17,12 +17,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from both_simulators import HERE, OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, write_bar
 
-from morembs.fem import assemble
 from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
-from morembs.material import isotropic
 from morembs.model import FEModel
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
 from morembs.multibody import FlexibleBody, System, ground
 from morembs.multibody.component import Marker
 from morembs.multibody.contact import Contact

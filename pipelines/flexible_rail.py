@@ -21,9 +21,10 @@ import scipy.sparse.linalg as spl
 from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 from moving_load import write_run
 
-from morembs.fem import assemble
-from morembs.material import isotropic
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
+from morembs.model.stress_operator import StressOperator, stress_operator
 from morembs.multibody import DrivenPosition, Motion, RigidBody, System, ground
 from morembs.multibody.component import Marker
 from morembs.multibody.linear_body import LinearBody
@@ -34,8 +35,7 @@ from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, 
 from morembs.multibody.switching import SwitchingBody
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.stress.operator import StressOperator, stress_operator
-from morembs.switching import Switching
+from morembs.reducers.switching_tables import Switching
 
 LENGTH, WIDTH, HEIGHT = 5.0, 0.06, 0.12  # m
 CELLS, QUICK_CELLS = (500, 4, 7), (100, 2, 3)

@@ -22,14 +22,14 @@ import scipy.sparse.linalg as spl
 from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 from numpy.typing import NDArray
 
-from morembs.fem import assemble
 from morembs.interface import make_interface
-from morembs.material import isotropic
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
 from morembs.multibody.lemke import lemke
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.switching import Switching
+from morembs.reducers.switching_tables import Switching
 
 MODULE, PRESSURE, WIDTH = 5e-3, math.radians(20.0), 0.02  # m, rad, m
 TEETH = (24, 36)

@@ -27,8 +27,8 @@ from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, 
 from morembs.multibody.switching import SwitchingBody
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
+from morembs.reducers.switching_tables import Switching
 from morembs.storage.safefile import replacing
-from morembs.switching import Switching
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600
 FACTORS = {0.1: 1.096, 0.25: 1.258, 0.5: 1.705, 0.617: 1.732, 0.75: 1.702}

@@ -1,4 +1,4 @@
-"""Paths of optional data, and meshes.py importable from every test."""
+"""Paths of optional data; the helpers in ``tests.support`` are importable from every test."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
 ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
 
 
 @pytest.fixture(scope="session")

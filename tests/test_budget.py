@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from matrices import brick, mass, random
 
 from morembs import budget as budgets
 from morembs import scratch as scratches
@@ -23,6 +22,7 @@ from morembs.linalg import orthogonal
 from morembs.linalg.congruence import congruence, max_norm
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.scratch import ScratchFolder, free_bytes
+from tests.support.matrices import brick, mass, random
 
 MB = 1 << 20
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.storage.body_file import read_body
-from morembs.storage.model_file import read_model
+from morembs.body.file import read_body
+from morembs.importers.model_file import read_model
 
 ROOT = Path(__file__).parent.parent
 

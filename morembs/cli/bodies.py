@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from morembs.body.file import read_body
 from morembs.cli.report_stored import print_stored, stored_json
 from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body, make_exporter
-from morembs.storage.body_file import read_body
-from morembs.stress.recovery import recover as recover_series
+from morembs.recovery.recover import recover as recover_series
 
 app = typer.Typer()
 BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from morembs import __version__
+from morembs.body.file import check_writable
 from morembs.cli.bodies import app as bodies
 from morembs.cli.models import app as models
 from morembs.cli.report import (
@@ -27,10 +27,10 @@ from morembs.jobs.check import check_job
 from morembs.jobs.job import load_job
 from morembs.jobs.pareto import contenders, draw_contenders
 from morembs.jobs.run import run_job
-from morembs.linalg.interruptible import calls_running
-from morembs.linalg.select import available_solvers
+from morembs.linalg.sparse.interruptible import calls_running
+from morembs.linalg.sparse.select import available_solvers
 from morembs.progress import Progress
-from morembs.storage.body_file import check_writable
+from morembs.version import VERSION
 
 app = typer.Typer(
     name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
@@ -122,7 +122,7 @@ def solvers(as_json: AsJson = False) -> None:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"morembs {__version__}")
+        typer.echo(f"morembs {VERSION}")
         raise typer.Exit
 
 

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from morembs.body import ElasticBody
+from morembs.certificate.certify import Certificate
 from morembs.cli.tables import (
     bytes_words,
     frame_words,
@@ -28,7 +29,6 @@ from morembs.jobs.duration import duration_words
 from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
-from morembs.responses.certify import Certificate
 
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10

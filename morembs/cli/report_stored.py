@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from morembs.body.stored import StoredBodies
 from morembs.cli.tables import frame_words, listed, mass_table, ranking_words, titled, words
-from morembs.storage.stored import StoredBodies
 
 SHOWN_FREQUENCIES = 10
 

@@ -9,6 +9,8 @@ from typing import get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from morembs.body.file import read_body
+from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError, nearest
 from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import Exported, Exporter, Task
@@ -19,8 +21,6 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
-from morembs.storage.body_file import read_body
-from morembs.storage.stored import StoredBodies, StoredBody
 
 # One line for each target.
 _ALL: tuple[type[Exporter], ...] = (

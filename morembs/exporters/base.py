@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.damping import frequency_domain_only
+from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
-from morembs.storage.stored import StoredBodies, StoredBody
+from morembs.problem.damping import frequency_domain_only
 
 if TYPE_CHECKING:
     from morembs.floating.frame import FloatingFrame, Marker

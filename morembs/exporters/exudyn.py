@@ -14,16 +14,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.elements import FACES, TYPES
+from morembs.body.stored import StoredBodies
+from morembs.body.stored_check import check_grid
+from morembs.body.vtkhdf_series import read_grid
 from morembs.errors import InputError, nearest
 from morembs.exporters.base import Exported, Exporter, Task
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import ElementBlock, Mesh, Nodes, skew
+from morembs.model.elements import FACES, TYPES
+from morembs.model.surface import outer_faces
 from morembs.storage.safefile import replacing
-from morembs.storage.stored import StoredBodies
-from morembs.storage.stored_check import check_grid
-from morembs.storage.vtkhdf_series import read_grid
-from morembs.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import Task
-from morembs.storage.stored import StoredBodies, StoredBody
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,10 +15,10 @@ import scipy.io as sio
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import Exported, Exporter, Task
 from morembs.storage.safefile import replacing
-from morembs.storage.stored import StoredBody
 
 Floats = NDArray[np.float64]
 # Text at the start of a .mat file, always the same.

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.floating.frame import FloatingFrame, frame_rows, why_not_floating
-from morembs.floating.geometric_stiffness import StressedMesh
 from morembs.floating.integrals import PAIRS
 from morembs.floating.link_stiffness import Links
 from morembs.floating.stiffening import Envelope, Stiffening
 from morembs.linalg.orthogonal import dot
 from morembs.model import FEModel
+from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel

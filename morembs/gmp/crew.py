@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from morembs.errors import InputError, SolverError
 from morembs.gmp.equilibria import Equilibrium, NotFollowedError
-from morembs.linalg.threads import limit_threads
+from morembs.linalg.sparse.threads import limit_threads
 
 Floats = NDArray[np.float64]
 Task = tuple[Any, ...]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import NotFollowedError, first_share
-from morembs.linalg.solver import LinearSolver
+from morembs.linalg.sparse.solver import LinearSolver
 from morembs.nonlinear.continuation import Newton, Tangents
 from morembs.nonlinear.solid import NonlinearSolid
 

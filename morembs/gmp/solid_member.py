@@ -33,7 +33,7 @@ from morembs.gmp.solid_manifold import (
     plane_bending_modes,
     stretch,
 )
-from morembs.linalg.solver import LinearSolver
+from morembs.linalg.sparse.solver import LinearSolver
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.progress import SILENT, Progress
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus import import_abaqus, read_abaqus
 from morembs.importers.ansys_cdb import import_ansys_cdb
@@ -19,6 +18,7 @@ from morembs.importers.ansys_full import import_ansys_full
 from morembs.importers.ansys_text import import_ansys_matrices
 from morembs.importers.exudyn import import_exudyn
 from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.imported import Imported
 from morembs.importers.matlab import import_matlab
 from morembs.importers.matrix_files import import_abaqus_matrix, import_calculix, import_dmig, import_op4
 from morembs.importers.matrix_market import import_matrix_market

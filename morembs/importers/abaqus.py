@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.imported import Imported
 from morembs.model import Mesh
 
 Ints = NDArray[np.int64]

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.elements import TYPES
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_deck import Deck, Instance, Members, NamedSet, Scope, values
 from morembs.importers.abaqus_keywords import LARGEST, label
 from morembs.model import skew
+from morembs.model.elements import TYPES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

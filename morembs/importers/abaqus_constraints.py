@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import AverageElement, PointMass, RigidElement
-from morembs.elements import TYPES
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.imported import AverageElement, PointMass, RigidElement
 from morembs.model import ElementBlock, Mesh, Nodes
-from morembs.surface import outer_faces
+from morembs.model.elements import TYPES
+from morembs.model.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

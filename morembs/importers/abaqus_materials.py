@@ -9,7 +9,7 @@ from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
 from morembs.importers.abaqus_keywords import LARGEST, Card
-from morembs.material import VOIGT, Material, isotropic, orthotropic
+from morembs.model.material import VOIGT, Material, isotropic, orthotropic
 
 Floats = NDArray[np.float64]
 _WITHOUT_EFFECT = {

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported, PointMass
 from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, MASS, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material, point_masses
-from morembs.material import Material
+from morembs.importers.imported import Imported, PointMass
 from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.ansys_nodes import joined
+from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import opened
 from morembs.importers.triplets import Triplets, assembled
 

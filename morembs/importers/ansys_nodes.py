@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.ansys_cdb import read_ansys_archive
+from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import text_blocks
 from morembs.model import DofMap, Nodes, rigid_motion
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from morembs.conversion.imported import PointMass
 from morembs.errors import InputError
 from morembs.importers.ansys_elements import Elements
-from morembs.material import Material, isotropic, orthotropic
+from morembs.importers.imported import PointMass
+from morembs.model.material import Material, isotropic, orthotropic
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
 # Damping and temperature: said, not kept. Conductivity and the like say nothing about a structure and are passed over.

@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.ansys_hb import read_harwell_boeing
 from morembs.importers.ansys_nodes import COMPONENTS, joined
+from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import numbers, opened, table, text_blocks, whole_numbers
 from morembs.importers.triplets import Spool, assembled
 

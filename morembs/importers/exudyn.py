@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import sparse_group, stored
+from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
 from morembs.model import DofMap, Nodes
 

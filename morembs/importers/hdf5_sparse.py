@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
+from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
 
 Array = NDArray[Any]

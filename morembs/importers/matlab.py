@@ -9,9 +9,9 @@ import h5py
 import scipy.io
 import scipy.sparse as sp
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.named import matrices_by_name
 

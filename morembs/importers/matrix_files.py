@@ -8,11 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
 from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
+from morembs.importers.imported import Imported
 from morembs.importers.named import matrices_by_name, square_csr
 from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes

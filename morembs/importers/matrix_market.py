@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
+from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
 from morembs.importers.text_matrices import ahead, numbers, table, text_blocks, whole_numbers
 from morembs.importers.triplets import Spool, assembled

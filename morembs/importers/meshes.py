@@ -12,12 +12,12 @@ import numpy as np
 from meshio._mesh import topological_dimension
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
-from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.hdf5_sparse import refuse_hollow_file
+from morembs.importers.imported import Imported
 from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.elements import TYPES
 
 Ints = NDArray[np.int64]
 SOLIDS = {

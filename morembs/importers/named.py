@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError, nearest
+from morembs.importers.imported import Imported
 from morembs.model import DofMap, Nodes
 
 Matrices = dict[str, sp.csr_array]

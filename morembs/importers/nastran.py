@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import Imported
 from morembs.errors import InputError
+from morembs.importers.imported import Imported
 from morembs.importers.nastran_cards import head_of, real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.conversion.imported import AverageElement, PointMass, RigidElement
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import turned
+from morembs.importers.imported import AverageElement, PointMass, RigidElement
 from morembs.importers.nastran_cards import real, whole
 from morembs.importers.nastran_geometry import Grids, Systems
-from morembs.material import Material, isotropic
+from morembs.model.material import Material, isotropic
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""The native model file: HDF5, SI units; written by ``morembs.storage.model_file``, described in docs/formats.md."""
+"""The native model file: HDF5, SI units; written by ``morembs.importers.model_file``, described in docs/formats.md."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
-from morembs.conversion.imported import AverageElement, Imported, RigidElement
-from morembs.elements import TYPES
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr, refuse_hollow, stored
-from morembs.material import Material
+from morembs.importers.imported import AverageElement, Imported, RigidElement
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
+from morembs.model.elements import TYPES
+from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

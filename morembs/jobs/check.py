@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget, available_bytes, resident_bytes
-from morembs.elements import TYPES
 from morembs.errors import InputError
-from morembs.fem import check_mesh, stiffness_pattern
 from morembs.importers import read_mesh
+from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
 from morembs.jobs.duration import reduction_seconds
 from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
@@ -31,13 +30,14 @@ from morembs.jobs.inputs import (
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import model_warnings, preflight
 from morembs.jobs.run import count_elements
-from morembs.linalg.solver import LinearSolver
-from morembs.linalg.threads import blas_threads, limit_threads
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.threads import blas_threads, limit_threads
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
+from morembs.model.assembly import check_mesh, stiffness_pattern
+from morembs.model.elements import TYPES
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.scratch import free_bytes
-from morembs.storage.model_file import read_model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
+from morembs.certificate.response import full_response, reduced_response
+from morembs.model.surface import outer_faces
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
-from morembs.responses.response import full_response, reduced_response
-from morembs.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

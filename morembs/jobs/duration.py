@@ -11,7 +11,7 @@ at some two hundred frequencies; what ``auto`` makes of it takes a dozen times a
 from __future__ import annotations
 
 from morembs.linalg.eigen import DENSE, DENSE_PART
-from morembs.linalg.threads import measured_speed
+from morembs.linalg.sparse.threads import measured_speed
 from morembs.reducers import Reducer
 
 # Columns of the space for each mode, and blocks on top; operations of the small problem over k^3.

@@ -13,10 +13,10 @@ import scipy.sparse as sp
 
 from morembs.budget import Budget
 from morembs.linalg.congruence import congruence
-from morembs.linalg.solver import Forecast, LinearSolver
+from morembs.linalg.sparse.solver import Forecast, LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.threads import blas_threads, measured_speed
 from morembs.linalg.statics import require_room_to_count
-from morembs.linalg.symmetric import Lower
-from morembs.linalg.threads import blas_threads, measured_speed
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
 _ENTRY, _TRIANGLE = 12, 12

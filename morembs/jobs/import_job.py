@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from morembs.conversion.coupled_model import CoupledModel
-from morembs.conversion.imported import Imported
-from morembs.conversion.to_model import model_of, rows_of_labels
-from morembs.doctor import repaired
-from morembs.doctor.findings import Diagnosis
+from morembs.diagnostics import repaired
+from morembs.diagnostics.findings import Diagnosis
+from morembs.diagnostics.warnings import diagnosis_of
 from morembs.errors import InputError
-from morembs.examination.warnings import diagnosis_of
 from morembs.importers import IMPORTERS, format_of, import_file
 from morembs.importers.dof_map import read_dof_map
+from morembs.importers.imported import Imported
 from morembs.importers.matrix_files import abaqus_matrices
+from morembs.importers.model_file import write_model
 from morembs.importers.named import square_csr
-from morembs.material import Material, isotropic
+from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.model import DofMap, Nodes
+from morembs.model.coupled import CoupledModel
+from morembs.model.material import Material, isotropic
 from morembs.progress import SILENT, Progress
-from morembs.storage.model_file import write_model
 from morembs.storage.safefile import check_writable
 from morembs.units import Units
 

@@ -8,22 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.conversion.followers import interface_of_coupling
-from morembs.delivery import Delivery, StressOptions
+from morembs.body.build import Delivery, StressOptions
+from morembs.body.file import check_writable
 from morembs.errors import InputError
+from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
+from morembs.importers.followers import interface_of_coupling
 from morembs.interface import Interface, make_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable
-from morembs.linalg.select import select_solver
-from morembs.linalg.solver import LinearSolver
-from morembs.material import Material, isotropic, orthotropic
+from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
-from morembs.preload import Preload
+from morembs.model.material import Material, isotropic, orthotropic
+from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal, Reducer, StaticModesSwitching
-from morembs.selection import select_nodes
-from morembs.storage.body_file import check_writable
 from morembs.units import Units, parse_units
 
 # Reductions that compute modes.

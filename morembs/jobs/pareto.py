@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from morembs.errors import InputError
+from morembs.jobs.picture import save
 from morembs.jobs.run import JobResult
-from morembs.picture import save
 
 # What is drawn: label, attribute, marker.
 ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from morembs.body.build import Delivery
 from morembs.budget import UNLIMITED, Budget
-from morembs.damping import Damping
-from morembs.delivery import Delivery
+from morembs.diagnostics.warnings import examined, examined_mesh
 from morembs.errors import InputError, nearest
-from morembs.examination.warnings import examined, examined_mesh
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
@@ -25,9 +24,10 @@ from morembs.jobs.inputs import (
 )
 from morembs.jobs.job import Job
 from morembs.model import FEModel
+from morembs.model.selection import select_nodes
+from morembs.problem.damping import Damping
 from morembs.reducers import Balanced, Gramian, Irka, Krylov, Reducer, StaticModesSwitching
 from morembs.responses.damped_reference import DENSE
-from morembs.selection import select_nodes
 
 # Interface motions beyond which methods that follow all responses take minutes.
 MANY_MOTIONS = 60

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, make_part
+from morembs.body.build import Delivery, deliver
+from morembs.body.file import write_body
 from morembs.budget import Budget
-from morembs.delivery import Delivery, deliver
+from morembs.certificate.certify import Certificate, certify
+from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
-from morembs.examination.warnings import delivered_warnings
-from morembs.fem import assemble
+from morembs.floating.preload import preloaded
 from morembs.importers import read_mesh
+from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
     MOST_MOTIONS,
@@ -31,21 +34,18 @@ from morembs.jobs.inputs import (
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.jobs.picture import draw
 from morembs.jobs.preflight import model_warnings, preflight
-from morembs.linalg.solver import FactorStats, LinearSolver
-from morembs.linalg.threads import limit_threads
-from morembs.material import Material
+from morembs.linalg.sparse.solver import FactorStats, LinearSolver
+from morembs.linalg.sparse.threads import limit_threads
 from morembs.model import FEModel, Mesh
-from morembs.picture import draw
-from morembs.preload import preloaded
+from morembs.model.assembly import assemble
+from morembs.model.material import Material
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Automatic, StaticModesSwitching
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies
-from morembs.responses.certify import Certificate, certify
-from morembs.storage.body_file import write_body
-from morembs.storage.model_file import read_model
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.

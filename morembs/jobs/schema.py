@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from morembs.damping import Damping, modal_steps
-from morembs.preload import Preload
+from morembs.floating.preload import Preload
+from morembs.problem.damping import Damping, modal_steps
 from morembs.reducers import REDUCERS
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -1,5 +1,5 @@
 """Matrices only: sparse factorisations, eigenvalues, statics. Knows nothing of finite elements."""
 
-from morembs.linalg.threads import quiet_idle_threads
+from morembs.linalg.sparse.threads import quiet_idle_threads
 
 quiet_idle_threads()

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.linalg.solver import Analysis, Factorization, LinearSolver
-from morembs.linalg.symmetric import Lower
+from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
 
 Values = NDArray[Any]
 Ints = NDArray[Any]

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
-from morembs.linalg.select import select_solver
-from morembs.linalg.solver import Forecast, LinearSolver
-from morembs.linalg.symmetric import Lower
+from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.solver import Forecast, LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from morembs.multibody.component import Place
 from morembs.multibody.rotations import cross, hat
-from morembs.switching import Curve, Switching
+from morembs.reducers.switching_tables import Curve, Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

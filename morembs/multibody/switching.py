@@ -22,7 +22,7 @@ from morembs.multibody.bodies import FlexibleBody
 from morembs.multibody.component import Component, FixedMarker, Marker, Place
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.path_place import PathPlace
-from morembs.switching import INTERPOLATIONS, ActiveSet, Switching, active_set
+from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, Switching, active_set
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

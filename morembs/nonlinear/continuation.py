@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.linalg.select import select_solver
-from morembs.linalg.solver import Analysis, Factorization, LinearSolver
+from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

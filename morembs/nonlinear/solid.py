@@ -51,7 +51,7 @@ class NonlinearSolid:
     Linear elements (hex8, tet4, wedge6) are too stiff in bending here as in linear analyses; take quadratic ones.
 
     Args:
-        model: from ``morembs.fem.assemble``.
+        model: from ``morembs.model.assembly.assemble``.
         interfaces: from ``morembs.interface.make_interface``, of any coupling.
 
     Raises:

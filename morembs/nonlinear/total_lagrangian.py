@@ -1,8 +1,8 @@
 """Solid elements at large displacements: St. Venant-Kirchhoff material in the total Lagrangian form.
 
 F = sum_k x_k dN_k', E = (F'F - 1)/2, S = C : E, W = int S : E / 2 dV over the undeformed volume (Zienkiewicz and
-Taylor 2000, vol. 2, ch. 10). Elements, quadrature and materials are those of morembs.fem, so that the tangent without
-load is its stiffness matrix. Good for large rotations at moderate strains: the material softens under strong
+Taylor 2000, vol. 2, ch. 10). Elements, quadrature and materials are those of ``model.assembly``, so that the tangent
+without load is its stiffness matrix. Good for large rotations at moderate strains: the material softens under strong
 compression, and an element may turn inside out, which ``refuse_inverted`` says.
 """
 
@@ -17,12 +17,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
-from morembs.elements import TYPES
 from morembs.errors import InputError, SolverError
-from morembs.fem import chunks, geometry, material_of_elements, node_graph, stiffness_pattern
-from morembs.floating.geometric_stiffness import element_stiffness
-from morembs.material import VOIGT
 from morembs.model import FEModel
+from morembs.model.assembly import chunks, geometry, material_of_elements, node_graph, stiffness_pattern
+from morembs.model.elements import TYPES
+from morembs.model.geometric_stiffness import element_stiffness
+from morembs.model.material import VOIGT
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -59,7 +59,7 @@ class SaintVenantKirchhoff:
         if model.mesh is None or not model.materials or not model.dofs.is_solid:
             raise InputError(
                 "the model has no mesh of solid elements with materials, or more than the displacements of its nodes; "
-                "expected what morembs.fem.assemble gives. Large displacements need the elements themselves"
+                "expected what morembs.model.assembly.assemble gives. Large displacements need the elements themselves"
             )
         self.mesh, self.budget, self.X = model.mesh, budget, model.nodes.xyz
         self._owner = material_of_elements(self.mesh, model.materials)

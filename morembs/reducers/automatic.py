@@ -21,9 +21,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.damping import Damping
 from morembs.errors import InputError, SolverError
 from morembs.problem import Problem
+from morembs.problem.damping import Damping
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces

@@ -22,7 +22,7 @@ from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.congruence import max_norm
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.orthogonal import beside, combine, remove
-from morembs.linalg.select import select_solver
+from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected

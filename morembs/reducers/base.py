@@ -13,11 +13,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
-from morembs.damping import STRUCTURAL
 from morembs.errors import InputError
 from morembs.linalg.eigen import signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
+from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]

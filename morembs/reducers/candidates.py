@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from morembs.errors import InputError
 from morembs.interface import Interface
 from morembs.model import DofMap, FEModel
+from morembs.model.selection import select_nodes
+from morembs.model.stress_operator import StressOperator, stress_operator
+from morembs.model.surface import outer_faces
 from morembs.problem import Problem
-from morembs.selection import select_nodes
-from morembs.stress.operator import StressOperator, stress_operator
-from morembs.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

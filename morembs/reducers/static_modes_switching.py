@@ -1,7 +1,7 @@
 """Static modes switching (Heirman, Tamarozzi and Desmet 2011): a constant basis, and static modes for many loads.
 
 The reduced model is that of the constant basis, which any other reducer makes. The static modes of the candidates,
-psi_i = (G - V K_r^-1 V') b_i, go to tables (``morembs.switching``). G is the flexibility of the free body (mean axes),
+psi_i = (G - V K_r^-1 V') b_i, go to tables (``switching_tables``). G is the flexibility of the free body (mean axes),
 or of the body held at its interfaces where the basis has constraint modes. psi_i is K-orthogonal to V. It is
 M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its size noted.
 """
@@ -22,6 +22,7 @@ from morembs.errors import InputError, nearest
 from morembs.interface import Interface
 from morembs.linalg.orthogonal import dot, subtract
 from morembs.model import FEModel
+from morembs.model.stress_operator import StressOperator
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import Basis, ReducedModel, Reducer
@@ -31,8 +32,7 @@ from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
-from morembs.stress.operator import StressOperator
-from morembs.switching import KINDS, Switching
+from morembs.reducers.switching_tables import KINDS, Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SingularMatrixError
-from morembs.linalg.solver import Factorization
+from morembs.linalg.sparse.solver import Factorization
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress

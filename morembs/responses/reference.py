@@ -22,11 +22,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.damping import Damping
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
+from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.damped_reference import DampedSpace
 

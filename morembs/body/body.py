@@ -1,0 +1,155 @@
+"""Reduced model -> elastic body: what a multibody simulator or a person needs of it. SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.body.stress_shapes import Recovery
+from morembs.certificate.certify import Certificate
+from morembs.errors import InputError
+from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.floating.ranking import RankedTerm
+from morembs.interface import Interface
+from morembs.model import FEModel, Nodes
+from morembs.model.elements import FACES, TYPES
+from morembs.model.surface import outer_faces
+from morembs.problem import Problem
+from morembs.reducers.base import ReducedModel
+from morembs.reducers.switching_tables import Switching
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+NODE_CHOICES = ("all", "skin", "interfaces")
+VTK_VERTEX = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """Cells of one VTK type: ``connectivity`` (nc, k) rows of the selected nodes."""
+
+    vtk: int
+    connectivity: Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """What all reductions of one model share.
+
+    ``mass`` kg; ``center_of_mass`` (3,) m; ``inertia`` (3, 3) kg m2 about the centre of mass along the
+    model's axes. ``nodes`` are the chosen nodes, ``cells`` the mesh between them, ``transformation``
+    (3 n, Nc) gives their displacements (x, y, z of the first node, of the second, ...) from the coupled
+    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes.
+    """
+
+    mass: float
+    center_of_mass: Floats
+    inertia: Floats
+    nodes: Nodes
+    cells: tuple[Cells, ...]
+    transformation: sp.csr_array
+    interfaces: tuple[Interface, ...]
+    columns: Mapping[str, slice]
+    node_ids: Ints
+    source: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElasticBody:
+    """One reduced model as a body.
+
+    ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
+    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
+    ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
+    rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
+    ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads.
+    """
+
+    part: Part
+    reduced: ReducedModel
+    frequencies_hz: Floats
+    full_frequencies_hz: Floats | None = None
+    certificate: Certificate | None = None
+    floating: FloatingFrame | None = None
+    ranking: tuple[RankedTerm, ...] = ()
+    recovery: Recovery | None = None
+    switching: Switching | None = None
+    recipe: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the reduction."""
+        return self.reduced.name
+
+    def basis(self, columns: slice = slice(None)) -> Floats:
+        """Displacements (3 n, k) of the chosen nodes for some coordinates; allocates only these."""
+        return np.asarray(self.part.transformation @ self.reduced.V[:, columns])
+
+
+def make_part(problem: Problem, nodes: str = "all") -> Part:
+    """What all bodies of ``problem`` share, displacements kept at ``nodes``: all, skin or interfaces.
+
+    Raises:
+        InputError: unknown choice, or skin of a model without elements.
+    """
+    model = problem.model
+    rows, cells = _chosen(model, problem.interfaces, nodes)
+    dofs = model.dofs.of_nodes(rows).ravel()
+    held = sp.csr_array(problem.coupling.T)
+    picked = held[np.maximum(dofs, 0)]
+    if (dofs < 0).any():
+        # A node without some displacement (a matrix model) stays still along it.
+        picked = sp.csr_array(sp.diags_array((dofs >= 0).astype(float)) @ picked)
+    mass, center, inertia = problem.mass_properties
+    chosen = Nodes(ids=model.nodes.ids[rows], xyz=model.nodes.xyz[rows])
+    return Part(
+        mass=mass, center_of_mass=center, inertia=inertia, nodes=chosen, cells=cells, transformation=picked,
+        interfaces=problem.interfaces, columns=problem.coupling.columns, node_ids=model.nodes.ids,
+        source=model.source,
+    )  # fmt: skip
+
+
+def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[Cells, ...]]:
+    """Rows of the chosen nodes and the cells between them, renumbered."""
+    if nodes not in NODE_CHOICES:
+        raise InputError(f"nodes = {nodes!r} was given; expected one of {', '.join(NODE_CHOICES)}")
+    touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))
+    if nodes == "interfaces" or model.mesh is None:
+        if nodes == "skin":
+            raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')
+        rows = touched if nodes == "interfaces" else np.arange(len(model.nodes))
+        points = Cells(vtk=VTK_VERTEX, connectivity=np.arange(len(rows))[:, None])
+        return rows, (points,) if len(rows) else ()
+    if nodes == "skin":
+        faces = {kind: f for kind, f in outer_faces(model.mesh).items() if len(f)}
+        rows = np.unique(np.concatenate([touched, *(f.ravel() for f in faces.values())]))
+        typed = [(FACES[kind].vtk, f) for kind, f in faces.items()]
+    else:
+        rows = np.arange(len(model.nodes))
+        typed = [(TYPES[block.type].vtk, block.nodes) for block in model.mesh.blocks]
+    local = np.full(len(model.nodes), -1, dtype=np.int64)
+    local[rows] = np.arange(len(rows))
+    return rows, tuple(Cells(vtk=vtk, connectivity=local[c]) for vtk, c in typed)
+
+
+def elastic_body(
+    problem: Problem, reduced: ReducedModel, part: Part, certificate: Certificate | None = None,
+    floating: FloatingFrame | None = None,
+) -> ElasticBody:  # fmt: skip
+    """Body of a reduced model: its frequencies and what it shares with others of the same part.
+
+    ``floating`` by default has mean axes.
+    """
+    if floating is None and not why_not_floating(reduced):
+        floating = floating_frame(problem, reduced)
+    eigenvalues, _ = reduced.modes()
+    omega = np.sqrt(np.maximum(eigenvalues, 0.0))
+    omega[: reduced.rigid_count] = 0.0
+    return ElasticBody(
+        part=part, reduced=reduced, frequencies_hz=omega / (2 * np.pi), certificate=certificate,
+        floating=floating, full_frequencies_hz=problem.known_frequencies_hz(), recipe=reduced.recipe,
+    )  # fmt: skip

@@ -1,0 +1,92 @@
+"""What a body carries beyond its reduced matrices: frame, stiffening, ranking of its terms, stress."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from morembs.body.body import ElasticBody, Part, elastic_body
+from morembs.body.stress_shapes import stress_recovery
+from morembs.certificate.certify import Certificate
+from morembs.errors import InputError
+from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.floating.ranking import ranked_terms
+from morembs.floating.stiffening import Envelope
+from morembs.floating.stiffening_terms import geometric_stiffening
+from morembs.model.selection import select_nodes
+from morembs.model.stress_operator import StressOperator, stress_operator
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.reducers.base import ReducedModel
+from morembs.reducers.switching_tables import Switching
+
+
+@dataclass(frozen=True, kw_only=True)
+class StressOptions:
+    """``nodes``: "skin", "all" or a selection; ``single`` precision; mode-acceleration ``correction``."""
+
+    nodes: str = "skin"
+    single: bool = True
+    correction: bool = True
+    length: float = 1.0
+
+    def operator(self, problem: Problem, progress: Progress) -> StressOperator:
+        """Stress at the chosen nodes; coordinates of a selection are in units of ``length`` m.
+
+        Raises:
+            InputError: a selection that cannot be read or has no nodes, or a model without elements.
+        """
+        model, whole = problem.model, self.nodes in ("skin", "all")
+        nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
+        return stress_operator(model, nodes, budget=problem.budget, progress=progress)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """What every body shall carry.
+
+    ``kind`` and ``interfaces`` of its floating frame, ``origin`` in m in the model (None: the centre of mass);
+    ``envelope`` of the loads in use, for the ranking of terms; ``stiffening`` and ``stress`` where they are wanted,
+    the former for the loads of its envelope.
+    """
+
+    kind: str = "mean-axes"
+    interfaces: tuple[str, ...] = ()
+    origin: Sequence[float] | None = (0.0, 0.0, 0.0)
+    envelope: Envelope | None = None
+    stiffening: Envelope | None = None
+    stress: StressOptions | None = field(default=None)
+
+
+def deliver(
+    problem: Problem, reduced: ReducedModel, part: Part, wanted: Delivery, *, certificate: Certificate | None = None,
+    operator: StressOperator | None = None, switching: Switching | None = None, progress: Progress = SILENT,
+) -> ElasticBody:  # fmt: skip
+    """The body of ``reduced`` with all that is ``wanted``; ``operator`` is that of the wanted stress,
+    ``switching`` what its reducer made of candidate loads.
+
+    Raises:
+        InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
+    """
+    reason = why_not_floating(reduced)
+    asked = wanted.kind != "mean-axes" or wanted.stiffening is not None or wanted.envelope is not None
+    if reason and asked:
+        raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
+    floating = None if reason else _frame(problem, reduced, wanted, progress)
+    return replace(
+        elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
+        switching=switching,
+        ranking=() if floating is None or wanted.envelope is None else ranked_terms(floating, wanted.envelope),
+        recovery=None if wanted.stress is None or operator is None else stress_recovery(
+            problem, reduced, single=wanted.stress.single, correction=wanted.stress.correction, operator=operator,
+            progress=progress,
+        ),
+    )  # fmt: skip
+
+
+def _frame(problem: Problem, reduced: ReducedModel, wanted: Delivery, progress: Progress) -> FloatingFrame:
+    origin = problem.mass_properties[1] if wanted.origin is None else wanted.origin
+    frame = floating_frame(problem, reduced, kind=wanted.kind, interfaces=wanted.interfaces, origin=tuple(origin))
+    if wanted.stiffening is None:
+        return frame
+    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, wanted.stiffening, progress))

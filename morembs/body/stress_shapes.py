@@ -1,0 +1,180 @@
+"""The part of a body that recovers stress from reduced coordinates.
+
+A reduced model leaves out the part of the static response that its basis misses. Mode acceleration (Williams 1945;
+Craig 1981, ch. 15) adds it for each interface load: S_res = stress of (G_e - V K_r^+ V') B, where G_e is the
+flexibility of the free body under inertia relief (or of the held one) and K_r^+ that of the reduced model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.certificate.residual import static_response
+from morembs.errors import InputError
+from morembs.model import frozen
+from morembs.model.stress_operator import StressOperator, stress_operator, stress_shapes
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.reducers.base import ReducedModel
+
+Floats = NDArray[np.float64]
+Reals = NDArray[np.float64] | NDArray[np.float32]
+Ints = NDArray[np.int64]
+# Columns of length N that one block of shapes costs, beside the gradients at the points.
+_COPIES = 6
+CHUNK_ROWS = 2**28
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recovery:
+    """Stress at points of a body from its reduced coordinates.
+
+    ``points`` (np,) labels of the nodes, ascending rows of the model; ``coordinates`` (np, 3) m; ``material`` (np,)
+    index of the material (a node where materials meet is one point for each). ``stress`` (6 np, nr) Pa per unit of
+    each reduced coordinate, ``correction`` (6 np, m) Pa per unit of each interface load, or None; single or double
+    precision. ``deformation`` (nr, nr) takes the rigid motion out of reduced coordinates, so that none of it is left
+    to cancel in single precision.
+    """
+
+    points: Ints
+    coordinates: Floats
+    material: Ints
+    deformation: Floats
+    stress: Reals
+    correction: Reals | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("points", "coordinates", "material", "deformation", "stress", "correction"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @cached_property
+    def seams(self) -> bool:
+        """Whether some node is more than one point."""
+        return len(np.unique(self.points)) < len(self.points)
+
+    def at(self, coordinates: Floats, loads: Floats | None = None) -> Floats:
+        """Stresses (nt, np, 6) in Pa of reduced coordinates (nt, nr) and interface loads (nt, m) in N and Nm."""
+        q = np.asarray(coordinates, dtype=np.float64) @ self.deformation.T
+        found = self.stress @ q.T.astype(self.stress.dtype)
+        if loads is not None and self.correction is not None:
+            found += self.correction @ np.asarray(loads).T.astype(self.correction.dtype)
+        return np.asarray(np.moveaxis(found.reshape(len(self.points), 6, -1), -1, 0), dtype=np.float64)
+
+
+def stress_recovery(
+    problem: Problem, reduced: ReducedModel, *, nodes: str | Ints = "skin", single: bool = True,
+    correction: bool = True, operator: StressOperator | None = None, progress: Progress = SILENT,
+) -> Recovery:  # fmt: skip
+    """Stress recovery of ``reduced`` at ``nodes`` ("skin", "all" or rows), in ``single`` or double precision.
+
+    ``operator`` saves making that of ``nodes`` again for the next reduction. Peak memory: the operator, the result
+    (6 np, nr + m) where the budget wants it, and some columns; the correction takes m static solves, shared.
+
+    Raises:
+        InputError: as ``stress_operator``.
+    """
+    model, budget = problem.model, problem.budget
+    if operator is None:
+        operator = stress_operator(model, nodes, budget=budget, progress=progress)
+    size, dtype = 6 * len(operator.nodes), np.float32 if single else np.float64
+    stress = budget.empty((size, reduced.order), dtype, order="F")
+    stress_shapes(problem, reduced.V, operator, out=stress)
+    stress[:, np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)] = 0.0
+    progress.update(f"{reduced.name}: stress of {reduced.order} coordinates at {len(operator.nodes)} points")
+    corrected = None
+    loads = problem.B.shape[1]
+    if correction and loads:
+        static, q = static_response(problem), static_coordinates(reduced)
+        corrected = budget.empty((size, loads), dtype, order="F")
+        width = budget.columns(len(static), copies=_COPIES)
+        for at in range(0, loads, width):
+            some = slice(at, at + width)
+            missing = static[:, some] - reduced.V @ q[:, some]
+            stress_shapes(problem, missing, operator, out=corrected[:, some])
+            budget.relax()
+    return Recovery(
+        points=model.nodes.ids[operator.nodes], coordinates=model.nodes.xyz[operator.nodes],
+        material=operator.material, deformation=_deformation(problem, reduced), stress=stress, correction=corrected,
+    )  # fmt: skip
+
+
+def static_coordinates(reduced: ReducedModel) -> Floats:
+    """K_r^+ B (nr, m): elastic coordinates under unit interface loads, free of rigid motion (inertia relief)."""
+    r = reduced.rigid_count
+    if not reduced.symmetric:
+        found = np.zeros_like(reduced.B)
+        found[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
+        return found
+    values, Y = reduced.modes()
+    return np.asarray((Y[:, r:] / values[r:]) @ (Y[:, r:].T @ reduced.B))
+
+
+def _deformation(problem: Problem, reduced: ReducedModel) -> Floats:
+    """I - Z (Z'M Z)^-1 Z'M (nr, nr) with the rigid coordinates Z."""
+    r = reduced.rigid_count
+    if not r:
+        return np.eye(reduced.order)
+    if reduced.mode_kind[:r] == ("rigid",) * r:
+        return np.diag(np.concatenate([np.zeros(r), np.ones(reduced.order - r)]))
+    # Coordinates of the known rigid motions: eigenvectors of the zeros would carry the round-off of K.
+    Z = np.linalg.solve(reduced.M, reduced.V.T @ (problem.M @ problem.rigid))
+    ZM = Z.T @ reduced.M
+    return np.asarray(np.eye(reduced.order) - Z @ np.linalg.solve(ZM @ Z, ZM))
+
+
+_PARTS = {
+    "points": ("labels of the nodes; a node where materials meet comes once for each", ""),
+    "coordinates": ("positions of the points", "m"),
+    "material": ("index of the material of each point", ""),
+    "deformation": ("takes the rigid motion out of reduced coordinates, before stress is applied", ""),
+    "stress": ("row 6 i + c: component c (xx, yy, zz, xy, yz, zx) of point i per unit of each coordinate", "Pa"),
+    "correction": ("mode acceleration: what stress lacks, per unit of each interface load; rows as stress", "Pa"),
+}
+
+
+def write_recovery(group: Any, its: Recovery, check: Callable[[], None] = lambda: None) -> None:
+    """Datasets of ``its`` in the HDF5 ``group``; ``check`` is called after each and raises what went wrong."""
+    for name, (about, units) in _PARTS.items():
+        value = getattr(its, name)
+        if value is None:
+            continue
+        if name in ("stress", "correction") and value.size:
+            data = group.create_dataset(name, value.shape, value.dtype, chunks=(min(len(value), CHUNK_ROWS), 1))
+            for column in range(value.shape[1]):
+                data[:, column] = value[:, column]
+                check()
+        else:
+            data = group.create_dataset(name, data=value)
+        for key, words in (("description", about), ("units", units)):
+            if words:
+                data.attrs[key] = np.bytes_(words)
+        check()
+
+
+def read_recovery(group: Any) -> Recovery:
+    """What ``write_recovery`` wrote, whole in memory.
+
+    Raises:
+        InputError: a dataset is missing.
+    """
+    missing = [name for name in _PARTS if name != "correction" and not hasattr(group.get(name), "shape")]
+    if missing:
+        raise InputError(f"the stress recovery lacks {', '.join(missing)}; write the body file again")
+    return Recovery(**{name: _columns(group[name]) for name in _PARTS if name in group})
+
+
+def _columns(data: Any) -> Any:
+    """The whole dataset; a matrix in pieces of columns comes column by column, as it lies on the disk."""
+    if data.chunks is None or data.ndim != 2:
+        return data[()]
+    found = np.empty(data.shape, data.dtype, order="F")
+    for column in range(data.shape[1]):
+        found[:, column] = data[:, column]
+    return found

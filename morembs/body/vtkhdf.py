@@ -1,0 +1,93 @@
+"""The /VTKHDF group: mesh and eigenmode shapes as ParaView reads them (VTKHDF 1.0, unstructured grid)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.reducers.base import ReducedModel
+
+if TYPE_CHECKING:
+    from morembs.body.body import Cells
+
+Floats = NDArray[np.float64]
+# ParaView 5.11 refuses any other number; 1.0 has all that a static grid needs.
+VERSION = (1, 0)
+SHOWN_MODES = 20
+# Rows of a basis that are in memory at a time.
+BLOCK_BYTES = 8 * 2**20
+
+
+def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:
+    """Fill the HDF5 ``group`` with the mesh; ``points`` (n, 3) is a dataset of the same file, hard-linked."""
+    group.attrs["Version"] = np.array(VERSION, dtype=np.int64)
+    group.attrs["Type"] = np.bytes_("UnstructuredGrid")
+    group["Points"] = points
+    n_cells = sum(len(c.connectivity) for c in cells)
+    n_links = sum(c.connectivity.size for c in cells)
+    counts = {"Points": len(points), "Cells": n_cells, "ConnectivityIds": n_links}
+    for name, count in counts.items():
+        group.create_dataset(f"NumberOf{name}", data=np.array([count], dtype=np.int64))
+    connectivity = group.create_dataset("Connectivity", (n_links,), np.int64)
+    offsets = group.create_dataset("Offsets", (n_cells + 1,), np.int64)
+    types = group.create_dataset("Types", (n_cells,), np.uint8)
+    offsets[0] = cell = link = 0
+    for block in cells:
+        count, size = block.connectivity.shape
+        if not count:
+            continue
+        connectivity[link : link + count * size] = block.connectivity.ravel()
+        offsets[cell + 1 : cell + count + 1] = link + size * np.arange(1, count + 1)
+        types[cell : cell + count] = block.vtk
+        cell, link = cell + count, link + count * size
+    group.create_group("PointData")
+    group.create_group("FieldData")
+
+
+def shown_modes(reduced: ReducedModel) -> Floats:
+    """First elastic eigenvectors (n, k) of the reduced pencil, k <= 20, mass-normalised.
+
+    The sign is that of the largest coordinate, which is made positive (the first one of equals).
+    """
+    _, vectors = reduced.modes()
+    X: Floats = vectors[:, reduced.rigid_count : reduced.rigid_count + SHOWN_MODES]
+    if not X.size:
+        return X
+    size = np.abs(X)
+    first = np.argmax(size > (1 - 1e-6) * size.max(axis=0), axis=0)
+    return np.asarray(X * np.sign(X[first, np.arange(X.shape[1])]))
+
+
+def write_modes(
+    group: Any, name: str, basis: Any, modes: Floats, frequencies_hz: Floats, check: Callable[[], None]
+) -> None:
+    """Shapes ``basis @ modes`` as PointData NAME_mode_001, ... (n_nodes, 3), single precision.
+
+    Args:
+        group: the HDF5 group /VTKHDF.
+        basis: HDF5 dataset (3 n_nodes, n) of the body ``name``; read in blocks of rows.
+        modes: (n, k) of ``shown_modes``.
+        frequencies_hz: (k,), stored as the field NAME_frequencies_hz.
+        check: called after each block; raises what went wrong with the file.
+    """
+    count = modes.shape[1]
+    n_nodes = basis.shape[0] // 3
+    shapes = [
+        group.create_dataset(f"PointData/{name}_mode_{number:03d}", (n_nodes, 3), np.float32)
+        for number in range(1, count + 1)
+    ]
+    if count:
+        group.create_dataset(f"FieldData/{name}_frequencies_hz", data=frequencies_hz)
+    step = max(1, BLOCK_BYTES // (24 * max(1, len(modes))))
+    for start in range(0, n_nodes if count else 0, step):
+        stop = min(start + step, n_nodes)
+        # Column by column, as the columns are the pieces on the disk.
+        block = np.empty((len(modes), 3 * (stop - start)))
+        for column, row in enumerate(block):
+            row[:] = basis[3 * start : 3 * stop, column]
+        for shape, values in zip(shapes, modes.T @ block, strict=True):
+            shape[start:stop] = values.reshape(-1, 3)
+        check()

@@ -1,0 +1,143 @@
+"""VTKHDF time series of a body on its mesh (version 2.0, for ParaView 5.12 or VTK 9.3 and later).
+
+The mesh is stored once; each point field is one dataset with the steps behind each other, one chunk for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body.stress_shapes import Recovery, read_recovery
+from morembs.errors import InputError
+from morembs.progress import SILENT, Progress
+from morembs.storage.safefile import replacing
+
+Floats = NDArray[np.float64]
+# Temporal data came with 2.0.
+VERSION = (2, 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grid:
+    """Mesh as VTK keeps it: ``points`` (n, 3) m, ``connectivity``, ``offsets`` (nc + 1,), ``types`` (nc,)."""
+
+    points: Floats
+    connectivity: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    types: NDArray[np.uint8]
+
+
+def read_grid(path: Path) -> Grid:
+    """Mesh of the body file ``path``.
+
+    Raises:
+        InputError: the file is damaged or has no mesh.
+    """
+    with _reading(path) as file:
+        group = file["VTKHDF"]
+        grid = Grid(
+            points=group["Points"][()], connectivity=group["Connectivity"][()], offsets=group["Offsets"][()],
+            types=group["Types"][()],
+        )  # fmt: skip
+    if not len(grid.points):
+        raise InputError(f"{path} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
+    return grid
+
+
+def stored_recovery(path: Path, body: str) -> Recovery | None:
+    """Stress recovery of the body named ``body`` in a body file; None if it has none.
+
+    Raises:
+        InputError: the file is damaged or the recovery incomplete.
+    """
+    with _reading(path) as file:
+        group = file.get(f"bodies/{body}/recovery")
+        return None if group is None else read_recovery(group)
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """All datasets at the root of an HDF5 file, by name.
+
+    Raises:
+        InputError: not a readable HDF5 file.
+    """
+    with _reading(path) as file:
+        return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Any]:
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{path} cannot be read as HDF5 ({error}); if it is damaged, write it again") from error
+
+
+def write_series(
+    path: str | Path, grid: Grid, times: Floats, fields: Mapping[str, int], steps: Iterable[Mapping[str, Any]],
+    progress: Progress = SILENT,
+) -> Path:  # fmt: skip
+    """Write the point ``fields`` (name -> number of components) at ``times`` (nt,) in s, in single precision.
+
+    ``steps`` gives for each time the values (n, components) of each field, and is asked for one after the other;
+    an interrupted or failed run leaves the old file or none.
+
+    Raises:
+        OutputError: the file cannot be written (folder missing or read-only, disk full).
+    """
+    target, n, nt = Path(path), len(grid.points), len(times)
+    with replacing(target) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
+        safe.doing = "the mesh"
+        group = file.create_group("VTKHDF")
+        _write_grid(group, grid)
+        _write_steps(group, times, fields, n)
+        data = {}
+        for name, width in fields.items():
+            shape, chunk = ((nt * n,), (n,)) if width == 1 else ((nt * n, width), (n, width))
+            data[name] = group.create_dataset(f"PointData/{name}", shape, np.float32, chunks=chunk)
+        safe.check()
+        for number, step in enumerate(steps):
+            safe.doing = f"step {number + 1} of {nt}"
+            for name, values in step.items():
+                one = np.asarray(values, dtype=np.float32)
+                data[name][number * n : (number + 1) * n] = one.reshape(data[name].chunks)
+                safe.check()
+            progress.update(f"{number + 1} of {nt} steps written")
+    return target
+
+
+def _write_grid(group: Any, grid: Grid) -> None:
+    group.attrs["Version"] = np.array(VERSION, dtype=np.int64)
+    group.attrs["Type"] = np.bytes_("UnstructuredGrid")
+    counts = {"Points": len(grid.points), "Cells": len(grid.types), "ConnectivityIds": len(grid.connectivity)}
+    for name, count in counts.items():
+        group.create_dataset(f"NumberOf{name}", data=np.array([count], dtype=np.int64))
+    for name in ("points", "connectivity", "offsets", "types"):
+        group.create_dataset(name.capitalize(), data=getattr(grid, name))
+
+
+def _write_steps(group: Any, times: Floats, fields: Mapping[str, int], n: int) -> None:
+    """Where each step begins: always at the same mesh, and at its own rows of each field."""
+    nt = len(times)
+    steps = group.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(nt)
+    steps.create_dataset("Values", data=np.asarray(times, dtype=np.float64))
+    zero = np.zeros(nt, dtype=np.int64)
+    steps.create_dataset("NumberOfParts", data=zero + 1)
+    for name in ("PartOffsets", "PointOffsets"):
+        steps.create_dataset(name, data=zero)
+    for name in ("CellOffsets", "ConnectivityIdOffsets"):
+        steps.create_dataset(name, data=zero[:, None])
+    for name in fields:
+        steps.create_dataset(f"PointDataOffsets/{name}", data=n * np.arange(nt, dtype=np.int64))

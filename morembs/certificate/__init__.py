@@ -1,0 +1,1 @@
+"""How wrong a reduced model is: responses, residuals, certificates."""

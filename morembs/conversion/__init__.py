@@ -1,1 +1,0 @@
-"""What an importer returns becomes a model."""

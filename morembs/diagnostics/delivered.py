@@ -1,0 +1,122 @@
+"""What a delivery check looks at, from a body in memory or in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body import ElasticBody, Part
+from morembs.body.stored import StoredBodies, StoredBody
+from morembs.diagnostics.findings import MOTIONS
+from morembs.errors import InputError
+from morembs.model import rigid_motion
+from morembs.reducers.base import ReducedModel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Delivered:
+    """What is checked: M, K, D (n, n); interface motions C q (m, n) with their rigid motion ``frame`` (m, 6) about the
+    origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says of its mass."""
+
+    M: Floats
+    K: Floats
+    D: Floats
+    B: Floats
+    C: Floats
+    frame: Floats | None
+    motions: tuple[str, ...]
+    rigid: Floats | None
+    rigid_count: int
+    symmetric: bool
+    hz: Floats
+    full_hz: Floats | None
+    mass: float
+    center: Floats
+    inertia: Floats
+
+
+def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None) -> Delivered:
+    """What is checked of ``body``.
+
+    Raises:
+        InputError: a stored body without its file, or a reduced model without its part.
+    """
+    if isinstance(body, ReducedModel):
+        if not isinstance(part, Part):
+            raise InputError(
+                "a reduced model was given without its part; expected check_delivery(reduced, make_part(...))"
+            )
+        omega = np.sqrt(np.maximum(body.modes()[0], 0.0))
+        omega[: body.rigid_count] = 0.0
+        return _of_body(ElasticBody(part=part, reduced=body, frequencies_hz=omega / (2 * np.pi)), part)
+    if isinstance(body, ElasticBody):
+        return _of_body(body, body.part)
+    if not isinstance(part, StoredBodies):
+        raise InputError("a stored body was given without its file; expected check_delivery(body, bodies of the file)")
+    return _of_stored(body, part)
+
+
+def _of_body(body: ElasticBody, part: Part) -> Delivered:
+    r = body.reduced
+    frame = np.full((r.B.shape[1], 6), np.nan)
+    names = [""] * r.B.shape[1]
+    place = {int(label): row for row, label in enumerate(part.nodes.ids.tolist())}
+    for interface in part.interfaces:
+        columns = np.arange(r.B.shape[1])[part.columns[interface.name]]
+        if interface.coupling == "direct":
+            labels = np.repeat(part.node_ids[interface.nodes], len(interface.components))
+            motions = np.tile(interface.components, len(interface.nodes))
+            points = _points(labels, place, part.nodes.xyz)
+        else:
+            motions = np.array(interface.components)
+            points = np.tile(interface.point, (len(motions), 1))
+        frame[columns] = rigid_motion(points, motions)
+        for column, motion in zip(columns.tolist(), motions.tolist(), strict=True):
+            names[column] = f"{interface.name} {MOTIONS[motion]}"
+    return Delivered(
+        M=r.M, K=r.K, D=r.D, B=r.B, C=r.C, frame=None if np.isnan(frame).any() else frame, motions=tuple(names),
+        rigid=_about_model(body.floating), rigid_count=r.rigid_count, symmetric=r.symmetric,
+        hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
+        mass=part.mass, center=part.center_of_mass, inertia=part.inertia,
+    )  # fmt: skip
+
+
+def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
+    place = {int(label): row for row, label in enumerate(file.node_ids.tolist())}
+    kept = list(file.interfaces.items())
+    points, names = [], []
+    for which, motion, label in zip(
+        file.input_interface.tolist(), file.input_component.tolist(), file.input_node_id.tolist(), strict=True
+    ):
+        name, interface = kept[which]
+        at = interface.point if label < 0 else _points(np.array([label]), place, file.coordinates)[0]
+        points.append(at)
+        names.append(f"{name} {MOTIONS[motion]}")
+    frame = rigid_motion(np.array(points).reshape(-1, 3), file.input_component)
+    M, K, B, C = body.mass_matrix, body.stiffness_matrix, body.input_matrix, body.output_matrix
+    return Delivered(
+        M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,
+        motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
+        symmetric=bool(np.array_equal(B.T, C)), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
+        mass=file.mass, center=file.center_of_mass, inertia=file.inertia,
+    )  # fmt: skip
+
+
+def _points(labels: Ints, place: Mapping[int, int], xyz: Floats) -> Floats:
+    """Positions (k, 3) of nodes by label, not a number where a node was not kept."""
+    rows = np.array([place.get(label, -1) for label in labels.tolist()], dtype=np.int64)
+    result = np.full((len(rows), 3), np.nan)
+    result[rows >= 0] = xyz[rows[rows >= 0]]
+    return result
+
+
+def _about_model(floating: Any) -> Floats | None:
+    """Rigid-body coordinates (n, 6) about the origin of the model."""
+    return None if floating is None else np.asarray(floating.about((0.0, 0.0, 0.0)).rigid)

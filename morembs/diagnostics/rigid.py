@@ -1,0 +1,292 @@
+"""Does the stiffness fit the geometry? K times rigid motion is zero for a free body whose dofs are mapped rightly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.diagnostics.findings import Finding, Names, listed
+from morembs.diagnostics.matrices import pieces, sizes
+from morembs.model import DofMap, Nodes, rigid_motion
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+# Force under rigid motion, against the sum of magnitudes that cancel in it: above the first the motion strains the
+# body, between both the numbers are rounded (or the ground is very soft).
+STRAINED, ROUNDED = 1e-6, 1e-9
+# Residuals up to this all over the model come from numbers that were printed with few digits.
+FEW_DIGITS = 1e-3
+# A residual so many times that of most dofs is not round-off: a very soft ground.
+OUTLIER = 100.0
+# Part of the dofs with a residual above which other orders of the dofs are tried, on so many rows.
+MANY, SAMPLE = 0.05, 3000
+# Largest dense system in the search for nodes with wrong coordinates.
+DENSE = 4_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Residual:
+    """``R`` (N, 6) rigid motion about ``center``, rotations per ``length``; ``force`` K R; ``ratio`` (N, 6) of the
+    force to what cancels in it."""
+
+    center: Floats
+    length: float
+    R: Floats
+    force: Floats
+    ratio: Floats
+
+    @property
+    def worst(self) -> Floats:
+        """(N,) the largest ratio of each dof."""
+        return np.asarray(self.ratio.max(axis=1))
+
+    @property
+    def bad(self) -> Bools:
+        """(N,) whether a dof carries force under rigid motion: clearly, or at least far more than most others do."""
+        worst = self.worst
+        usual = float(np.quantile(worst, 0.8)) if len(worst) else 0.0
+        return np.asarray(worst > min(STRAINED, max(ROUNDED, OUTLIER * usual)))
+
+
+def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
+    """Rigid motion (N, 6) about the middle of the nodes, rotations per length; that middle and that length."""
+    used = nodes.xyz[np.unique(dofs.node)]
+    center = 0.5 * (used.min(axis=0) + used.max(axis=0))
+    length = float(np.linalg.norm(np.ptp(used, axis=0))) / 2 or 1.0
+    R = rigid_motion(nodes.xyz[dofs.node] - center, dofs.component)
+    R[:, 3:] /= length
+    return R, center, length
+
+
+def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
+    """K R, each row against the largest of its six sums of magnitudes."""
+    R, center, length = motion(nodes, dofs)
+    force, size = K @ R, sizes(K, R).max(axis=1)
+    ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
+    return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
+
+
+def orders(nodes: Nodes, dofs: DofMap) -> Iterator[tuple[str, DofMap]]:
+    """The known orders of the same dofs, other than the given one, each once."""
+    node, component = dofs.node, dofs.component
+    label = nodes.ids[node]
+    by_node, by_component = np.lexsort((component, node)), np.lexsort((node, component))
+    candidates = {
+        "node by node (x, y, z of the first node, then of the next)": by_node,
+        "component by component (x of all nodes, then y, then z)": by_component,
+        "node by node in ascending order of the node labels": np.lexsort((component, label)),
+        "component by component, each in ascending order of the node labels": np.lexsort((label, component)),
+        "the reverse of the given one": np.arange(len(dofs))[::-1],
+        "node by node from the last node to the first": np.lexsort((component, -node)),
+        "component by component from the last dof to the first": by_component[::-1],
+        "node by node from the last dof to the first": by_node[::-1],
+    }
+    known = {np.arange(len(dofs)).tobytes()}
+    for words, order in candidates.items():
+        key = np.ascontiguousarray(order).tobytes()
+        if key not in known:
+            known.add(key)
+            yield words, DofMap(node=node[order], component=component[order])
+
+
+def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap, share: float) -> tuple[str, DofMap] | None:
+    """The known order in which far fewer dofs than ``share`` (a part of all) carry force under rigid motion."""
+    rows = np.sort(np.random.default_rng(8).permutation(K.shape[0])[:SAMPLE])
+    some = sp.csr_array(K[rows, :])
+    best: tuple[float, str, DofMap] | None = None
+    for words, other in orders(nodes, dofs):
+        R, _, _ = motion(nodes, other)
+        ratio = np.abs(some @ R).max(axis=1) / np.maximum(sizes(some, R).max(axis=1), np.finfo(float).tiny)
+        part = float((ratio > STRAINED).mean())
+        if part < 0.1 * share and (best is None or part < best[0]):
+            best = part, words, other
+    return None if best is None else best[1:]
+
+
+def rotation_factor(K: sp.csr_array, found: Residual, dofs: DofMap) -> float | None:
+    """The factor on the rotations of all nodes that makes K fit the geometry; None where none does."""
+    turning = dofs.component > 2
+    if not turning.any() or turning.all() or not found.bad.any():
+        return None
+    arms, turns = found.R[:, 3:].copy(), found.R[:, 3:].copy()
+    arms[turning], turns[~turning] = 0.0, 0.0
+    a, b = K @ arms, K @ turns
+    size = sizes(K, arms).max(axis=1) + sizes(K, turns).max(axis=1)
+    weight = np.divide(1.0, size, out=np.zeros(len(size)), where=size > 0)[:, None]
+    a, b = a * weight, b * weight
+    # The rows of rotations see a single factor, whatever their own units.
+    factor = -float((a[turning] * b[turning]).sum() / max(float((b[turning] ** 2).sum()), np.finfo(float).tiny))
+    factor = -float((a * b).sum() / max(float((b**2).sum()), np.finfo(float).tiny)) if factor <= 0 else factor
+    left = np.abs(a + factor * b).max(axis=1)
+    scale = np.abs(a).max(axis=1) + abs(factor) * np.abs(b).max(axis=1)
+    bad = left > 1e-4 * np.maximum(scale, 1e-6 * scale.max())
+    return factor if factor > 0 and abs(factor - 1) > 1e-4 and bad.sum() <= 0.1 * found.bad.sum() else None
+
+
+def rotation_finding(factor: float) -> Finding:
+    """What a factor on the rotations means."""
+    cure = f"multiply the rotations by {factor:.4g} (rows and columns of K and M), or give all lengths in one unit"
+    words = ""
+    if abs(factor * np.pi / 180 - 1) < 1e-2:
+        words, cure = ", as if they were in degrees", "give rotations in radians"
+    elif any(abs(factor / one - 1) < 1e-2 for one in (1e-3, 1e3, 1e-2, 1e2, 0.0254, 1 / 0.0254)):
+        words = ", as if coordinates and matrices were in two units of length"
+        cure = "give coordinates and matrices in the same units"
+    sentence = f"the rotations in K fit the geometry only when scaled by {factor:.4g}{words}"
+    return Finding(code="rotation-scale", severity="error", sentence=sentence, cure=cure)
+
+
+def doubled_diagonal(K: sp.csr_array, found: Residual) -> bool:
+    """Whether half the diagonal would fit the geometry: a triangle was added to its mirror image."""
+    force = found.force - 0.5 * K.diagonal()[:, None] * found.R
+    size = sizes(K, found.R).max(axis=1)
+    good = np.abs(force).max(axis=1) <= STRAINED * size
+    return bool(found.bad.mean() > 0.5 and good.mean() > 0.95)
+
+
+def rigid_findings(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> list[Finding]:
+    """Why K carries force under rigid motion, in an order of dofs that is right."""
+    bad, share = found.bad, float(found.bad.mean())
+    worst = float(found.worst.max(initial=0.0))
+    if worst <= ROUNDED:
+        return []
+    if not bad.any():
+        sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel: rounded numbers"
+        cure = "export with 15 digits if low frequencies matter"
+        return [Finding(code="few-digits", severity="note", sentence=sentence, cure=cure)]
+    if doubled_diagonal(K, found):
+        cure = "subtract the diagonal once where a triangle is added to its mirror image"
+        sentence = "the diagonal of the stiffness matrix K counts twice"
+        return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
+    if share > 0.5 and worst < FEW_DIGITS:
+        sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel, all over the model"
+        cure = "export it with more digits (15); or a preload is in it, which is no mistake"
+        return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
+    shifted = float(found.ratio[:, :3].max())
+    if shifted < 1e-3 * worst or shifted <= STRAINED < worst:
+        return [_misplaced(K, found, nodes, dofs, names)]
+    return [_grounded(K, found, nodes, dofs, names)]
+
+
+def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
+    rows = np.flatnonzero(found.bad)
+    labels, words = names.places(rows[np.argsort(-found.worst[rows], kind="stable")])
+    turned = local_systems(K, found, nodes, dofs)
+    if len(turned):
+        labels = names.node_labels(turned)
+        sentence = f"displacements of {listed(labels, len(labels), 'node')} are not along the axes of the model"
+        cure = "export without local coordinate systems, or turn these dofs"
+        return Finding(code="local-axes", severity="error", sentence=sentence, cure=cure, where=labels)
+    share = float(found.bad.mean())
+    hold = found.R[:, :3].T @ found.force[:, :3]
+    if share > 0.5:
+        sentence = (
+            f"the stiffness matrix K does not fit the geometry: {share:.0%} of the dofs carry force under rigid motion"
+        )
+        cure = (
+            "check that coordinates and dof map belong to these matrices, that displacements are along the axes of "
+            "the model (no local systems), and that the body is free"
+        )
+        return Finding(code="not-this-geometry", severity="error", sentence=sentence, cure=cure, where=labels)
+    stiff = ", ".join(f"{value:.3g}" for value in np.diag(hold))
+    free = free_motions(found)
+    sentence = (
+        f"the body is held to the ground: rigid motion gives force at {words}, {stiff} N/m against translations along "
+        f"x, y, z; {free} of 6 rigid-body motions are free"
+    )
+    missing = np.setdiff1d(np.arange(len(nodes)), dofs.node)
+    held = f" ({len(missing)} nodes have no dofs, such as {names.node_labels(missing)[0]})" if len(missing) else ""
+    cure = f"export without boundary conditions and springs to the ground{held}; check local systems at these nodes"
+    return Finding(code="grounded", severity="warning", sentence=sentence, cure=cure, where=labels)
+
+
+def free_motions(found: Residual) -> int:
+    """How many of the six rigid motions give no force, round-off and few digits aside."""
+    worst, bad = float(found.worst.max(initial=0.0)), found.bad
+    if not bad.any() or (bad.mean() > 0.5 and worst < FEW_DIGITS):
+        return 6
+    with np.errstate(over="ignore"):
+        size = np.divide(found.ratio, np.abs(found.force), out=np.zeros_like(found.ratio), where=found.force != 0)
+    s = np.linalg.svd(found.force * size.max(axis=1)[:, None], compute_uv=False)
+    return int((s < (STRAINED if worst > STRAINED else ROUNDED)).sum())
+
+
+def _misplaced(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
+    """Translations fit and rotations do not: some nodes are not where their coordinates say."""
+    culprits, places = misplaced_nodes(K, found, nodes, dofs)
+    if not len(culprits):
+        labels, words = names.places(np.flatnonzero(found.bad))
+        sentence = f"translations fit the stiffness matrix K but rotations do not: force at {words}"
+        cure = "check that the coordinates belong to these matrices; a preload would do the same"
+        return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
+    given, span = nodes.xyz[culprits], np.linalg.norm(places - nodes.xyz[culprits], axis=1)
+    distance = np.linalg.norm(places[:, None] - given[None], axis=2)
+    labels = names.node_labels(culprits)
+    some = ", ".join(labels[:5])
+    if len(culprits) > 1 and (distance.min(axis=1) < 1e-3 * span).all():
+        sentence = f"the dofs of {len(culprits)} nodes are swapped: nodes {some} stand in each other's places"
+        cure = "mend the map of their dofs (or their labels)"
+    else:
+        sentence = f"coordinates of {len(culprits)} nodes do not fit the stiffness matrix K: node {some}"
+        cure = f"by K node {labels[0]} is at ({', '.join(f'{x:.6g}' for x in places[0])}); mend coordinates or dof map"
+    return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
+
+
+def misplaced_nodes(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
+    """Rows of nodes whose coordinates do not fit K, and where K has them (k, 3); empty where that is not clear.
+
+    Only nodes whose neighbours all carry force can be wrong; their motion under rotation says where they are.
+    """
+    columns, change = _motion_from_stiffness(K, found, nodes, dofs)
+    moved = np.full((len(nodes), 3), np.nan)
+    at, component = dofs.node[columns], dofs.component[columns]
+    shift = change[:, 3:] * found.length
+    # Rotation about z moves y by x, about x moves z by y, about y moves x by z.
+    for axis, (moving, about) in enumerate(((1, 2), (2, 0), (0, 1))):
+        pick = component == moving
+        moved[at[pick], axis] = shift[pick, about]
+    moved = np.nan_to_num(moved)
+    culprits = np.flatnonzero(np.linalg.norm(moved, axis=1) > 1e-5 * found.length)
+    return culprits, nodes.xyz[culprits] + moved[culprits]
+
+
+def local_systems(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> Ints:
+    """Rows of nodes whose displacements K has along axes of their own; empty where that is not clear."""
+    columns, change = _motion_from_stiffness(K, found, nodes, dofs)
+    table = np.full((len(nodes), 3, 3), np.nan)
+    table[dofs.node[columns], dofs.component[columns]] = (found.R[columns] + change)[:, :3]
+    rows = np.flatnonzero(np.isfinite(table).all(axis=(1, 2)))
+    Q = table[rows]
+    if not len(rows) or np.abs(Q @ Q.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
+        return np.empty(0, dtype=np.int64)
+    return np.asarray(rows[np.abs(Q - np.eye(3)).max(axis=(1, 2)) > 1e-5])
+
+
+def _motion_from_stiffness(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
+    """Displacement dofs of suspects and the change (k, 6) of their rigid motion that makes K R vanish.
+
+    Suspects are nodes whose neighbours all carry force. Empty where there are none, too many, or no such change.
+    """
+    none = np.empty(0, dtype=np.int64), np.empty((0, 6))
+    touched = np.zeros(len(nodes), dtype=bool)
+    touched[dofs.node[found.bad]] = True
+    # By symmetry of the mesh some dofs of a node may stay free of force: nodes count.
+    bad, clear = touched[dofs.node], np.zeros(len(dofs), dtype=bool)
+    for _, _, row, column, value in pieces(K):
+        clear[column[~bad[row] & (value != 0)]] = True
+    suspects = np.setdiff1d(np.arange(len(nodes)), dofs.node[clear | (dofs.component > 2)])
+    columns = np.flatnonzero(np.isin(dofs.node, suspects))
+    rows = np.flatnonzero(bad)
+    if not len(columns) or len(rows) * len(columns) > DENSE:
+        return none
+    part = K[rows, :][:, columns].toarray()
+    change, *_ = np.linalg.lstsq(part, -found.force[rows], rcond=1e-12)
+    left = np.abs(found.force[rows] + part @ change)
+    if (left > 1e-5 * np.abs(found.force).max()).any():
+        return none
+    return columns, change

@@ -1,0 +1,184 @@
+"""Do the numbers look like the units they are taken for? Judged by speed of sound, density and size.
+
+Wave speeds of solids lie between 30 m/s (soft rubber) and 18 km/s (diamond), densities between 10 (foam) and
+23,000 kg/m3. Matrices show both: c is near h sqrt(K_ii / M_ii) / 2 and the density near M_ii over its share of the
+volume of its neighbourhood; h is the distance to the nearest node that a node is coupled to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.diagnostics.findings import Finding
+from morembs.model import DofMap, Nodes
+from morembs.model.material import Material
+from morembs.units import Units, parse_units
+
+Floats = NDArray[np.float64]
+# Beyond these the units are wrong, as wide as the estimates are rough: m/s and kg/m3.
+SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
+# Narrower for materials, which are exact.
+MATERIAL_SPEED, MATERIAL_DENSITY = (8.0, 3e4), (0.5, 3e4)
+# A body larger than this is a mistake, one larger than that is worth a note (m).
+TOO_LARGE, LARGE = 2000.0, 100.0
+# Beyond this length two mistakes are likely, and both are named.
+LONG = 5.0
+METAL_SPEED, METAL_DENSITY = 5000.0, 5000.0
+SAMPLE = 1000
+# Distance to a metal, in powers of ten, within which numbers that were converted twice count as understood.
+NEAR = 1.0
+SYSTEMS = (
+    "m-kg-s",
+    "mm-t-s",
+    "mm-kg-s",
+    "mm-kg-ms",
+    "mm-g-ms",
+    "cm-g-s",
+    "um-kg-s",
+    "in-slinch-s",
+    "in-lb-s",
+    "ft-slug-s",
+)
+
+
+def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[float, float] | None:
+    """Speed of sound and density in units of the input, within a factor of a few; None where they cannot be told.
+
+    The density of beams and plates comes out too low.
+    """
+    table = dofs.of_nodes(np.unique(dofs.node))
+    table = table[(table >= 0).all(axis=1)]
+    if not len(table):
+        return None
+    stiff, heavy = K.diagonal(), M.diagonal()
+    rows = np.random.default_rng(9).permutation(len(table))[:SAMPLE]
+    speed, density = [], []
+    for here in table[rows]:
+        near = [
+            K.indices[K.indptr[row] : K.indptr[row + 1]][K.data[K.indptr[row] : K.indptr[row + 1]] != 0] for row in here
+        ]
+        others = np.unique(dofs.node[np.concatenate(near)])
+        arms = nodes.xyz[others] - nodes.xyz[dofs.node[here[0]]]
+        distance = np.linalg.norm(arms, axis=1)
+        h = distance[distance > 0].min(initial=np.inf)
+        k, m = stiff[here].max(), heavy[here].mean()
+        if np.isfinite(h) and k > 0 and m > 0:
+            # Half of it agrees with sound in elements of most types.
+            speed.append(0.5 * h * np.sqrt(k / m))
+            span = np.ptp(arms, axis=0)
+            span[span < 1e-6 * span.max()] = span.max()
+            density.append(8 * m / span.prod())
+    return (float(np.median(speed)), float(np.median(density))) if speed else None
+
+
+def unit_findings(
+    estimated: tuple[float, float] | None, materials: Sequence[Material], size: float, units: Units,
+    declared: Units | None = None,
+) -> list[Finding]:  # fmt: skip
+    """Whether numbers in ``units`` can be those of an elastic body of ``size`` (in the same units).
+
+    ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.
+    """
+    if materials:
+        pairs = [(float(np.sqrt(max(m.stiffness[0, 0], 0) / m.density)), m.density) for m in materials]
+        speeds, densities = MATERIAL_SPEED, MATERIAL_DENSITY
+    elif estimated is not None:
+        pairs, speeds, densities = [estimated], SPEED, DENSITY
+    else:
+        return []
+    for speed, density in pairs:
+        c, rho = speed * units.length / units.time, density * units.density
+        slow, light = not speeds[0] <= c <= speeds[1], not densities[0] <= rho <= densities[1]
+        # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
+        light = light or (rho < MATERIAL_DENSITY[0] and size * units.length > LARGE)
+        if slow or light:
+            return [_wrong(c, rho, size * units.length, units, declared)]
+    meters = size * units.length
+    if meters > LARGE:
+        severity = "warning" if meters > TOO_LARGE else "note"
+        sentence = f"the body is {meters:.4g} m long"
+        cure = (
+            "if its coordinates are in mm, declare such units and give the material in them too (steel in mm-t-s: "
+            "210e3 MPa and 7.85e-9 t/mm3)"
+        )
+        return [Finding(code="size", severity=severity, sentence=sentence, cure=cure)]
+    return []
+
+
+def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | None) -> Finding:
+    """The finding for a speed of sound ``c`` in m/s, a density ``rho`` in kg/m3 and a size in m."""
+    taken = declared or units
+    sentence = (
+        f"taken in {taken.name}{' as declared' if declared is not None else ''}, sound would travel at about {c:.2g} "
+        f"m/s in this body, its density would be about {rho:.2g} kg/m3 and it would be {meters:.3g} m long"
+    )
+    words, cure = _diagnosed(c, rho, meters, taken)
+    if not words and declared is None:
+        # Perhaps an import converted them from other units than they were in.
+        for name in SYSTEMS:
+            likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), NEAR)
+            if likely is not None:
+                words = f"the numbers look like {likely} that was taken for {name}"
+                cure = f"if the model was imported, import it again with --units {likely}"
+                break
+    if not words:
+        cure = "no known system of units makes sense of them; check the units of length, modulus and density"
+    return Finding(code="units", severity="warning", sentence=f"{sentence}; {words}" if words else sentence, cure=cure)
+
+
+def _written(c: float, rho: float, meters: float, units: Units) -> tuple[float, float, float]:
+    """Speed of sound, density and size as the numbers of an input in ``units`` have them."""
+    return c * units.time / units.length, rho / units.density, meters / units.length
+
+
+def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str]:
+    """What the numbers of an input taken in the units ``taken`` look like, and the cure; empty where not known."""
+    speed, density, size = _written(c, rho, meters, taken)
+    name = likely_units(speed, density, size, taken)
+    material = (
+        f"give the material in {taken.name} too (steel: modulus {2.1e11 / taken.stress:.3g}, density "
+        f"{7850 / taken.density:.3g})"
+    )
+    # A modulus in Pa and a density in kg/m3, while the coordinates may well be as they were taken.
+    beside = 300 < speed < 3e4 and 100 < density < MATERIAL_DENSITY[1] and 1e-5 < meters < LONG
+    if name is not None:
+        there = parse_units(name)
+        words = (
+            f"the numbers look like {name} (sound at {speed * there.length / there.time:.2g} m/s, "
+            f"{density * there.density:.2g} kg/m3, a body {size * there.length:.3g} m long)"
+        )
+        cure = f'give units = "{name}" in a job or in Python, --units {name} in an import'
+        return words, f"{cure}; or, if the coordinates are in {taken.name}, {material}" if (
+            beside and size * there.length > LONG
+        ) else cure
+    if _mixed(speed, density):
+        words = "it looks like lengths and moduli in mm and N/mm2 (MPa) beside a density in kg/m3"
+        return words, "give the density in t/mm3 (steel 7.85e-9), and units mm-t-s"
+    if beside:
+        return f"it looks like a material in Pa and kg/m3 beside coordinates in {taken.name}", material
+    return "", ""
+
+
+def _mixed(speed: float, density: float) -> bool:
+    """Whether a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
+    return 100 < density < MATERIAL_DENSITY[1] and 0.3 < speed < 30
+
+
+def likely_units(speed: float, density: float, size: float, declared: Units, furthest: float = np.inf) -> str | None:
+    """The system in which the numbers are nearest to a metal; None where none comes near, or beyond ``furthest``."""
+    best: tuple[float, str] | None = None
+    for name in SYSTEMS:
+        there = parse_units(name)
+        c, rho, meters = speed * there.length / there.time, density * there.density, size * there.length
+        same = (there.length, there.mass, there.time) == (declared.length, declared.mass, declared.time)
+        if same or not (300 < c < 3e4 and 1.0 < rho < 1e5 and 1e-5 < meters < LARGE):
+            continue
+        # The speed is the better estimate of the two.
+        distance = 2 * abs(np.log10(c / METAL_SPEED)) + abs(np.log10(rho / METAL_DENSITY))
+        if distance < furthest and (best is None or distance < best[0]):
+            best = distance, name
+    return None if best is None else best[1]

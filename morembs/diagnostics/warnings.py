@@ -1,0 +1,86 @@
+"""The examination of a model before it is used: refuses what no reduction takes, warns of what looks wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+
+from morembs.body import ElasticBody
+from morembs.budget import UNLIMITED, Budget
+from morembs.diagnostics.delivery_check import check_delivery
+from morembs.diagnostics.doctor import examine
+from morembs.diagnostics.findings import Diagnosis, Finding
+from morembs.diagnostics.units import unit_findings
+from morembs.errors import SolverError
+from morembs.linalg.congruence import congruence
+from morembs.model import DofMap, FEModel
+from morembs.model.coupled import CoupledModel, refuse_complex, refuse_unsymmetric
+from morembs.units import Units
+
+
+def diagnosis_of(
+    model: FEModel, *, deep: bool = False, declared: Units | None = None, budget: Budget = UNLIMITED
+) -> Diagnosis:
+    """What is wrong with a model (SI, of an input in the units ``declared``); rigid elements are eliminated before.
+
+    Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
+    """
+    K, M, D, dofs = model.K, model.M, model.D, model.dofs
+    if isinstance(model, CoupledModel) and model.followers is not None:
+        free = np.flatnonzero(model.followers.owner < 0)
+        T = sp.csr_array(model.followers.S[:, free])
+        K, M = (congruence(T, A, budget) for A in (K, M))
+        D = None if D is None else congruence(T, D, budget)
+        dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
+    if not np.ptp(model.nodes.xyz, axis=0).any():
+        # All in one point: matrices without a place in space.
+        return examine(K, M, D, deep=deep, budget=budget)
+    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget)
+
+
+def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+    """Warnings of the cheap examination of a model (SI), one sentence each; none where nothing looks wrong.
+
+    Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
+    that the input was taken for, for that sentence.
+
+    Raises:
+        InputError: matrices that no reduction takes, or errors of the examination, all in one message.
+    """
+    refuse_complex(model)
+    diagnosis = diagnosis_of(model, declared=declared, budget=budget)
+    # Interfaces may join parts; the coupled model is looked at later.
+    Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
+    refuse_unsymmetric(model)
+    return _sentences(diagnosis.warnings)
+
+
+def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
+    """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
+
+    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units.
+    """
+    size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
+    found = unit_findings(None, model.materials, size, Units(), declared)
+    return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+
+
+def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
+    """Warnings about reduced bodies, those of each named after it.
+
+    Raises:
+        SolverError: a body that is wrong.
+    """
+    found: list[str] = []
+    for body in bodies:
+        diagnosis = check_delivery(body)
+        if diagnosis.errors:
+            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
+        found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
+    return tuple(found)
+
+
+def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
+    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)

@@ -1,0 +1,372 @@
+"""Preload: a static load stresses the body, and its geometric stiffness joins K before anything is reduced.
+
+K' = K + P'(K_g + L)P. K_g = kg (x) I3 is the geometric stiffness of the linear static stress, L that of the interface
+couplings, whose frames turn under load (see ``link_stiffness``). A dead load would turn a free body back or
+over; here the loads turn with the body, so P = I - R (S R)^-1 S takes out its rigid motion R, as six dofs S see it, and
+K' R = 0 as K R = 0 (the geometric terms of a floating frame, Wallrapp and Schwertassek 1991). Without its six
+rows and columns K' has the pattern of K.
+
+What a simulator adds by itself is not in K': the centrifugal softening of a body that spins, -M W W with the angular
+velocity W, belongs to the floating frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import Budget
+from morembs.errors import InputError, nearest
+from morembs.floating.link_stiffness import Links
+from morembs.floating.stiffening_terms import why_no_stiffening
+from morembs.interface import Interface, averaging
+from morembs.linalg.statics import Restricted, support_dofs
+from morembs.model import FEModel, rigid_motion
+from morembs.model.geometric_stiffness import StressedMesh
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Nodes whose rows of K are written at a time.
+PIECE = 20_000
+# Condition (lengths scaled) above which six dofs do not hold the body.
+LOOSE = 1e7
+# Most nodes of an average interface whose frame may turn under load: its term is a full block on them.
+PATCH = 1000
+# A term below this part of the others is round-off.
+NOISE = 1e-12
+# The eigensolver for the critical load: its steps, its accuracy, and the factor that is far enough away.
+STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preload:
+    """Loads that act together, in SI units along the axes of the model.
+
+    ``wrench`` interface -> three forces (N) and three moments (Nm) at its point. ``speed`` (rad/s) of a steady
+    rotation about ``axis`` (3,) through ``point`` (3,) m. ``acceleration`` (3,) m/s2 of the body, gravity taken off.
+    Interfaces ``held`` carry what is not in equilibrium; without any the inertia of the free body does. The loads keep
+    their direction to a frame that ``follows`` six dofs of these interfaces: by default those that are held, or else
+    all interfaces.
+
+    Raises:
+        InputError: no load, or numbers that make none.
+    """
+
+    wrench: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    speed: float = 0.0
+    axis: Sequence[float] | None = None
+    point: Sequence[float] = (0.0, 0.0, 0.0)
+    acceleration: Sequence[float] = (0.0, 0.0, 0.0)
+    held: tuple[str, ...] = ()
+    follows: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, given, size in (
+            ("axis", (0, 0, 1) if self.axis is None else self.axis, 3), ("point", self.point, 3),
+            ("acceleration", self.acceleration, 3), *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
+        ):  # fmt: skip
+            if len(given) != size or not all(math.isfinite(value) for value in given):
+                raise InputError(f"{name} = {list(given)} was given; expected {size} finite numbers")
+        if not math.isfinite(self.speed):
+            raise InputError(f"speed = {self.speed} was given; expected a finite number")
+        if (self.speed != 0) != (self.axis is not None):
+            raise InputError("a rotation needs both speed and axis; give both, or leave both out")
+        if self.axis is not None and not any(self.axis):
+            raise InputError("axis = [0, 0, 0] was given; expected a direction")
+        if any(self.acceleration) and not self.held:
+            raise InputError(
+                "acceleration strains a free body only through what holds it; name the interfaces that do "
+                'with held = ["NAME"]'
+            )
+        if not (self.speed or any(self.acceleration) or any(any(f) for f in self.wrench.values())):
+            raise InputError("no load was given; expected a wrench, a speed with its axis, or an acceleration")
+
+    def check(self, interfaces: Sequence[Interface]) -> None:
+        """Refuse what does not fit the ``interfaces``.
+
+        Raises:
+            InputError: an unknown interface, one without a frame, or a wrench on a held one.
+        """
+        framed, known = [i.name for i in interfaces if i.coupling != "direct"], [i.name for i in interfaces]
+        for key, names in (("wrench", tuple(self.wrench)), ("held", self.held)):
+            for name in names:
+                if name not in framed:
+                    raise InputError(
+                        f"preload: {key} names the interface {name!r}; {nearest(name, framed)} "
+                        "(only rigid and average interfaces have a frame)"
+                    )
+        for name in self.follows:
+            if name not in known:
+                raise InputError(f"preload: follows names the interface {name!r}; {nearest(name, known)}")
+        both = [name for name in self.held if name in self.wrench]
+        if both:
+            raise InputError(f"preload: the interface {both[0]!r} is held and has a wrench; leave one of them out")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Preloaded:
+    """``model`` with K' in place of K; ``displacements`` (N,) m under the preload, rigid motion of no meaning.
+
+    ``critical_factor`` times the load makes the body buckle, at the accuracy of ``TOLERANCE``; None where that is
+    farther than ``FAR`` times away or never. ``notes`` say what balances the load, and what was left out.
+    """
+
+    model: FEModel
+    displacements: Floats
+    critical_factor: float | None
+    notes: Mapping[str, object]
+
+
+def preloaded(problem: Problem, preload: Preload, progress: Progress = SILENT) -> Preloaded:
+    """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
+
+    Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``STEPS`` columns.
+
+    Raises:
+        InputError: a model without solid elements, a body that is not free, loads that do not fit the interfaces, or a
+            load beyond buckling (the message gives the critical factor).
+    """
+    _refuse(problem)
+    preload.check(problem.interfaces)
+    links = Links(problem)
+    progress.update("preload: static solution")
+    u, turning, notes = _solution(problem, preload, links)
+    return _stiffened(problem, u, turning, preload.follows or preload.held, notes, progress)
+
+
+def prestressed(
+    problem: Problem, displacements: Floats, follows: tuple[str, ...] = (), progress: Progress = SILENT
+) -> Preloaded:
+    """As ``preloaded``, for the stress of known ``displacements`` (N,) in m, from whatever static solution.
+
+    The couplings of interfaces add nothing, as the forces in them are not known.
+
+    Raises:
+        InputError: as ``preloaded``, or displacements of another length.
+    """
+    _refuse(problem)
+    u = np.asarray(displacements, dtype=float)
+    if u.shape != (problem.model.size,) or not np.isfinite(u).all():
+        raise InputError(f"displacements of shape {u.shape} were given; expected {problem.model.size} finite numbers")
+    return _stiffened(problem, u, {}, follows, {}, progress)
+
+
+def _refuse(problem: Problem) -> None:
+    reason = why_no_stiffening(problem.model)
+    if reason:
+        raise InputError(f"preload: {reason}")
+    if problem.rigid.shape[1] != 6:
+        raise InputError(
+            f"preload: the body has {problem.rigid.shape[1]} rigid-body motions; expected a free body with six"
+        )
+
+
+def _solution(problem: Problem, preload: Preload, links: Links) -> tuple[Floats, dict[str, Floats], dict[str, object]]:
+    """Displacements (N,), what turns the couplings, and how the load is balanced."""
+    model, coupling = problem.model, problem.coupling
+    T, R = coupling.T, coupling.R
+    a = np.tile(np.asarray(preload.acceleration, dtype=float), (len(model.nodes), 1))
+    if preload.axis is not None:
+        n = np.asarray(preload.axis, dtype=float) / np.linalg.norm(preload.axis)
+        x = model.nodes.xyz - np.asarray(preload.point, dtype=float)
+        a += preload.speed**2 * np.cross(n, np.cross(n, x))
+    wrench = np.zeros(coupling.frames.shape[1])
+    for name, given in preload.wrench.items():
+        wrench[coupling.frame_columns[name]] = given
+    F = coupling.frames @ wrench - T.T @ (model.M @ a.ravel())
+    notes: dict[str, object] = {}
+    if preload.held:
+        columns = np.concatenate([np.arange(len(wrench))[coupling.frame_columns[name]] for name in preload.held])
+        restricted = Restricted(problem.statics, coupling.frames[:, columns], "the held interfaces of the preload")
+        u, lam = restricted.solve(F[:, None])
+        wrench[columns] -= lam[:, 0]
+        notes["preload_reactions"] = {name: wrench[coupling.frame_columns[name]].tolist() for name in preload.held}
+        inertial = a.ravel()
+    else:
+        u = problem.elastic.flexibility(F[:, None])
+        inertial = a.ravel() + T @ (problem.rigid @ (problem.rigid.T @ F))
+        # Moment about the centre of mass.
+        force, moment = np.split(R.T @ F, 2)
+        moment = moment - np.cross(problem.mass_properties[1] - coupling.pole, force)
+        notes["preload_balanced_by_inertia"] = [*force.tolist(), *moment.tolist()]
+    U = np.asarray(T @ u)
+    turning = links.turning(U, (links.M @ inertial)[:, None], wrench[:, None])
+    return U[:, 0], {name: A[0] for name, A in turning.items()}, notes
+
+
+def _stiffened(
+    problem: Problem, u: Floats, turning: Mapping[str, Floats], follows: tuple[str, ...], notes: dict[str, object],
+    progress: Progress,
+) -> Preloaded:  # fmt: skip
+    model, T = problem.model, problem.coupling.T
+    if model.mesh is None:
+        raise InputError("preload: geometric stiffness needs the elements of the model")
+    progress.update("preload: geometric stiffness")
+    kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None], problem.budget)[0]
+    L, left_out = _couplings(problem, turning)
+    if left_out:
+        notes["preload_left_out"] = left_out
+    # Rotations in units of displacement.
+    R = rigid_motion((model.nodes.xyz[model.dofs.node] - problem.coupling.pole) / problem.length, model.dofs.component)
+    turned = (kg @ R.reshape(len(model.nodes), -1)).reshape(R.shape) + L @ R
+    extra = _together(sp.coo_array(L), _without_rigid(R, turned, _followed(problem, follows, R)))
+
+    def geometric(x: Floats) -> Floats:
+        X = T @ x
+        return np.asarray(T.T @ ((kg @ X.reshape(-1, 3)).ravel() + extra @ X))
+
+    factor = _critical_factor(problem, geometric, progress)
+    if factor is not None and factor <= 1.0:
+        raise InputError(
+            f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "
+            "more; lower the load"
+        )
+    notes["preload_critical_factor"] = f"above {FAR:g}" if factor is None else factor
+    K = _sum(model.K, kg, extra, problem.budget)
+    return Preloaded(model=replace(model, K=K), displacements=u, critical_factor=factor, notes=notes)
+
+
+def _couplings(problem: Problem, turning: Mapping[str, Floats]) -> tuple[sp.csr_array, str]:
+    """L (N, N) = sum theta' A theta over the interfaces, and what is missing in it, in words."""
+    model, left_out = problem.model, []
+    L = sp.csr_array((model.size, model.size))
+    largest = max((float(np.abs(A).max()) for A in turning.values()), default=0.0)
+    for interface in problem.interfaces:
+        A = turning.get(interface.name)
+        if A is None or np.abs(A).max() <= NOISE * largest:
+            continue
+        xyz, dofs = model.nodes.xyz[interface.nodes], model.dofs.of_nodes(interface.nodes).ravel()
+        if interface.coupling == "average" and len(interface.nodes) > PATCH:
+            left_out.append(interface.name)
+            continue
+        if interface.coupling == "average":
+            theta = averaging(interface, xyz)[3:]
+        else:
+            # Six dofs of a rigid patch tell its rotation.
+            size = float(np.ptp(xyz, axis=0).max())
+            R = rigid_motion(np.repeat(xyz - xyz.mean(axis=0), 3, axis=0) / size, np.tile(np.arange(3), len(xyz)))
+            rows = support_dofs(R)
+            theta, dofs = np.asarray(np.linalg.inv(R[rows])[3:] / size, dtype=np.float64), dofs[rows]
+        block = theta.T @ A @ theta
+        at = (np.repeat(dofs, len(dofs)), np.tile(dofs, len(dofs)))
+        L = L + sp.csr_array(sp.coo_array((block.ravel(), at), shape=L.shape))
+    words = "" if not left_out else (
+        f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than {PATCH} nodes"
+    )  # fmt: skip
+    return sp.csr_array(L), words
+
+
+def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
+    """Six dofs that the loads turn with, far from each other on the interfaces ``names`` (none: all of them)."""
+    model = problem.model
+    chosen = [i for i in problem.interfaces if not names or i.name in names]
+    rows = np.unique(np.concatenate([i.nodes for i in chosen])) if chosen else np.arange(len(model.nodes))
+    for nodes in (rows, np.arange(len(model.nodes))):
+        dofs = model.dofs.of_nodes(nodes).ravel()
+        if len(dofs) >= 6:
+            found = dofs[support_dofs(R[dofs])]
+            if np.linalg.cond(R[found]) < LOOSE:
+                return np.asarray(found)
+        if names:
+            raise InputError(
+                f"preload: the nodes of {', '.join(names)} lie on a line or in a point, and no frame can follow them; "
+                "name more interfaces in follows"
+            )
+    raise InputError("preload: the nodes of the model lie on a line; no frame can follow them")
+
+
+def _without_rigid(R: Floats, turned: Floats, rows: Ints) -> sp.coo_array:
+    """P'GP - G with P = I - R R_s^-1 (.)_s on the dofs ``rows`` (6,), for ``turned`` = G R (N, 6).
+
+    All dofs of a node get entries, zeros too, so that they keep equal patterns.
+    """
+    n = len(R)
+    dofs = np.unique(3 * (rows // 3)[:, None] + np.arange(3))
+    C = np.zeros((6, len(dofs)))
+    C[:, np.searchsorted(dofs, rows)] = np.linalg.inv(R[rows])
+    G = -turned @ C
+    loaded = np.abs(turned).reshape(-1, 18).max(axis=1) > NOISE * np.abs(turned).max(initial=0.0)
+    on = np.flatnonzero(np.repeat(loaded, 3))
+    W = R.T @ turned
+    corner = C.T @ (0.5 * (W + W.T)) @ C
+    d = len(dofs)
+    side_rows, side_cols, side = np.repeat(on, d), np.tile(dofs, len(on)), G[on].ravel()
+    data = np.concatenate([side, side, corner.ravel()])
+    at = (
+        np.concatenate([side_rows, side_cols, np.repeat(dofs, d)]),
+        np.concatenate([side_cols, side_rows, np.tile(dofs, d)]),
+    )
+    return sp.coo_array((data, at), shape=(n, n))
+
+
+def _together(*parts: sp.coo_array) -> sp.csr_array:
+    """Sum of sparse matrices with the zeros they store."""
+    row, column = (np.concatenate([part.coords[axis] for part in parts]) for axis in (0, 1))
+    data = np.concatenate([part.data for part in parts])
+    total = sp.csr_array(sp.coo_array((data, (row, column)), shape=parts[0].shape))
+    total.sum_duplicates()
+    return total
+
+
+def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array, budget: Budget) -> sp.csr_array:
+    """K + kg (x) I3 + extra with the zeros they store, a piece of rows at a time."""
+    # An assembled K has the pattern of kg (x) I3, filled up to blocks.
+    alike = K.nnz == 9 * kg.nnz and np.array_equal(np.diff(K.indptr)[::3], 3 * np.diff(kg.indptr))
+    room = K.nnz + extra.nnz + (0 if alike else 3 * kg.nnz)
+    index = np.int32 if room < np.iinfo(np.int32).max else np.int64
+    data, indices = budget.empty(room), budget.empty(room, index)
+    indptr, used = np.zeros(K.shape[0] + 1, dtype=index), 0
+    for first in range(0, kg.shape[0], PIECE):
+        last = min(first + PIECE, kg.shape[0])
+        own = sp.coo_array(kg[first:last])
+        shape = (3 * (last - first), K.shape[1])
+        thrice = [
+            sp.coo_array((own.data, (3 * own.coords[0] + a, 3 * own.coords[1] + a)), shape=shape) for a in range(3)
+        ]
+        whole = _together(*(sp.coo_array(A[3 * first : 3 * last]) for A in (K, extra)), *thrice)
+        data[used : used + whole.nnz], indices[used : used + whole.nnz] = whole.data, whole.indices
+        indptr[3 * first + 1 : 3 * last + 1] = used + whole.indptr[1:]
+        used += whole.nnz
+        budget.relax()
+    total = sp.csr_array((data[:used], indices[:used], indptr), shape=K.shape)
+    total.has_canonical_format = True
+    return total
+
+
+def _critical_factor(problem: Problem, geometric: Callable[[Floats], Floats], progress: Progress) -> float | None:
+    """Smallest p > 0 with a singular K + p G on the elastic motions; None above ``FAR``.
+
+    Lanczos on -K^+ G in the inner product of K, with full reorthogonalisation.
+    """
+    n = problem.K.shape[0]
+    V = problem.budget.empty((n, STEPS), order="F")
+    T = np.zeros((STEPS + 1, STEPS + 1))
+    start = problem.M @ np.random.default_rng(7).standard_normal(n)
+    v = np.asarray(problem.elastic.flexibility(start[:, None])[:, 0])
+    theta = 0.0
+    v /= np.sqrt(v @ (problem.K @ v))
+    for k in range(STEPS):
+        V[:, k] = v
+        load = -geometric(v)
+        w = problem.elastic.flexibility(load[:, None])[:, 0]
+        # Inner products in K with elastic motions are the work of the load.
+        h = V[:, : k + 1].T @ load
+        T[: k + 1, k], T[k, : k + 1] = h, h
+        w -= V[:, : k + 1] @ h
+        w -= V[:, : k + 1] @ (V[:, : k + 1].T @ (problem.K @ w))
+        rest = float(np.sqrt(max(w @ (problem.K @ w), 0.0)))
+        values, Y = np.linalg.eigh(T[: k + 1, : k + 1])
+        theta, size = float(values[-1]), float(np.abs(values).max())
+        error = rest * abs(Y[-1, -1])
+        progress.update(f"preload: critical load, step {k + 1}")
+        if rest <= NOISE * max(size, np.finfo(float).tiny) or error <= TOLERANCE * max(theta, 1 / FAR):
+            break
+        v = np.asarray(w / rest)
+    return 1.0 / theta if theta > 1.0 / FAR else None

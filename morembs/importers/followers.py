@@ -1,0 +1,182 @@
+"""Rigid and average elements of a model: which dofs follow which, and the interfaces that they offer.
+
+A slave of a rigid element moves as u_s = u_m + theta_m x (x_s - x_m), its rotations as theta_m; the reference of an
+average element moves as the mean of its nodes (``interface.averaging``). A master may follow another element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.importers.imported import AverageElement, RigidElement
+from morembs.interface import Interface, averaging, refuse_collinear
+from morembs.model import FEModel, rigid_motion
+from morembs.model.coupled import CoupledModel, Followers
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+ALL = (0, 1, 2, 3, 4, 5)
+# Entries that a reference with stiffness or mass of its own may spread over its nodes.
+MOST_SPREAD = 50_000_000
+
+
+def dof_table(model: FEModel) -> Ints:
+    """Dof (n, 6) of each node and component, -1 where there is none."""
+    table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
+    table[model.dofs.node, model.dofs.component] = np.arange(model.size)
+    return table
+
+
+def followers_of(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> Followers | None:
+    """Followers of the elements, None without any.
+
+    Raises:
+        InputError: a dof that follows two elements, elements that follow each other in a circle, average elements
+            whose nodes lie on a line, or one of so many nodes that its loads would fill the matrices.
+    """
+    if not rigid and not average:
+        return None
+    table, owner = dof_table(model), np.full(model.size, -1, dtype=np.int64)
+    elements: list[RigidElement | AverageElement] = [*rigid, *average]
+    names = tuple(one.name for one in elements)
+    rows, columns, values = [], [], []
+    for number, one in enumerate(elements):
+        motion = _rigid_rows(model, one, table) if isinstance(one, RigidElement) else _mean_rows(model, one, table)
+        dofs, at, weight = motion
+        own = np.unique(dofs)
+        if (owner[own] >= 0).any():
+            dof = own[owner[own] >= 0][0]
+            raise InputError(
+                f"component {model.dofs.component[dof]} of node {model.nodes.ids[model.dofs.node[dof]]} follows both "
+                f"{names[owner[dof]]!r} and {one.name!r}; a node can follow one element only"
+            )
+        owner[own] = number
+        rows.append(dofs)
+        columns.append(at)
+        values.append(weight)
+    free = np.flatnonzero(owner < 0)
+    data = np.concatenate([np.ones(len(free)), *values])
+    where = (np.concatenate([free, *rows]), np.concatenate([free, *columns]))
+    S = sp.csr_array(sp.coo_array((data, where), shape=(model.size, model.size)))
+    S.eliminate_zeros()
+    return Followers(S=_resolved(S, owner, names), owner=owner, names=names)
+
+
+def _rigid_rows(model: FEModel, one: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
+    """Rows, columns and values of the slaves' motion."""
+    if one.master in one.slaves:
+        raise InputError(f"rigid element {one.name!r} names its master among the slaves; leave it out of these")
+    slaves = np.unique(one.slaves)
+    dofs = table[slaves][:, list(one.components)]
+    node = np.repeat(slaves, len(one.components))[dofs.ravel() >= 0]
+    dofs = dofs.ravel()[dofs.ravel() >= 0]
+    motion = rigid_motion(model.nodes.xyz[node] - model.nodes.xyz[one.master], model.dofs.component[dofs])
+    return np.repeat(dofs, 6), np.tile(table[one.master], len(dofs)), motion.ravel()
+
+
+def _mean_rows(model: FEModel, one: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:
+    """Rows, columns and values of the reference's motion."""
+    if one.reference in one.nodes:
+        raise InputError(f"average element {one.name!r} names its reference among its nodes; leave it out of these")
+    interface = _average_interface(model, one)
+    columns = table[interface.nodes][:, :3]
+    if (columns < 0).any():
+        node = model.nodes.ids[interface.nodes[(columns < 0).any(axis=1)][0]]
+        raise InputError(f"average element {one.name!r}: node {node} has no dof for each of x, y and z")
+    refuse_collinear(interface, model)
+    dofs = table[one.reference][list(one.components)]
+    loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
+    if loaded and columns.size**2 > MOST_SPREAD:
+        raise InputError(
+            f"the reference of average element {one.name!r} carries a mass or elements over {len(interface.nodes)} "
+            f"nodes, which would fill the matrices; take at most {int(MOST_SPREAD**0.5) // 3} nodes, or a rigid element"
+        )
+    T = averaging(interface, model.nodes.xyz[interface.nodes])[list(one.components)]
+    return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()
+
+
+def _resolved(S: sp.csr_array, owner: Ints, names: tuple[str, ...]) -> sp.csr_array:
+    """S with every follower given by free dofs alone, where masters follow other elements."""
+    follows = owner >= 0
+    step = S
+    for _ in range(len(names) + 1):
+        row = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+        pending = follows[S.indices]
+        if not pending.any():
+            S.sort_indices()
+            return S
+        stuck = row[pending][0]
+        S = sp.csr_array(S @ step)
+        S.eliminate_zeros()
+    raise InputError(
+        f"rigid or average elements follow each other in a circle ({names[owner[stuck]]!r} is one of them)"
+    )
+
+
+def _average_interface(model: FEModel, one: AverageElement) -> Interface:
+    nodes, index = np.unique(one.nodes, return_inverse=True)
+    weights = np.zeros(len(nodes))
+    if len(one.weights) == len(one.nodes):
+        np.add.at(weights, index, one.weights)
+    if len(one.weights) != len(one.nodes) or not np.isfinite(weights).all() or weights.min(initial=0.0) < 0:
+        raise InputError(f"average element {one.name!r} needs one weight, zero or more, for each of its nodes")
+    if not weights.sum() > 0:
+        raise InputError(f"average element {one.name!r} has no nodes with a weight")
+    return Interface(
+        name=one.name, nodes=nodes, coupling="average", point=model.nodes.xyz[one.reference].copy(), weights=weights,
+        components=tuple(sorted(one.components)),
+    )  # fmt: skip
+
+
+def couplings_of(
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]
+) -> dict[str, Interface]:
+    """The interface that each element offers: the master's six motions, or the mean motion of the nodes."""
+    found = {
+        one.name: Interface(
+            name=one.name, nodes=np.array([one.master]), coupling="rigid",
+            point=model.nodes.xyz[one.master].copy(), weights=np.ones(1), components=ALL,
+        )
+        for one in rigid
+    }  # fmt: skip
+    return found | {one.name: _average_interface(model, one) for one in average}
+
+
+def interface_of_coupling(
+    model: FEModel, text: str, *, name: str, coupling: str | None = None, point: Sequence[float] | None = None,
+    components: Sequence[int] | None = None,
+) -> Interface:  # fmt: skip
+    """The interface ``name`` on ``text`` = "coupling:NAME", with the point of that coupling.
+
+    Args:
+        coupling: None, or what the coupling is anyway.
+        point: in m; None for that of the coupling.
+
+    Raises:
+        InputError: no such coupling, one of another kind, or components that it does not have.
+    """
+    wanted = text.removeprefix("coupling:")
+    couplings = model.couplings if isinstance(model, CoupledModel) else {}
+    if wanted not in couplings:
+        raise InputError(f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, couplings)}")
+    found = couplings[wanted]
+    if coupling is not None and coupling != found.coupling:
+        raise InputError(
+            f"interface {name!r}: coupling = {coupling!r} was given, but {wanted!r} of the model is "
+            f"{found.coupling!r}; leave the key out"
+        )
+    chosen = found.components if components is None else tuple(sorted(set(components)))
+    if not chosen or not set(chosen) <= set(found.components):
+        raise InputError(
+            f"interface {name!r}: components = {list(components or [])} was given; the coupling {wanted!r} has "
+            f"{', '.join(map(str, found.components))}"
+        )
+    refuse_collinear(found, model)
+    origin = found.point if point is None else np.asarray(point, dtype=float)
+    return replace(found, name=name, point=origin, components=chosen)

@@ -1,0 +1,87 @@
+"""What comes out of a file of another program, before it becomes a finite-element model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.model import DofMap, Mesh, Nodes, frozen
+from morembs.model.material import Material
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidElement:
+    """Nodes that follow ``master`` as a rigid body (RBE2, kinematic coupling, *RIGID BODY).
+
+    ``master`` a row of the nodes, ``slaves`` (k,) rows, ``components`` those of the slaves that follow (0..5).
+    """
+
+    name: str
+    master: int
+    slaves: Ints
+    components: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AverageElement:
+    """A ``reference`` node that follows the mean motion of ``nodes`` (k,) with ``weights`` (k,) (RBE3, distributing
+    coupling); ``components`` are those of the reference that follow."""
+
+    name: str
+    reference: int
+    nodes: Ints
+    weights: Floats
+    components: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "nodes", frozen(np.asarray(self.nodes, dtype=np.int64)))
+        object.__setattr__(self, "weights", frozen(np.asarray(self.weights, dtype=np.float64)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointMass:
+    """``mass`` and ``inertia`` (3, 3) about its centre, which is at ``offset`` (3,) from the node in row ``node``."""
+
+    name: str
+    node: int
+    mass: float
+    inertia: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    offset: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        for name in ("inertia", "offset"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Imported:
+    """All that a file holds, in the units of the file.
+
+    Matrices ``K``, ``M``, ``D`` (N, N) as they are there (whole, not half; real or complex, symmetric or not) with
+    ``dofs``; or a ``mesh`` with ``materials``; or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
+    ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry.
+    """
+
+    source: str
+    K: sp.csr_array | None = None
+    M: sp.csr_array | None = None
+    D: sp.csr_array | None = None
+    nodes: Nodes | None = None
+    dofs: DofMap | None = None
+    mesh: Mesh | None = None
+    materials: tuple[Material, ...] = ()
+    rigid: tuple[RigidElement, ...] = ()
+    average: tuple[AverageElement, ...] = ()
+    masses: tuple[PointMass, ...] = ()
+    surfaces: Mapping[str, Ints] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,125 @@
+"""Point masses, and the dofs that nodes outside elements need to carry them or to lead other nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.followers import dof_table
+from morembs.importers.imported import AverageElement, PointMass, RigidElement
+from morembs.model import DofMap, FEModel, skew
+from morembs.units import Units
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def si_mass(one: PointMass, node: int, units: Units) -> PointMass:
+    """The point mass in SI units on row ``node``.
+
+    Raises:
+        InputError: a mass or inertia that is negative or not finite.
+    """
+    inertia, offset = one.inertia * units.mass * units.length**2, one.offset * units.length
+    finite = np.isfinite(one.mass) and np.isfinite(inertia).all() and np.isfinite(offset).all()
+    J = 0.5 * (inertia + inertia.T)
+    small = 1e-9 * max(float(np.abs(J).max(initial=0.0)), np.finfo(float).tiny)
+    if not finite or one.mass < 0 or np.linalg.eigvalsh(J)[0] < -small:
+        raise InputError(f"point mass {one.name!r} has a negative or infinite mass or inertia; mend the file")
+    return replace(one, node=node, mass=one.mass * units.mass, inertia=J, offset=offset)
+
+
+def mass_about_node(one: PointMass) -> Floats:
+    """Mass matrix (6, 6) of a point mass in the dofs of its node."""
+    arm, M = skew(one.offset), np.zeros((6, 6))
+    M[:3, :3] = one.mass * np.eye(3)
+    M[:3, 3:], M[3:, :3] = -one.mass * arm, one.mass * arm
+    M[3:, 3:] = one.inertia - one.mass * arm @ arm
+    return M
+
+
+def with_dofs(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> FEModel:
+    """The model with the dofs that masters, references and followers outside elements need."""
+    table = dof_table(model)
+    bare = np.asarray((table < 0).all(axis=1))
+    needed: list[Ints] = [np.empty(0, dtype=np.int64)]
+    six = np.arange(6)
+    for element in rigid:
+        needed.append(6 * element.master + six)
+        alone = element.slaves[bare[element.slaves]]
+        needed.append((6 * alone[:, None] + np.array(element.components, dtype=np.int64)).ravel())
+    for distributing in average:
+        needed.append(6 * distributing.reference + np.array(distributing.components, dtype=np.int64))
+    codes = np.unique(np.concatenate(needed))
+    new = codes[table.ravel()[codes] < 0]
+    if not len(new):
+        return model
+    dofs = DofMap(
+        node=np.concatenate([model.dofs.node, new // 6]), component=np.concatenate([model.dofs.component, new % 6])
+    )
+    K, M, D = (_grown(A, len(new)) for A in (model.K, model.M, model.D))
+    return replace(model, dofs=dofs, K=K, M=M, D=D)
+
+
+def _grown(A: sp.csr_array | None, count: int) -> sp.csr_array | None:
+    """A with ``count`` empty rows and columns at the end."""
+    if A is None:
+        return None
+    indptr = np.concatenate([A.indptr, np.full(count, A.indptr[-1], dtype=A.indptr.dtype)])
+    return sp.csr_array((A.data, A.indices, indptr), shape=(A.shape[0] + count,) * 2)
+
+
+def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
+    """The model with the point masses in M.
+
+    Raises:
+        InputError: a mass needs rotations that its node lacks.
+    """
+    if not masses:
+        return model
+    table = dof_table(model)
+    rows, columns, values = [], [], []
+    for one in masses:
+        M, dofs = mass_about_node(one), table[one.node]
+        lost = np.flatnonzero((dofs < 0) & (np.abs(M) > 0).any(axis=1))
+        if len(lost):
+            raise InputError(
+                f"point mass {one.name!r} on node {model.nodes.ids[one.node]} needs the components "
+                f"{', '.join(map(str, lost))}, which this node does not have (a solid has no rotations); "
+                "couple the node by a rigid element, or leave out offset and inertia"
+            )
+        here = np.flatnonzero(dofs >= 0)
+        rows.append(np.repeat(dofs[here], len(here)))
+        columns.append(np.tile(dofs[here], len(here)))
+        values.append(M[np.ix_(here, here)].ravel())
+    added = sp.coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), model.M.shape)
+    added = added.tocsr()
+    added.eliminate_zeros()
+    return replace(model, M=sp.csr_array(model.M + added))
+
+
+def refuse_loose(
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], masses: Sequence[PointMass]
+) -> None:
+    """Refuse point masses on nodes that neither have stiffness nor take part in a coupling.
+
+    Raises:
+        InputError: as said.
+    """
+    held = np.zeros(len(model.nodes), dtype=bool)
+    held[model.dofs.node[np.diff(model.K.indptr) > 0]] = True
+    for element in rigid:
+        held[element.slaves] = held[element.master] = True
+    for one in average:
+        held[one.reference] = True
+    for mass in masses:
+        if not held[mass.node]:
+            raise InputError(
+                f"point mass {mass.name!r} is on node {model.nodes.ids[mass.node]}, which belongs to no element; "
+                "couple it to the part by a rigid or an average element"
+            )

@@ -1,0 +1,331 @@
+"""What an importer read becomes a finite-element model in SI units.
+
+A mesh is assembled; point masses are added; rigid elements (RBE2) and average elements (RBE3) become followers, which
+are eliminated where the model is coupled to its interfaces, and named couplings that an interface can take over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.errors import InputError
+from morembs.importers.followers import couplings_of, followers_of
+from morembs.importers.imported import Imported
+from morembs.importers.named import LARGEST, refuse_entries
+from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
+from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.coupled import CoupledModel
+from morembs.model.material import Material
+from morembs.progress import SILENT, Progress
+from morembs.units import Units
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def model_of(
+    imported: Imported, units: Units | None = None, *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> CoupledModel:  # fmt: skip
+    """Model in SI units of what a file holds in ``units`` (None: SI).
+
+    Matrices of the file are taken as they are, real or complex, symmetric or not; without any the mesh is assembled
+    with the materials. Nodes of solid elements come first, three dofs each; masters of rigid elements, references of
+    average elements and nodes with point masses follow with dofs of their own.
+
+    Peak memory: K, M and D; what ``assemble`` needs for a mesh.
+
+    Raises:
+        InputError: neither K and M nor a mesh with materials, matrices that do not fit the nodes, nodes without
+            coordinates, numbers that are not finite, or elements that contradict each other.
+    """
+    units = units or Units()
+    _refuse_incomplete(imported)
+    if imported.K is not None:
+        base = _from_matrices(imported, units)
+    else:
+        base = _from_mesh(imported, units, mass_integration, budget, progress)
+    model = base.model
+    at = _Rows(base.row, imported.source)
+    rigid = tuple(replace(one, master=at.one(one.master), slaves=at.many(one.slaves)) for one in imported.rigid)
+    average = tuple(replace(one, reference=at.one(one.reference), nodes=at.many(one.nodes)) for one in imported.average)
+    masses = [si_mass(one, at.one(one.node), units) for one in imported.masses]
+    _refuse_names([*(one.name for one in rigid), *(one.name for one in average)], imported.source)
+    model = with_dofs(model, rigid, average)
+    refuse_loose(model, rigid, average, masses)
+    model = with_masses(model, masses)
+    followers = followers_of(model, rigid, average)
+    return CoupledModel(
+        K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
+        materials=model.materials, source=imported.source, rigid=rigid, average=average, followers=followers,
+        couplings=couplings_of(model, rigid, average), notes=(*imported.notes, *base.notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Base:
+    """A model, the new row of every node of the file (-1 where it is left out), and what to say about it."""
+
+    model: FEModel
+    row: Ints
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of the file in rows of the model."""
+
+    row: Ints
+    source: str
+
+    def many(self, given: Ints) -> Ints:
+        if len(given) and not (given.min() >= 0 and given.max() < len(self.row)):
+            raise InputError(f"{self.source} has an element on a node that is not there; write the file again")
+        return self.row[given]
+
+    def one(self, given: int) -> int:
+        return int(self.many(np.array([given]))[0])
+
+
+def _refuse_incomplete(imported: Imported) -> None:
+    source, given = imported.source, [name for name in ("K", "M", "D") if getattr(imported, name) is not None]
+    if imported.K is None and imported.mesh is None:
+        raise InputError(
+            f"{source} has {'no stiffness matrix' if given else 'neither matrices nor a mesh'}; expected K and M, or a "
+            "mesh with materials"
+        )
+    if imported.K is not None and imported.M is None:
+        raise InputError(f"{source} has K but no M; give the mass matrix too")
+    if imported.K is None and given:
+        raise InputError(f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too")
+    if imported.K is None and not imported.materials:
+        raise InputError(
+            f"{source} has a mesh but no materials; give them: --material young=..,poisson=..,density=.. at the "
+            "import, materials in Python"
+        )
+    for name in given:
+        refuse_entries(source, name, getattr(imported, name))
+
+
+def _refuse_names(names: Sequence[str], source: str) -> None:
+    for name in names:
+        if list(names).count(name) > 1:
+            raise InputError(f"{source} has two rigid or average elements named {name!r}; give each its own name")
+
+
+def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
+    """K, M and D in N/m, kg and Ns/m; rows and columns of rotations are per rad.
+
+    A dof in rad has the force Nm: with w = 1 for displacements and w = m per unit of length for rotations an entry
+    is scaled by w_i w_j times the factor of displacements.
+    """
+    factors = (units.stiffness, units.mass, units.mass / units.time)
+    weight = np.where(dofs.component > 2, units.length, 1.0)
+    plain = units.length == 1.0 or not (dofs.component > 2).any()
+    found = []
+    for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
+        if matrix is None or (plain and factor == 1.0):
+            found.append(matrix)
+            continue
+        data = matrix.data * factor
+        if not plain:
+            data *= np.repeat(weight, np.diff(matrix.indptr))
+            data *= weight[matrix.indices]
+        found.append(sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape))
+    return found
+
+
+def _from_matrices(imported: Imported, units: Units) -> _Base:
+    if imported.K is None:
+        raise InputError(f"{imported.source} has no stiffness matrix")
+    source, size = imported.source, imported.K.shape[0]
+    for name in ("K", "M", "D"):
+        matrix = getattr(imported, name)
+        if matrix is not None and matrix.shape != (size, size):
+            raise InputError(
+                f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equals"
+            )
+    nodes, dofs, notes = _nodes_and_dofs(imported, size)
+    nodes = _with_surfaces(replace(nodes, xyz=nodes.xyz * units.length), imported)
+    mesh = None if imported.mesh is None else _mesh_on(imported.mesh, nodes, units)
+    K, M, D = matrices_in_si(imported, dofs, units)
+    model = FEModel(
+        K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh, materials=materials_in_si(imported.materials, units),
+        source=source,
+    )  # fmt: skip
+    bare = len(nodes) - len(np.unique(dofs.node))
+    if bare:
+        notes = (*notes, f"{bare} nodes have no dof in the matrices (they are held, or carry nothing)")
+    return _Base(model=model, row=np.arange(len(nodes)), notes=notes)
+
+
+def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[str, ...]]:
+    """Nodes and dofs of matrices of ``size`` rows, with what had to be assumed."""
+    source = imported.source
+    notes: tuple[str, ...] = ()
+    nodes = imported.nodes or (imported.mesh.nodes if imported.mesh is not None else None)
+    dofs = imported.dofs
+    if nodes is None and dofs is not None:
+        raise InputError(f"{source} says which nodes its rows belong to but not where these are; give a mesh (--nodes)")
+    if nodes is None:
+        places = np.zeros((size, 3))
+        nodes = Nodes(ids=np.arange(1, size + 1), xyz=places)
+        dofs = DofMap(node=np.arange(size), component=np.zeros(size, dtype=np.int64))
+        return nodes, dofs, (
+            "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that mass "
+            "properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",
+        )  # fmt: skip
+    if not np.isfinite(nodes.xyz).all():
+        raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
+    _refuse_far(nodes, source)
+    if dofs is None:
+        if size != 3 * len(nodes):
+            raise InputError(
+                f"{source} has matrices of {size} rows and {len(nodes)} nodes; expected {3 * len(nodes)} rows (x, y, z "
+                "of each node), or a table of node and dof for each row (--dofs)"
+            )
+        dofs = DofMap.translations(len(nodes))
+        notes = (f"rows were taken as x, y, z of {len(nodes)} nodes in their order; the file does not say so",)
+    check_dofs(dofs, nodes, size, source)
+    return nodes, dofs, notes
+
+
+def _refuse_far(nodes: Nodes, source: str) -> None:
+    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
+    if len(far):
+        raise InputError(
+            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; it is damaged, or its units are "
+            "wrong"
+        )
+
+
+def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
+    """Refuse a map that does not fit.
+
+    Raises:
+        InputError: another length than ``size``, nodes or components that do not exist, or a dof named twice.
+    """
+    if len(dofs) != size or len(dofs.component) != size:
+        raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
+    if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
+        raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
+    if size and not (dofs.component.min() >= 0 and dofs.component.max() < 6):
+        raise InputError(f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; "
+                         "expected 0 to 5")  # fmt: skip
+    codes = np.sort(6 * dofs.node + dofs.component)
+    twice = codes[1:][codes[1:] == codes[:-1]]
+    if len(twice):
+        node = nodes.ids[twice[0] // 6]
+        raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")
+
+
+def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: Budget, progress: Progress) -> _Base:
+    """The assembled mesh, nodes of its elements first, then those that couplings and masses need."""
+    mesh = imported.mesh
+    if mesh is None:
+        raise InputError(f"{imported.source} has no mesh")
+    nodes = imported.nodes if imported.nodes is not None else mesh.nodes
+    if not np.isfinite(nodes.xyz).all():
+        raise InputError(f"{imported.source} has nodes whose coordinates are not finite; write the file again")
+    _refuse_far(nodes, imported.source)
+    blocks = _mesh_on(mesh, nodes, Units()).blocks
+    used = np.zeros(len(nodes), dtype=bool)
+    for block in blocks:
+        used[block.nodes] = True
+    extra = np.zeros(len(nodes), dtype=bool)
+    _Rows(np.arange(len(nodes)), imported.source).many(_touched(imported))
+    extra[_touched(imported)] = True
+    order = np.concatenate([np.flatnonzero(used), np.flatnonzero(extra & ~used)])
+    row = np.full(len(nodes), -1, dtype=np.int64)
+    row[order] = np.arange(len(order))
+    count = int(used.sum())
+    every = _picked(_with_surfaces(nodes, imported), order, row, units)
+    solid = _picked(nodes, order[:count], np.where(used, row, -1), units)
+    part = Mesh(
+        nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
+        element_sets=mesh.element_sets, source=mesh.source,
+    )  # fmt: skip
+    model = assemble(
+        part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,
+        progress=progress,
+    )  # fmt: skip
+    dropped = int((row < 0).sum())
+    notes = (f"{dropped} nodes belong to no element and were left out",) if dropped else ()
+    if count < len(order):
+        model = replace(model, nodes=every)
+    else:
+        model = replace(model, nodes=every, mesh=replace(part, nodes=every))
+    return _Base(model=model, row=row, notes=notes)
+
+
+def _touched(imported: Imported) -> Ints:
+    """Rows of nodes that couplings and masses need."""
+    parts = [np.array([one.master, *one.slaves], dtype=np.int64) for one in imported.rigid]
+    parts += [np.array([one.reference, *one.nodes], dtype=np.int64) for one in imported.average]
+    parts += [np.array([one.node], dtype=np.int64) for one in imported.masses]
+    return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *parts]))
+
+
+def _picked(nodes: Nodes, order: Ints, row: Ints, units: Units) -> Nodes:
+    sets = {name: row[members] for name, members in nodes.sets.items()}
+    kept = {name: np.sort(members[members >= 0]) for name, members in sets.items()}
+    return Nodes(
+        ids=nodes.ids[order], xyz=nodes.xyz[order] * units.length,
+        sets={name: members for name, members in kept.items() if len(members)},
+    )  # fmt: skip
+
+
+def _with_surfaces(nodes: Nodes, imported: Imported) -> Nodes:
+    """Surfaces of the file as node sets."""
+    taken = {(f"surface:{name}" if name in nodes.sets else name): np.unique(rows)
+             for name, rows in imported.surfaces.items()}  # fmt: skip
+    return replace(nodes, sets={**nodes.sets, **taken}) if taken else nodes
+
+
+def _mesh_on(mesh: Mesh, nodes: Nodes, units: Units) -> Mesh:
+    """The mesh with its nodes as rows of ``nodes``, joined by labels; ``nodes`` are in SI already."""
+    first = nodes.ids[: len(mesh.nodes)]
+    if len(first) == len(mesh.nodes) and np.array_equal(first, mesh.nodes.ids):
+        if len(first) == len(nodes):
+            return replace(mesh, nodes=nodes)
+        return replace(mesh, nodes=replace(mesh.nodes, xyz=nodes.xyz[: len(first)]))
+    row = rows_of_labels(nodes, mesh.nodes.ids, mesh.source or "the mesh")
+    blocks = tuple(ElementBlock(type=b.type, nodes=row[b.nodes], ids=b.ids) for b in mesh.blocks)
+    return replace(mesh, nodes=nodes, blocks=blocks)
+
+
+def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
+    """Rows of ``nodes`` that have these labels.
+
+    Raises:
+        InputError: a label that does not exist, or one that two nodes have.
+    """
+    order = np.argsort(nodes.ids, kind="stable")
+    known = nodes.ids[order]
+    twice = known[1:][known[1:] == known[:-1]]
+    if len(twice):
+        raise InputError(f"two nodes have the label {twice[0]}; labels must be unique to be joined with {source}")
+    at = np.minimum(np.searchsorted(known, labels), max(len(known) - 1, 0))
+    missing = np.asarray(labels)[known[at] != labels] if len(known) else np.asarray(labels)
+    if len(missing):
+        raise InputError(
+            f"{source} names node {missing[0]}, which does not exist; check that the files belong together"
+        )
+    return np.asarray(order[at], dtype=np.int64)
+
+
+def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:
+    """Materials in Pa and kg/m3."""
+    if units.stress == 1.0 and units.density == 1.0:
+        return tuple(materials)
+    return tuple(
+        Material(set=one.set, stiffness=one.stiffness * units.stress, density=one.density * units.density)
+        for one in materials
+    )

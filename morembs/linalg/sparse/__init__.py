@@ -1,0 +1,1 @@
+"""Sparse factorisations: the contract, one file for each solver, their choice."""

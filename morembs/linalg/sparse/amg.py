@@ -1,0 +1,342 @@
+"""Algebraic multigrid: an iterative solver for compact bodies, whose memory grows with the rows only.
+
+Smoothed aggregation with the near-nullspace (Vanek, Mandel and Brezina 1996), set up by PyAMG with prolongations
+of least energy (Olson, Schroder and Tuminaro 2011). The V-cycle is our own, as those of PyAMG take one vector at
+a time: it smooths whole blocks of right-hand sides with Chebyshev polynomials (Adams, Brezina, Hu and Tuminaro
+2003) in single precision, and preconditions block conjugate gradients in double precision.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
+from morembs.linalg.sparse.ordering import node_graph
+from morembs.linalg.sparse.solver import SINGULAR, Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.threads import blas_threads
+
+log = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Values = NDArray[Any]
+
+# Two nodes belong together when the block between them has at least this share of their diagonal blocks. Measured
+# with ten-node tetrahedra: 0.05 to 0.1 take the fewest steps, and 0.15 twice as many.
+_STRENGTH = 0.06
+_ENERGY = ("energy", {"maxiter": 4, "degree": 1})
+# Rows of the coarsest level, which is factorised as a dense matrix.
+_COARSEST = 900
+# Motions of an aggregate: PyAMG counts aggregates, not rows, when it decides whether to coarsen again.
+_MOTIONS = 6
+# Degree of the smoothing polynomial, and the part of the spectrum that it damps: from top / _PART to top.
+_DEGREE = 3
+_PART = 20.0
+_POWER_STEPS = 15
+_MARGIN = 1.15
+_NODE = 3
+
+_ACCURACY = 1e-12
+_BACKWARD = 1e-12
+_MOST_STEPS = 200
+_BLOCK = 64
+# Measured with tetrahedra of ten nodes, 6e3 to 1e5 rows: bytes for each entry of the matrix, for each row, and others.
+_PEAK = (48.0, 200.0, 5e6)
+_KEPT = (20.0, 300.0, 0.0)
+_ENTRIES = 1.7
+# Bytes for each row and column while a block is solved, and operations of the setup for each entry.
+_WORK = 80
+_FLOPS = 300.0
+_CURE = 'take a direct solver (solver = "auto")'
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A (n, n) divided by its largest diagonal, P (n, m) to the next level and R = P' in single precision."""
+
+    A: sp.csr_array
+    P: sp.csr_array
+    R: sp.csr_array
+    inverse: Singles
+    top: float
+
+    def smooth(self, B: Singles, X: Singles | None) -> Singles:
+        """``X`` (None: zero) after a Chebyshev polynomial in D^-1 A for A X = B (n, k)."""
+        upper, lower = self.top * _MARGIN, self.top / _PART
+        center, half = (upper + lower) / 2, (upper - lower) / 2
+        first = center / half
+        rho = 1 / first
+        R = B.copy() if X is None else B - self.A @ X
+        D = R * self.inverse
+        D *= np.float32(1 / center)
+        X = D.copy() if X is None else np.add(X, D, out=X)
+        for _ in range(_DEGREE - 1):
+            R -= self.A @ D
+            before, rho = rho, 1 / (2 * first - rho)
+            D *= np.float32(rho * before)
+            step = R * self.inverse
+            step *= np.float32(2 * rho / half)
+            D += step
+            X += D
+        return X
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held, with the pattern that the first level shares with the matrix."""
+        return int(self.inverse.nbytes) + sum(_bytes(matrix) for matrix in (self.A, self.P, self.R))
+
+
+class _Hierarchy:
+    """The levels of A (n, n), and the dense Cholesky factor of the coarsest."""
+
+    def __init__(self, A: sp.csr_array, near: Floats | None, starts: Ints) -> None:
+        self.unit = float(A.diagonal().max())
+        self.levels: list[_Level] = []
+        coarsest = A
+        if A.shape[0] > _COARSEST:
+            coarsest = self._coarsen(A, near, starts)
+        dense = coarsest.toarray() / self.unit
+        size = np.sqrt(np.diag(dense).clip(0.0))
+        # Motions that depend on each other within an aggregate leave empty rows.
+        empty = size == 0
+        dense[empty, empty] = 1.0
+        self._scale = 1.0 / np.where(empty, 1.0, size)
+        try:
+            self._factor = np.linalg.cholesky(self._scale[:, None] * dense * self._scale)
+        except np.linalg.LinAlgError:
+            raise _singular() from None
+        if np.diag(self._factor).min() ** 2 < 1.0 / SINGULAR:
+            raise _singular()
+        self.entries = dense.size // 2 + int(sum(level.A.nnz + level.P.nnz for level in self.levels))
+        self.nbytes = int(self._factor.nbytes) + sum(level.nbytes for level in self.levels)
+
+    def _coarsen(self, A: sp.csr_array, near: Floats | None, starts: Ints) -> sp.csr_array:
+        """Fill ``levels``; returns the matrix of the coarsest one."""
+        import pyamg
+
+        blocks, place, near = _by_nodes(A, near, starts)
+        try:
+            made = pyamg.smoothed_aggregation_solver(
+                blocks, B=near, symmetry="symmetric", strength=("symmetric", {"theta": _STRENGTH}), smooth=_ENERGY,
+                improve_candidates=None, presmoother=None, postsmoother=None, max_levels=12,
+                max_coarse=_COARSEST // _MOTIONS,
+            ).levels  # fmt: skip
+        except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
+            raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
+        del blocks, near
+        for number, level in enumerate(made[:-1]):
+            P = sp.csr_array(level.P, dtype=np.float32)
+            self.levels.append(_level(sp.csr_array(level.A) if number else A, P if number else P[place], self.unit))
+            made[number] = None
+        if made[-1].A.shape[0] > 4 * _COARSEST:
+            raise SolverError(
+                f"multigrid could not coarsen below {made[-1].A.shape[0]} rows: the unknowns hardly couple; {_CURE}"
+            )
+        return sp.csr_array(made[-1].A) if len(made) > 1 else A
+
+    def precondition(self, R: Floats) -> Floats:
+        """One V-cycle for A Z = R (n, k); the solution where there is one level only."""
+        if not self.levels:
+            return self._solve_coarsest(R) / self.unit
+        size = np.linalg.norm(R, axis=0)
+        size[size == 0] = 1.0
+        B = np.empty(R.shape, dtype=np.float32)
+        np.divide(R, size, out=B, casting="same_kind")
+        Z = np.empty(R.shape, order="F")
+        np.multiply(self._cycle(0, B), size / self.unit, out=Z)
+        return Z
+
+    def _solve_coarsest(self, B: Values) -> Floats:
+        scale = self._scale[:, None]
+        Y = sl.cho_solve((self._factor, True), scale * B, overwrite_b=True, check_finite=False)
+        return np.asarray(scale * Y)
+
+    def _cycle(self, number: int, B: Singles) -> Singles:
+        if number == len(self.levels):
+            return self._solve_coarsest(B).astype(np.float32)
+        level = self.levels[number]
+        X = level.smooth(B, None)
+        X += level.P @ self._cycle(number + 1, level.R @ (B - level.A @ X))
+        return level.smooth(B, X)
+
+
+def _level(A: sp.csr_array, P: sp.csr_array, unit: float) -> _Level:
+    """A level in single precision; shares the pattern of ``A``."""
+    d = A.diagonal() / unit
+    if not (d >= 0).all():
+        raise SingularMatrixError("the matrix should be positive definite but has a negative value on its diagonal")
+    inverse = np.divide(1.0, d, out=np.zeros_like(d), where=d > 0).astype(np.float32)
+    single = sp.csr_array(((A.data / unit).astype(np.float32), A.indices, A.indptr), shape=A.shape)
+    x = np.random.default_rng(17).standard_normal(A.shape[0]).astype(np.float32)
+    top = 1.0
+    for _ in range(_POWER_STEPS):
+        x = inverse * (single @ (x / np.linalg.norm(x)))
+        top = float(np.linalg.norm(x))
+    return _Level(single, P, sp.csr_array(P.T), inverse[:, None], top)
+
+
+def _by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr_matrix, Ints, Floats]:
+    """``A`` in blocks of one node each, the place (n,) of its rows there, and the near-nullspace there.
+
+    Rows of equal pattern, which begin at ``starts``, are taken for a node, three at a time; a node with fewer gets
+    rows of its own that touch nothing. Without a near-nullspace it is one constant for each unknown of a node.
+    """
+    n = A.shape[0]
+    width = _NODE if len(starts) <= n / 2 else 1
+    sizes = np.diff(np.append(starts, n))
+    offset = np.arange(n) - np.repeat(starts, sizes)
+    head = offset % width == 0
+    place = (np.cumsum(head) - 1) * width + offset % width
+    size = int(np.count_nonzero(head)) * width
+    indptr = np.zeros(size + 1, dtype=np.int32)
+    indptr[place + 1] = np.diff(A.indptr)
+    np.cumsum(indptr, out=indptr)
+    indices = place.astype(np.int32)[A.indices]
+    blocks = sp.csr_matrix((A.data, indices, indptr), shape=(size, size)).tobsr((width, width))
+    row = np.repeat(np.arange(size // width), np.diff(blocks.indptr))
+    diagonal = blocks.data[row == blocks.indices]
+    idle = np.ones(size, dtype=bool)
+    idle[place] = False
+    which = np.flatnonzero(idle)
+    diagonal[which // width, which % width, which % width] = diagonal[which // width, 0, 0]
+    blocks.data[row == blocks.indices] = diagonal
+    wide = np.zeros((size, width if near is None else near.shape[1]))
+    wide[place] = np.eye(width)[place % width] if near is None else near
+    return blocks, place, wide
+
+
+class _AmgFactor(Factorization):
+    """The hierarchy, and the matrix in double precision."""
+
+    def __init__(self, A: sp.csr_array, hierarchy: _Hierarchy, budget: int | None, start: float) -> None:
+        super().__init__(A.shape[0])
+        self._A, self._hierarchy = A, hierarchy
+        self._norm = float(abs(A).sum(axis=1).max())
+        kept = hierarchy.nbytes + (int(A.data.nbytes) if hierarchy.levels else _bytes(A))
+        self._columns = _BLOCK
+        if budget is not None:
+            self._columns = min(_BLOCK, max(1, (budget - kept) // (_WORK * self.n)))
+        self.steps = 0
+        self._stats = FactorStats(
+            backend=Amg.name, size=self.n, nnz=int(A.nnz), factor_entries=hierarchy.entries, memory_bytes=kept,
+            out_of_core=False, seconds=time.perf_counter() - start, flops=_FLOPS * A.nnz, threads=blas_threads(),
+        )  # fmt: skip
+        log.debug("multigrid with levels of %s rows", [level.A.shape[0] for level in hierarchy.levels])
+
+    @property
+    def stats(self) -> FactorStats:
+        return self._stats
+
+    def _solve(self, B: Values) -> Values:
+        """Raises SolverError where the iteration does not converge."""
+        for first in range(0, B.shape[1], self._columns):
+            part = B[:, first : first + self._columns]
+            found = conjugate_gradients(
+                self._A.__matmul__, self._hierarchy.precondition, part, norm=self._norm, accuracy=_ACCURACY,
+                max_steps=_MOST_STEPS,
+            )  # fmt: skip
+            self.steps = found.steps
+            error = float(found.residual.max(initial=0.0))
+            log.debug("multigrid: %d steps to a backward error of %.1e", found.steps, error)
+            if found.stagnated or not error <= _BACKWARD:
+                raise SolverError(
+                    f"multigrid came to a backward error of only {error:.1e} in {found.steps} steps (needed "
+                    f"{_BACKWARD:.0e}); it converges slowly for slender bodies, thin walls and stretched elements, and "
+                    f"not at all for a body that is not held: {_CURE}"
+                )
+            part[:] = found.X
+        return B
+
+    def _negative_pivots(self) -> int | None:
+        return None
+
+    def _release(self) -> None:
+        del self._A, self._hierarchy
+
+
+class _AmgAnalysis(Analysis):
+    """The nodes, as the pattern shows them, and the forecast."""
+
+    def __init__(self, solver: Amg, A: Lower, structure: str) -> None:
+        super().__init__(A, structure)
+        self.solver = solver
+        near = solver.near_nullspace
+        if near is not None and (near.ndim != 2 or near.shape[0] != A.n or not np.isfinite(near).all()):
+            raise InputError(f"a near-nullspace of shape {near.shape} was given; expected finite values ({A.n}, r)")
+        needed = self.forecast.memory
+        if solver.memory is not None and needed > solver.memory:
+            raise BudgetError(
+                f"{solver.memory / 1e6:.1f} MB are left of the memory budget; multigrid needs {needed / 1e6:.0f} MB: "
+                "give more memory or take a coarser mesh",
+                needed=needed,
+            )
+        self._starts = node_graph(A)[1] if A.n > _COARSEST else np.arange(A.n)
+
+    @property
+    def forecast(self) -> Forecast:
+        peak, kept = (int(entry * self.nnz + row * self.n + other) for entry, row, other in (_PEAK, _KEPT))
+        return Forecast(
+            backend=Amg.name, size=self.n, factor_entries=int(_ENTRIES * self.nnz), flops=_FLOPS * self.nnz,
+            memory=peak, kept=kept,
+        )  # fmt: skip
+
+    def _factorize(self, A: Lower) -> Factorization:
+        """Both triangles of ``A`` are held in double precision, which the forecast counts.
+
+        Raises SingularMatrixError (also where not positive definite) or SolverError (no hierarchy).
+        """
+        start = time.perf_counter()
+        whole = A.full()
+        # Symmetric, so its columns are its rows; PyAMG takes indices of 32 bits only.
+        indices, indptr = (index.astype(np.int32, copy=False) for index in (whole.indices, whole.indptr))
+        rows = sp.csr_array((whole.data, indices, indptr), shape=whole.shape)
+        del whole
+        hierarchy = _Hierarchy(rows, self.solver.near_nullspace, self._starts)
+        return _AmgFactor(rows, hierarchy, self.solver.memory, start)
+
+    def _release(self) -> None:
+        self._starts = np.arange(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Amg(LinearSolver):
+    """Multigrid of positive definite matrices, for compact bodies; ``scratch`` has no effect.
+
+    ``near_nullspace`` (n, r) holds motions that cost next to no energy, such as the rigid-body modes of the body
+    without its supports; without it each unknown of a node is constant, which takes more steps.
+    """
+
+    near_nullspace: Floats | None = field(default=None, compare=False, repr=False)
+
+    name: ClassVar[str] = "amg"
+    structures: ClassVar[tuple[str, ...]] = ("spd",)
+    counts: ClassVar[bool] = False
+
+    @classmethod
+    def unavailable(cls) -> str:
+        return "" if find_spec("pyamg") else "PyAMG is not installed; get it with: pip install pyamg"
+
+    def _analyse(self, A: Lower, structure: str) -> Analysis:
+        return _AmgAnalysis(self, A, structure)
+
+
+def _bytes(A: sp.csr_array) -> int:
+    return int(A.data.nbytes + A.indices.nbytes + A.indptr.nbytes)
+
+
+def _singular() -> SingularMatrixError:
+    return SingularMatrixError(
+        "the matrix is singular or not positive definite; likely a mechanism, an unconnected part, or a body that is "
+        "not held where it should be"
+    )

@@ -1,0 +1,419 @@
+"""What every sparse solver is: a frozen configuration that turns a matrix into a factorisation.
+
+    solver.analyse(A)  ->  Analysis (pattern only: forecast)  ->  analysis.factorize(A)  ->  Factorization
+
+``solver.factorize(A)`` is both steps in one. A backend writes the methods with an underscore only.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, ClassVar, Self, final
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.sparse.symmetric import Lower
+
+log = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+Values = NDArray[Any]
+
+STRUCTURES = ("spd", "symmetric", "complex-symmetric")
+# Inverse iteration from a random start sees 1/eps for a singular matrix; the finest slender
+# meshes of practice stay below 1e12.
+SINGULAR = 1e14
+BACKWARD_ERROR = 1e-10
+# Starting vectors of the one step that a factor on disk is checked with: every step reads it all.
+_ON_DISK = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """What a factorisation will need, from its symbolic analysis. Bytes and operations.
+
+    ``memory`` is the peak of the factorisation itself, without the matrix that the caller holds;
+    ``disk`` the size of its scratch files, 0 in core; ``kept`` what stays in memory for the solves.
+    """
+
+    backend: str
+    size: int
+    factor_entries: int
+    flops: float
+    memory: int
+    kept: int
+    disk: int = 0
+    precision: str = "double"
+
+    @property
+    def out_of_core(self) -> bool:
+        """Whether the factor lies on disk."""
+        return self.disk > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FactorStats:
+    """Cost of one factorisation: stored factor entries, operations, bytes of factors held in memory and
+    on disk, arithmetic, threads of the BLAS (0: not known), seconds."""
+
+    backend: str
+    size: int
+    nnz: int
+    factor_entries: int
+    memory_bytes: int
+    out_of_core: bool
+    seconds: float
+    flops: float = 0.0
+    disk_bytes: int = 0
+    precision: str = "double"
+    threads: int = 0
+
+
+class _Resource(ABC):
+    """Something that holds memory or files and gives them back."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Release what is held; called once."""
+
+    @final
+    def close(self) -> None:
+        """Release memory and files; a second call does nothing."""
+        if not self.closed:
+            self.closed = True
+            self._close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if not getattr(self, "closed", True):
+            self.close()
+
+
+class Factorization(_Resource):
+    """A factor of one matrix; a context manager that gives its memory and files back.
+
+    ``dtype`` is that of the solutions: float64, or complex128 of a complex symmetric matrix.
+    """
+
+    def __init__(self, n: int, dtype: Any = np.float64) -> None:
+        super().__init__()
+        self.n = n
+        self.dtype = np.dtype(dtype)
+        # An analysis made for this factor alone goes when the factor goes.
+        self.analysis: Analysis | None = None
+
+    @property
+    @abstractmethod
+    def stats(self) -> FactorStats:
+        """What the factorisation cost."""
+
+    @abstractmethod
+    def _solve(self, B: Values) -> Values:
+        """A X = B for a Fortran-ordered (n, k) right-hand side of ``dtype`` that may be overwritten."""
+
+    def _solve_sparse(self, B: sp.csc_array) -> Values | None:
+        """A X = B for a sparse right-hand side; None where the backend has no way of its own."""
+        return None
+
+    @abstractmethod
+    def _negative_pivots(self) -> int | None:
+        """Number of negative eigenvalues, None where the backend cannot say."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Release what the backend holds; called once."""
+
+    @final
+    def _close(self) -> None:
+        self._release()
+        if self.analysis is not None:
+            self.analysis.close()
+
+    @final
+    def solve(self, B: Values | sp.sparray) -> Values:
+        """X of A X = B; ``B`` (n,) or (n, k) dense, not changed, or sparse (n, k). X is dense.
+
+        Peak memory: two copies of ``B`` besides what the backend needs for a block.
+
+        Raises:
+            InputError: wrong shape, or a complex right-hand side for a real matrix.
+            SolverError: the factorisation is closed, or the backend failed.
+        """
+        if self.closed:
+            raise SolverError("solve was called on a factorisation that is closed; factorise again")
+        if B.ndim not in (1, 2) or B.shape[0] != self.n:
+            raise InputError(f"a right-hand side of shape {B.shape} was given; expected ({self.n}, k)")
+        if B.dtype.kind == "c" and self.dtype.kind != "c":
+            raise InputError("a complex right-hand side was given for a real matrix; solve for both parts")
+        if sp.issparse(B):
+            X = self._solve_sparse(sp.csc_array(B).astype(self.dtype))
+            if X is not None:
+                return X
+            whole: Any = B
+            B = whole.toarray()
+        block = np.array(B.reshape(self.n, -1), dtype=self.dtype, order="F", copy=True)
+        X = self._solve(block) if block.shape[1] else block
+        return X.reshape(B.shape) if B.ndim == 1 else X
+
+    @final
+    def negative_pivots(self) -> int:
+        """Number of negative eigenvalues of the matrix (Sylvester's law of inertia).
+
+        Raises:
+            SolverError: the backend cannot count them.
+        """
+        count = self._negative_pivots()
+        if count is None:
+            raise SolverError(f"{self.stats.backend} gives no inertia; take another solver")
+        return count
+
+
+class Analysis(_Resource):
+    """Symbolic analysis of one pattern, for matrices with that pattern. One factor of it lives at a time."""
+
+    def __init__(self, pattern: Lower, structure: str) -> None:
+        super().__init__()
+        self.n, self.lower_nnz = pattern.n, pattern.nnz
+        self.nnz = 2 * pattern.nnz - pattern.n
+        self.structure = structure
+        # Why this solver was chosen, in one line, where there was a choice.
+        self.choice = ""
+        self._pattern = pattern.pattern
+        self._current: Factorization | None = None
+
+    @property
+    @abstractmethod
+    def forecast(self) -> Forecast:
+        """What a factorisation of this pattern will need."""
+
+    @abstractmethod
+    def _factorize(self, A: Lower) -> Factorization:
+        """Factor of a matrix with the pattern of this analysis."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Release what the backend holds; called once."""
+
+    @final
+    def _close(self) -> None:
+        if self._current is not None:
+            self._current.close()
+        self._release()
+
+    @final
+    def factorize(self, A: sp.sparray | Lower, what: str = "the matrix") -> Factorization:
+        """Factor of ``A``, checked by solving with it; closes the factor made before.
+
+        Raises:
+            InputError: another pattern than the one analysed, or values that are not finite.
+            SingularMatrixError: singular to working accuracy.
+            SolverError: the backend failed, its solution is inaccurate, or the analysis is closed.
+        """
+        if self.closed:
+            raise SolverError("factorize was called on an analysis that is closed; analyse again")
+        lower = Lower.of(A, what)
+        if lower.n != self.n or lower.pattern != self._pattern:
+            raise InputError(
+                f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing"
+            )
+        if (lower.data.dtype.kind == "c") != (self.structure == "complex-symmetric"):
+            raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")
+        if not np.isfinite(lower.data).all():
+            raise InputError(f"{what} has values that are not finite; check the input matrices")
+        if self._current is not None:
+            self._current.close()
+        start = time.perf_counter()
+        self._current = factor = self._factorize(lower)
+        try:
+            check_factor(factor, lower, what)
+        except BaseException:
+            factor.close()
+            raise
+        stats = factor.stats
+        log.info(
+            "%s: n=%d nnz=%d factor entries=%d (%.3g MB%s, %s precision, %d threads) %.2f s, %.2f s with its check",
+            stats.backend, stats.size, stats.nnz, stats.factor_entries, (stats.memory_bytes + stats.disk_bytes) / 1e6,
+            " out of core" if stats.out_of_core else "", stats.precision, stats.threads, stats.seconds,
+            time.perf_counter() - start,
+        )  # fmt: skip
+        return factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearSolver(ABC):
+    """Configuration of a sparse solver.
+
+    ``memory`` is the budget in bytes for what one factorisation allocates (None: no limit), ``scratch``
+    the folder for factors that do not fit (None: the temporary folder of the system).
+    """
+
+    memory: int | None = None
+    scratch: Path | None = None
+
+    name: ClassVar[str]
+    structures: ClassVar[tuple[str, ...]] = STRUCTURES
+    # Whether it counts negative eigenvalues.
+    counts: ClassVar[bool] = True
+
+    @classmethod
+    @abstractmethod
+    def unavailable(cls) -> str:
+        """Why this solver cannot run here and how to get it; empty means that it runs."""
+
+    @abstractmethod
+    def _analyse(self, A: Lower, structure: str) -> Analysis:
+        """Symbolic analysis; the values of ``A`` may be used for scaling decisions only."""
+
+    def _inertia(self, A: Lower, what: str) -> int:
+        """Number of negative eigenvalues; a backend that need not keep a factor for it may do better."""
+        with self.factorize(A, "symmetric", what) as factor:
+            return factor.negative_pivots()
+
+    def _inertia_forecast(self, A: Lower) -> Forecast:
+        """What ``_inertia`` will need."""
+        with self.analyse(A, "symmetric") as analysis:
+            return analysis.forecast
+
+    @final
+    def inertia_forecast(self, A: sp.sparray | Lower) -> Forecast:
+        """What ``negative_eigenvalues`` of a matrix with the pattern of ``A`` will need.
+
+        Raises:
+            SolverError: it cannot be kept within the budget.
+        """
+        return self._inertia_forecast(Lower.of(A))
+
+    @final
+    def with_memory(self, memory: int | None) -> Self:
+        """The same configuration with another budget."""
+        return replace(self, memory=memory)
+
+    @final
+    def knowing(self, near_nullspace: Floats | None) -> Self:
+        """The same configuration with the motions (n, r) that cost next to no energy, where it has use for them."""
+        if near_nullspace is not None and "near_nullspace" in {f.name for f in fields(self)}:
+            changes: dict[str, Any] = {"near_nullspace": near_nullspace}
+            return replace(self, **changes)
+        return self
+
+    @final
+    def negative_eigenvalues(self, A: sp.sparray | Lower, what: str = "the matrix") -> int:
+        """Number of negative eigenvalues of a real symmetric, regular ``A`` (Sylvester's law of inertia).
+
+        Raises:
+            SingularMatrixError: an eigenvalue is zero to working accuracy.
+            SolverError: the backend failed, or cannot count.
+        """
+        return self._inertia(Lower.of(A, what), what)
+
+    @final
+    def analyse(self, A: sp.sparray | Lower, structure: str = "symmetric", what: str = "the matrix") -> Analysis:
+        """Symbolic analysis of the pattern of ``A`` (n, n), to be used for several shifts or for a forecast.
+
+        Args:
+            structure: "spd" (positive definite), "symmetric" (indefinite, regular) or "complex-symmetric".
+            what: words for error messages, such as "the stiffness matrix".
+
+        Raises:
+            InputError: not square, not symmetric, not finite, or a structure this solver cannot take.
+            SolverError: it cannot be kept within the budget; the message says what would be needed.
+        """
+        if structure not in STRUCTURES:
+            raise InputError(f"structure = {structure!r} was given; expected one of {', '.join(STRUCTURES)}")
+        if structure not in self.structures:
+            raise InputError(
+                f"solver = {self.name!r} takes {' or '.join(self.structures)} matrices; {what} is {structure}"
+            )
+        reason = self.unavailable()
+        if reason:
+            raise InputError(f"solver = {self.name!r} cannot run here: {reason}")
+        lower = Lower.of(A, what)
+        if (lower.data.dtype.kind == "c") != (structure == "complex-symmetric"):
+            raise InputError(
+                f"{what} was declared {structure}, but its values are "
+                f"{'complex' if lower.data.dtype.kind == 'c' else 'real'}"
+            )
+        return self._analyse(lower, structure)
+
+    @final
+    def factorize(self, A: sp.sparray | Lower, structure: str = "symmetric", what: str = "the matrix") -> Factorization:
+        """Factor of the sparse symmetric ``A`` (n, n), checked by solving with it; as ``analyse``.
+
+        Raises:
+            InputError: not square, not symmetric, or values that are not finite.
+            SingularMatrixError: singular to working accuracy.
+            SolverError: the backend failed or its solution is inaccurate.
+        """
+        lower = Lower.of(A, what)
+        analysis = self.analyse(lower, structure, what)
+        try:
+            factor = analysis.factorize(lower, what)
+        except BaseException:
+            analysis.close()
+            raise
+        factor.analysis = analysis
+        return factor
+
+
+def refuse_beyond_memory(solver: LinearSolver, wanted: Forecast, who: str, advice: str) -> None:
+    """Raise BudgetError where a factor that has to stay in memory exceeds the budget of ``solver``."""
+    if solver.memory is not None and wanted.memory > solver.memory:
+        raise BudgetError(
+            f"{solver.memory / 1e6:.1f} MB are left of the memory budget for the factorisation; "
+            f"{wanted.memory / 1e6:.1f} MB are needed by {who}, which keeps the factor in memory; "
+            f'give more memory or take solver = "mumps", which {advice}',
+            needed=wanted.memory,
+        )
+
+
+def check_factor(factor: Factorization, A: Lower, what: str) -> None:
+    """Inverse iteration with D A D, whose rows D scales to unit size.
+
+    No backend reports a singular matrix reliably; without the scaling a matrix that mixes forces with
+    moments would look singular in small units. In memory two steps with one vector; on disk one step with
+    a few vectors, which see the lowest mode with a share of about 1/sqrt(n).
+    """
+    size = np.sqrt(A.largest_in_rows())
+    if not (size > 0).all():
+        raise SingularMatrixError(f"{what} has {int((size == 0).sum())} rows that are zero; remove these dofs")
+    d = (1.0 / size)[:, None]
+    norm = A.scaled_norm(d[:, 0])
+    on_disk = factor.stats.out_of_core
+    x = np.random.default_rng(7).standard_normal((A.n, _ON_DISK if on_disk else 1))
+    x = (x / np.linalg.norm(x, axis=0)).astype(factor.dtype)
+    steps = 1 if on_disk else 2
+    for _ in range(steps):
+        b = x
+        # D A D x = b means A (D x) = b / d.
+        x = factor.solve(b / d) / d
+        growth = float(np.linalg.norm(x, axis=0).max())
+        seen = growth * np.sqrt(A.n / _ON_DISK) if on_disk else growth
+        if not np.isfinite(growth) or norm * seen > SINGULAR:
+            raise SingularMatrixError(
+                f"{what} is singular (condition above {SINGULAR:.0e}); likely a mechanism, an unconnected "
+                "part, or a body that is not held where it should be"
+            )
+        residual = float(np.linalg.norm(d * (A @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
+        if residual > BACKWARD_ERROR:
+            raise SolverError(
+                f"{factor.stats.backend} solved with {what} to a backward error of only {residual:.1e} "
+                f"(needed {BACKWARD_ERROR:.0e}); take another solver, or move the shift"
+            )
+        x /= growth

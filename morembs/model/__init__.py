@@ -1,0 +1,5 @@
+"""The finite-element model: nodes, elements, materials, matrices and what each degree of freedom means."""
+
+from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, frozen, rigid_motion, skew
+
+__all__ = ["DofMap", "ElementBlock", "FEModel", "Mesh", "Nodes", "frozen", "rigid_motion", "skew"]

@@ -1,0 +1,174 @@
+"""The finite-element model: sparse matrices, nodes and what each degree of freedom means. SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.model.material import Material
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def frozen(array: Floats | Ints) -> NDArray:  # type: ignore[type-arg]
+    """A read-only view of ``array``, for the fields of frozen types."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Nodes:
+    """Nodes of a model.
+
+    ``ids`` (n,) labels of the file the model came from; ``xyz`` (n, 3) coordinates in m;
+    ``sets`` maps a name to rows of ``xyz`` (not labels), sorted.
+    """
+
+    ids: Ints
+    xyz: Floats
+    sets: Mapping[str, Ints] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
+        object.__setattr__(self, "xyz", frozen(np.ascontiguousarray(self.xyz, dtype=np.float64)))
+        object.__setattr__(self, "sets", MappingProxyType(dict(self.sets)))
+        if self.xyz.shape != (len(self.ids), 3):
+            raise InputError(f"nodes have {len(self.ids)} labels but coordinates of shape {self.xyz.shape}")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElementBlock:
+    """Elements of one type.
+
+    ``type`` is a name of ``morembs.model.elements.TYPES``; ``nodes`` (ne, k) rows of ``Nodes.xyz`` in VTK
+    order; ``ids`` (ne,) labels of the file.
+    """
+
+    type: str
+    nodes: Ints
+    ids: Ints
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "nodes", frozen(np.ascontiguousarray(self.nodes, dtype=np.int64)))
+        object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Nodes, solid elements and named element sets (name -> for each block the rows it holds)."""
+
+    nodes: Nodes
+    blocks: tuple[ElementBlock, ...]
+    element_sets: Mapping[str, tuple[Ints, ...]] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DofMap:
+    """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..5.
+
+    Components 0, 1, 2 are displacements along x, y, z and 3, 4, 5 rotations about them.
+    """
+
+    node: Ints
+    component: Ints
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "node", frozen(np.asarray(self.node, dtype=np.int64)))
+        object.__setattr__(self, "component", frozen(np.asarray(self.component, dtype=np.int64)))
+
+    @classmethod
+    def translations(cls, n_nodes: int) -> DofMap:
+        """Three displacements per node, node by node: the map of solid elements."""
+        dofs = np.arange(3 * n_nodes, dtype=np.int64)
+        return cls(node=dofs // 3, component=dofs % 3)
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+    @cached_property
+    def is_solid(self) -> bool:
+        """True where the dofs are x, y, z of node 0, 1, 2, ... and nothing else."""
+        return self.begins_solid(len(self) // 3) and len(self) % 3 == 0
+
+    def begins_solid(self, nodes: int) -> bool:
+        """True where the first dofs are x, y, z of the first ``nodes`` nodes; masters of couplings may follow."""
+        solid = np.arange(3 * nodes, dtype=np.int64)
+        first = slice(3 * nodes)
+        return bool(np.array_equal(self.node[first], solid // 3) and np.array_equal(self.component[first], solid % 3))
+
+    def of_nodes(self, rows: Ints) -> Ints:
+        """Displacement dofs (len(rows), 3) of node rows, -1 where a node lacks one."""
+        table = np.full((int(self.node.max()) + 1 if len(self) else 0, 3), -1, dtype=np.int64)
+        translation = self.component < 3
+        table[self.node[translation], self.component[translation]] = np.flatnonzero(translation)
+        return table[rows]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FEModel:
+    """M u'' + D u' + K u = f of a finite-element model, in SI units.
+
+    ``K``, ``M`` and optionally ``D`` are sparse symmetric (N, N) in CSR form; ``mesh`` is None for
+    models that came as matrices, ``materials`` are those that its elements were assembled with.
+    """
+
+    K: sp.csr_array
+    M: sp.csr_array
+    D: sp.csr_array | None = None
+    nodes: Nodes
+    dofs: DofMap
+    mesh: Mesh | None = None
+    materials: tuple[Material, ...] = ()
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        n = len(self.dofs)
+        for name in ("K", "M", "D"):
+            matrix = getattr(self, name)
+            if matrix is not None and matrix.shape != (n, n):
+                raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
+
+    @property
+    def size(self) -> int:
+        """Number of degrees of freedom N."""
+        return len(self.dofs)
+
+
+def skew(x: Floats) -> Floats:
+    """x~ (..., 3, 3) with x~ y = x × y."""
+    result = np.zeros((*x.shape[:-1], 3, 3))
+    result[..., 0, 1], result[..., 0, 2] = -x[..., 2], x[..., 1]
+    result[..., 1, 0], result[..., 1, 2] = x[..., 2], -x[..., 0]
+    result[..., 2, 0], result[..., 2, 1] = -x[..., 1], x[..., 0]
+    return result
+
+
+def rigid_motion(xyz: Floats, component: Ints) -> Floats:
+    """Rows (N, 6) of the geometric rigid-body modes R = [translations, rotations about the origin].
+
+    ``xyz`` (N, 3) is the point of each dof in m. A displacement row of a point x is [I, -x~], a
+    rotation row [0, I].
+    """
+    R = np.zeros((len(component), 6))
+    moves = component < 3
+    R[moves, component[moves]] = 1.0
+    R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]
+    turns = ~moves
+    R[turns, component[turns]] = 1.0
+    return R

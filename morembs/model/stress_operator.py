@@ -1,0 +1,226 @@
+"""Stress and strain at nodes from displacements.
+
+The displacement gradient at the integration points of the stiffness is fitted in each element by its linear
+functions (least squares, Hinton and Campbell 1974), taken at the element's nodes, and averaged at a node over the
+elements of one material with their volumes as weights. All of that is one sparse operator G; strain and stress
+follow from G u.
+
+Tensors have the order xx, yy, zz, xy, yz, zx (that of VTK and ParaView) and tensor shears: a strain xy is half the
+engineering shear. Stresses are in Pa, along the axes of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.errors import InputError
+from morembs.model import assembly as fem
+from morembs.model.elements import TYPES, ElementType
+from morembs.model.fe_model import FEModel, Mesh
+from morembs.model.surface import outer_faces
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+Reals = NDArray[np.float64] | NDArray[np.float32]
+Ints = NDArray[np.int64]
+NODES = ("skin", "all")
+COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx")
+# Where the components lie in the Voigt order xx, yy, zz, yz, zx, xy of the materials.
+_FROM_VOIGT = np.array([0, 1, 2, 5, 3, 4])
+_ROW, _COLUMN = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
+_LINEAR = {"t": "tet4", "h": "hex8", "w": "wedge6"}
+# Entries of G that are collected before they are added up.
+_COLLECTED = 4_000_000
+# Columns of length N that one block of shapes costs, beside the gradients at the points.
+_COPIES = 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StressOperator:
+    """G u: averaged displacement gradients at points, and what makes strain and stress of them.
+
+    ``nodes`` (np,) rows of the model's nodes, ascending; a node where materials meet is one point for each of them,
+    and ``material`` (np,) tells which (the index of the first material with the same constants).
+    ``gradient`` (3 np, n) gives for row 3 p + b the derivative of a nodal field along axis b; ``elasticity``
+    (materials, 6, 6) in Pa takes strains to stresses in the order of this module.
+    """
+
+    nodes: Ints
+    material: Ints
+    gradient: sp.csr_array
+    elasticity: Floats
+
+    def strain(self, u: Floats) -> Floats:
+        """Strains (6 np, k) of displacements ``u`` (3 n, k), x, y, z of node after node.
+
+        Allocates 24 values for each point and column.
+        """
+        k = u.shape[1]
+        H = np.asarray(self.gradient @ u.reshape(-1, 3 * k)).reshape(-1, 3, 3, k)
+        return np.asarray(0.5 * (H[:, _ROW, _COLUMN] + H[:, _COLUMN, _ROW])).reshape(-1, k)
+
+    def stress(self, u: Floats) -> Floats:
+        """Stresses (6 np, k) in Pa of displacements ``u`` (3 n, k) in m."""
+        strain = self.strain(u).reshape(len(self.nodes), 6, -1)
+        for which in np.unique(self.material):
+            its = slice(None) if (self.material == which).all() else np.flatnonzero(self.material == which)
+            strain[its] = self.elasticity[which] @ strain[its]
+        return strain.reshape(-1, u.shape[1])
+
+
+def stress_operator(
+    model: FEModel, nodes: str | Ints = "skin", *, budget: Budget = UNLIMITED, progress: Progress = SILENT
+) -> StressOperator:
+    """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``.
+
+    Only elements that touch these nodes are looked at, a chunk at a time. Peak memory: four times the entries of G
+    (up to 170 for each point of 20-node hexahedra, 80 of 10-node tetrahedra; 12 bytes each) and one chunk.
+
+    Raises:
+        InputError: a model without elements or materials, an unknown choice of nodes or rows that do not exist.
+    """
+    mesh = model.mesh
+    if mesh is None or not model.materials or not model.dofs.begins_solid(len(mesh.nodes)):
+        raise InputError(
+            "stress needs solid elements and their materials, and this model has matrices only; give a mesh with "
+            "materials, or leave stress out"
+        )
+    rows = chosen_rows(mesh, nodes)
+    alike = _alike(model)
+    owner = {block: alike[which] for block, which in fem.material_of_elements(mesh, model.materials).items()}
+    points = _points(mesh, owner, rows, len(alike))
+    gradient = _gradient(mesh, owner, points, len(alike), progress)
+    # Engineering shears of the materials' constants against tensor shears here.
+    C = np.stack([material.stiffness for material in model.materials])[:, _FROM_VOIGT][:, :, _FROM_VOIGT]
+    return StressOperator(
+        nodes=points // len(alike), material=points % len(alike), elasticity=C * np.array([1, 1, 1, 2, 2, 2]),
+        gradient=sp.csr_array(
+            tuple(budget.store(a) for a in (gradient.data, gradient.indices, gradient.indptr)), shape=gradient.shape
+        ),
+    )  # fmt: skip
+
+
+def chosen_rows(mesh: Mesh, nodes: str | Ints) -> Ints:
+    """Rows of the nodes that ``nodes`` means, ascending.
+
+    Raises:
+        InputError: an unknown word, no node, or rows that the mesh does not have.
+    """
+    if isinstance(nodes, str):
+        if nodes not in NODES:
+            raise InputError(f"nodes = {nodes!r} was given for the stress; expected one of {', '.join(NODES)}, or rows")
+        if nodes == "all":
+            return np.arange(len(mesh.nodes))
+        return np.unique(np.concatenate([faces.ravel() for faces in outer_faces(mesh).values()]))
+    rows = np.unique(np.asarray(nodes, dtype=np.int64))
+    if not len(rows) or rows[0] < 0 or rows[-1] >= len(mesh.nodes):
+        what = f"row {rows[0] if rows[0] < 0 else rows[-1]}" if len(rows) else "no node"
+        raise InputError(f"{what} was given for the stress; expected some rows 0..{len(mesh.nodes) - 1} of the nodes")
+    return rows
+
+
+def _alike(model: FEModel) -> Ints:
+    """For each material the index of the first one with the same constants."""
+    C = [material.stiffness for material in model.materials]
+    return np.array([next(j for j, other in enumerate(C) if np.array_equal(one, other)) for one in C])
+
+
+def _points(mesh: Mesh, owner: Mapping[int, Ints], rows: Ints, materials: int) -> Ints:
+    """Numbers node * materials + material, ascending, of all pairs that occur at the nodes ``rows``."""
+    wanted = np.zeros(len(mesh.nodes), dtype=bool)
+    wanted[rows] = True
+    found = []
+    for block in mesh.blocks:
+        for label in np.unique(owner[id(block)]):
+            nodes = np.unique(block.nodes[owner[id(block)] == label])
+            found.append(nodes[wanted[nodes]] * materials + label)
+    return np.unique(np.concatenate(found))
+
+
+def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> sp.csr_array:
+    """G (3 np, n), averaged with the volumes of the elements."""
+    shape = (3 * len(points), len(mesh.nodes))
+    total, volume = sp.csr_array(shape), np.zeros(len(points))
+    wanted = np.zeros(len(mesh.nodes), dtype=bool)
+    wanted[points // materials] = True
+    parts: list[tuple[Floats, Ints, Ints]] = []
+    count = 0
+    for block, rows in fem.chunks(mesh):
+        rows = rows[wanted[block.nodes[rows]].any(axis=1)]
+        if not len(rows):
+            continue
+        kind, nodes = TYPES[block.type], block.nodes[rows]
+        its = fem.geometry(mesh.nodes.xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+        element, a = np.nonzero(wanted[nodes])
+        size = its.dV.sum(axis=1)[element]
+        point = np.searchsorted(points, nodes[element, a] * materials + owner[id(block)][rows][element])
+        np.add.at(volume, point, size)
+        at_nodes = np.einsum("aq,eqkb->eabk", extrapolation(kind), its.dN, optimize=True)[element, a]
+        values = at_nodes * size[:, None, None]
+        row = np.broadcast_to((3 * point[:, None] + np.arange(3))[:, :, None], values.shape)
+        column = np.broadcast_to(nodes[element][:, None, :], values.shape)
+        parts.append((values.ravel(), row.ravel(), column.ravel()))
+        count += values.size
+        if count > max(_COLLECTED, total.nnz):
+            total, parts, count = total + _summed(parts, shape), [], 0
+        progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
+    if parts:
+        total = total + _summed(parts, shape)
+    total.data /= np.repeat(volume, 3).repeat(np.diff(total.indptr))
+    return total
+
+
+def _summed(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> sp.csr_array:
+    values, rows, columns = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
+
+
+def extrapolation(kind: ElementType) -> Floats:
+    """(k, nq) values at the nodes of an element from those at the points of its stiffness rule.
+
+    Exact for fields that are linear in its reference coordinates; one point alone gives a constant.
+    """
+    linear = TYPES[_LINEAR[kind.name[0]]]
+    at_points, _ = linear.shape(kind.rule(kind.stiffness_order).points)
+    at_nodes, _ = linear.shape(kind.reference)
+    return np.asarray(at_nodes @ np.linalg.pinv(at_points))
+
+
+def stress_shapes(
+    problem: Problem, X: Floats, operator: StressOperator, *, strain: bool = False, out: Reals | None = None
+) -> Reals:
+    """Stresses in Pa (6 np, k) of displacements ``X`` (Nc, k) in coupled dofs; strains if ``strain``.
+
+    ``out`` (6 np, k) takes the result and may be of single precision. Works in blocks of columns.
+    """
+    found: Reals = problem.budget.empty((6 * len(operator.nodes), X.shape[1]), order="F") if out is None else out
+    # Masters of couplings come behind the nodes of the elements.
+    T = problem.coupling.T[: 3 * operator.gradient.shape[1]]
+    width = problem.budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=_COPIES)
+    for at in range(0, X.shape[1], width):
+        u = np.asarray(T @ X[:, at : at + width])
+        found[:, at : at + width] = operator.strain(u) if strain else operator.stress(u)
+        problem.budget.relax()
+    return found
+
+
+def von_mises(stress: Reals) -> Floats:
+    """Von Mises stress (...) of stress tensors (..., 6), in the same units."""
+    xx, yy, zz, xy, yz, zx = np.moveaxis(np.asarray(stress, dtype=np.float64), -1, 0)
+    direct = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.asarray(np.sqrt(0.5 * direct + 3 * (xy**2 + yz**2 + zx**2)))
+
+
+def principal(tensor: Reals) -> Floats:
+    """Principal values (..., 3), largest first, of stress or strain tensors (..., 6)."""
+    values = np.asarray(tensor, dtype=np.float64)
+    full = np.empty((*values.shape[:-1], 3, 3))
+    full[..., _ROW, _COLUMN] = full[..., _COLUMN, _ROW] = values
+    return np.asarray(np.linalg.eigvalsh(full)[..., ::-1])

@@ -1,0 +1,73 @@
+"""The skin of a solid mesh: outer faces, and the area that belongs to each of their nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.model.elements import FACES, TYPES
+from morembs.model.fe_model import Mesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints, ...] | None = None) -> dict[str, Ints]:
+    """Faces that belong to one element only, as {face type: (nf, k) node rows in VTK order}.
+
+    Args:
+        within: keep only faces all of whose nodes are among these rows.
+        elements: for each block the rows to take the skin of; None for the whole mesh.
+    """
+    inside = np.ones(len(mesh.nodes), dtype=bool)
+    if within is not None:
+        inside[:] = False
+        inside[within] = True
+    found: dict[str, list[Ints]] = {}
+    for j, block in enumerate(mesh.blocks):
+        nodes = block.nodes if elements is None else block.nodes[elements[j]]
+        for kind, local in TYPES[block.type].face_nodes:
+            faces = nodes[:, local]
+            found.setdefault(kind, []).append(faces[inside[faces].all(axis=1)])
+    stacked = {kind: np.concatenate(parts) for kind, parts in found.items()}
+    return {kind: faces[_once(faces, _corners(kind))] for kind, faces in stacked.items()}
+
+
+def _corners(kind: str) -> int:
+    return 3 if kind.startswith("tri") else 4
+
+
+def _once(faces: Ints, corners: int) -> NDArray[np.bool_]:
+    """Which faces share their corner nodes with no other face of the same kind."""
+    if not len(faces):
+        return np.zeros(0, dtype=bool)
+    keys = np.sort(faces[:, :corners], axis=1)
+    _, inverse, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(counts[inverse.ravel()] == 1)
+
+
+def seam_faces(mesh: Mesh) -> int:
+    """Faces that look like outer ones but have a face of another kind on the same corner nodes."""
+    faces = {kind: np.sort(nodes[:, : _corners(kind)], axis=1) for kind, nodes in outer_faces(mesh).items()}
+    seams = 0
+    for corners in (3, 4):
+        keys = [np.empty((0, corners), dtype=np.int64), *(f for f in faces.values() if f.shape[1] == corners)]
+        _, counts = np.unique(np.concatenate(keys), axis=0, return_counts=True)
+        seams += int((counts > 1).sum())
+    triangles = {tuple(t) for f in faces.values() if f.shape[1] == 3 for t in f.tolist()}
+    quads = [q for f in faces.values() if f.shape[1] == 4 for q in f.tolist()] if triangles else []
+    return seams + sum(any(tuple(q[:i] + q[i + 1 :]) in triangles for i in range(4)) for q in quads)
+
+
+def nodal_areas(xyz: Floats, faces: Mapping[str, Ints]) -> Floats:
+    """Consistent area int N_a dA (n,) of each node in m2; sums to the area of the faces."""
+    area = np.zeros(len(xyz))
+    for kind, nodes in faces.items():
+        if len(nodes):
+            rule = FACES[kind].rule(FACES[kind].mass_order)
+            tangents = np.einsum("fka,qkr->fqra", xyz[nodes], rule.dN, optimize=True)
+            dA = np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=2) * rule.weights
+            np.add.at(area, nodes.ravel(), (dA @ rule.N).ravel())
+    return area

@@ -1,0 +1,245 @@
+"""A model with its interfaces and a solver: owns the factorisation and the modes that reducers share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from morembs.budget import Budget
+from morembs.errors import InputError, MorembsError, SingularMatrixError
+from morembs.interface import Coupling, Interface, couple
+from morembs.linalg.congruence import congruence, max_norm
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.sparse.ordering import node_graph
+from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.statics import Restricted, Statics, require_room_to_count, room_for_factor
+from morembs.model import FEModel
+from morembs.model.mass import mass_properties
+from morembs.problem.damping import Damping as Damping
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+Shared = TypeVar("Shared")
+# A geometric rigid motion whose stiffness force stays below this part of |K| |u| is free of strain.
+STRAIN_FREE = 1e-9
+
+
+class Problem:
+    """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
+
+    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``.
+    ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
+    analytic, never from an eigensolver.
+
+    Raises:
+        InputError: interfaces that do not fit together, unconnected parts, or structural damping of a model that has
+            a damping matrix.
+    """
+
+    def __init__(
+        self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
+        damping: Damping | None = None, budget: Budget | None = None, progress: Progress = SILENT,
+    ) -> None:  # fmt: skip
+        self.model = model
+        self.interfaces = tuple(interfaces)
+        self.solver = solver if solver is not None else select_solver()
+        self.budget = budget if budget is not None else Budget(self.solver.memory, self.solver.scratch)
+        self.damping = damping if damping is not None else Damping()
+        if self.damping.structural and model.D is not None:
+            raise InputError(
+                "structural damping beside a damping matrix of the model is not supported; leave one of them out, or "
+                "replace the structural damping by rayleigh damping added to the matrix"
+            )
+        self.progress = progress
+        self.coupling: Coupling = couple(model, self.interfaces)
+        T = self.coupling.T
+        square = T.shape[0] == T.shape[1]
+        self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
+        self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
+        self.B = self.coupling.B
+        self.budget.rest()
+        self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
+        self.budget.rest()
+        self._refuse_unconnected()
+        self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
+        self._elastic: Modes | None = None
+        self._fixed: Modes | None = None
+        self._shared: dict[object, Any] = {}
+
+    def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
+        """What ``make`` gives, computed once: solutions that several reducers need."""
+        if key not in self._shared:
+            self._shared[key] = make()
+        found: Shared = self._shared[key]
+        return found
+
+    @cached_property
+    def mass_properties(self) -> tuple[float, Floats, Floats]:
+        """Mass in kg, centre of mass (3,) in m and inertia (3, 3) in kg m2 about it."""
+        return mass_properties(self.M, self.coupling.R, self.coupling.pole)
+
+    @cached_property
+    def length(self) -> float:
+        """Radius of gyration in m: it turns rotations and moments into the units of motions and forces."""
+        mass, _, inertia = self.mass_properties
+        return float(np.sqrt(np.trace(inertia) / (2 * mass)))
+
+    @cached_property
+    def motion_scale(self) -> Floats:
+        """One for displacements and ``length`` for rotations, for each column of B."""
+        scale = np.ones(self.B.shape[1])
+        for interface in self.interfaces:
+            columns = self.coupling.columns[interface.name]
+            own = np.where(np.array(interface.components) > 2, self.length, 1.0)
+            scale[columns] = np.tile(own, len(interface.nodes) if interface.coupling == "direct" else 1)
+        return scale
+
+    @property
+    def solver_name(self) -> str:
+        """Name of the linear solver in use: the one that was chosen, once there is a factor."""
+        return self.statics.factor.stats.backend if "statics" in self.__dict__ else self.solver.name
+
+    @cached_property
+    def statics(self) -> Statics:
+        """The one factorisation: supported stiffness, shared by all reducers."""
+        try:
+            return Statics(self.stiffness, self.rigid)
+        except SingularMatrixError as error:
+            raise SingularMatrixError(self._mechanism()) from error
+
+    @cached_property
+    def elastic(self) -> Restricted:
+        """The free body without its rigid-body motion (mean axes): C = M rigid."""
+        return Restricted(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
+
+    @cached_property
+    def internal(self) -> Restricted:
+        """The body held at all interface motions: C = B."""
+        return Restricted(self.statics, self.B, "the interfaces")
+
+    def require_room_for_modes(self) -> None:
+        """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
+
+        Raises:
+            BudgetError: as said.
+        """
+        if self.budget.memory is not None:
+            require_room_to_count(self.solver, self.stiffness.lower, room_for_factor(self.budget))
+
+    def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
+        """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""
+        self._elastic = self._at_least(self._elastic, self.elastic, count, below, "free-free modes")
+        return _cut(self._elastic, count, below)
+
+    def fixed_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
+        """Modes with all interface motions fixed, as ``elastic_modes``."""
+        self._fixed = self._at_least(self._fixed, self.internal, count, below, "fixed-interface modes")
+        return _cut(self._fixed, count, below)
+
+    def known_frequencies_hz(self) -> Floats | None:
+        """Free-free frequencies of the coupled model computed so far, rigid ones as zero; None if none."""
+        if self._elastic is None:
+            return None
+        return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
+
+    def close(self) -> None:
+        """Release the factorisations."""
+        if "statics" in self.__dict__:
+            self.statics.close()
+        self.stiffness.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _at_least(
+        self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str
+    ) -> Modes:
+        enough = known is not None and (
+            (count is not None and len(known.eigenvalues) >= count)
+            or (below is not None and known.verified_below > below * (1 + GAP))
+        )
+        if known is not None and enough:
+            return known
+        return lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
+
+    def _refuse_unconnected(self) -> None:
+        graph, starts = node_graph(self.stiffness.lower)
+        parts, label = connected_components(graph, directed=False)
+        if parts > 1:
+            # Dofs of one node belong together, whether K couples them or not (a straight beam along an axis).
+            nodes = self._nodes_of_groups(starts)
+            parts, label = connected_components(sp.block_array([[graph, nodes], [nodes.T, None]]), directed=False)
+            label = label[: len(starts)]
+        if parts > 1:
+            rows = np.diff(np.append(starts, self.K.shape[0]))
+            sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
+            raise InputError(
+                f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
+                f"{6 * parts} rigid-body modes where one free body has 6; "
+                "join the parts (merge coincident nodes), or reduce them one by one"
+            )
+
+    def _nodes_of_groups(self, starts: NDArray[np.int64]) -> sp.csr_array:
+        """Pattern (groups, nodes): which nodes of the model the groups of coupled dofs move."""
+        dofs, size = self.model.dofs, self.K.shape[0]
+        shape = len(dofs), len(self.model.nodes)
+        of_node = sp.csr_array((np.ones(len(dofs)), (np.arange(len(dofs)), dofs.node)), shape=shape)
+        group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, size)))
+        gather = sp.csr_array((np.ones(size), (group, np.arange(size))), shape=(len(starts), size))
+        return sp.csr_array(gather @ (abs(self.coupling.T).T @ of_node))
+
+    def _mechanism(self) -> str:
+        """Message for a stiffness with more zero-energy motions than the rigid ones."""
+        # A shift far below every elastic mode of a sound part and far above round-off.
+        sigma = 1e-11 * float(np.max(self.K.diagonal() / np.maximum(self.M.diagonal(), np.finfo(float).tiny)))
+        try:
+            solver = self.solver.with_memory(self.budget.left())
+            found = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
+        except MorembsError:
+            return (
+                "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
+                "far from its interface points that double precision does not resolve it; check the mesh and the units"
+            )
+        if found <= self.rigid.shape[1]:
+            return "the stiffness matrix is singular to working precision; check the units and the material"
+        return (
+            f"the model has a mechanism: {found} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
+            "look for parts that touch in a node or an edge only, or nodes that should be merged"
+        )
+
+
+def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
+    if count is None:
+        count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
+    return modes.first(count)
+
+
+def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
+    """M-orthonormal basis (N, r) of the geometric motions that K leaves free of strain."""
+    G = R.T @ (M @ R)
+    # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
+    scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
+    values, U = sl.eigh(G / np.outer(scale, scale))
+    good = values > 1e-12
+    Phi = (R / scale) @ (U[:, good] / np.sqrt(values[good]))
+    Phi = Phi / np.linalg.norm(Phi, axis=0)
+    _, s, Wt = np.linalg.svd((K @ Phi) / max_norm(K), full_matrices=False)
+    Z = Phi @ Wt.T[:, s < STRAIN_FREE]
+    if Z.shape[1]:
+        Z = Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T
+    return np.asarray(Z)

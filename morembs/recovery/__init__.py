@@ -1,0 +1,1 @@
+"""Displacements and stresses of all nodes from the motion of a body."""

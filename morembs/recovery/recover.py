@@ -1,0 +1,320 @@
+"""From a reduced trajectory back to the nodes: displacements, motion and stresses over time.
+
+A simulator gives the coordinates of a body over time, and for a body in a floating frame the position p and the
+rotation A of that frame. Node i then lies at p + A (x_i - origin + u_i), u = V q; stresses follow from ``Recovery``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.body.file import read_body
+from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.stored_check import check_grid, refuse_not_finite
+from morembs.body.stress_shapes import Recovery
+from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
+from morembs.errors import InputError, nearest
+from morembs.model.stress_operator import von_mises
+from morembs.progress import SILENT, Progress
+from morembs.recovery.trajectory import Trajectory, read_trajectory
+from morembs.storage.safefile import check_writable
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+SERIES = (".vtkhdf", ".hdf")
+# A basis up to this size is kept in memory; a larger one is read again for each block of steps.
+KEPT_BYTES = 2**30
+BLOCK_BYTES = 2**27
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expansion:
+    """A trajectory at the nodes: ``times`` (nt,) s, ``displacement`` (nt, n, 3) m of the nodes of the body file.
+
+    Displacements are along the model's axes, as the coordinates give them (within the frame for elastic ones).
+    ``motion`` (nt, n, 3) m leads from where the nodes lie in the file to where they are, with deformations
+    magnified; None where it is the displacement. ``stress`` (nt, np, 6) Pa at the points of the recovery.
+    """
+
+    times: Floats
+    displacement: Floats
+    motion: Floats | None = None
+    stress: Floats | None = None
+
+
+def expand(
+    source: StoredBodies, body: StoredBody, trajectory: Trajectory, *, recovery: Recovery | None = None,
+    scale: float = 1.0,
+) -> Expansion:  # fmt: skip
+    """Displacements at all times, and stresses if ``recovery`` is given; all in memory.
+
+    ``scale`` magnifies the deformation in ``motion``.
+
+    Raises:
+        InputError: a trajectory that does not fit the body, or results too large for single precision.
+    """
+    return _Expander(source, body, recovery, scale).expand(trajectory)
+
+
+@dataclass(frozen=True, eq=False)
+class _Expander:
+    source: StoredBodies
+    body: StoredBody
+    recovery: Recovery | None
+    scale: float
+    kept: list[Floats] = field(default_factory=list)
+
+    def blocks(self, trajectory: Trajectory) -> Iterator[Expansion]:
+        """The expansion, some steps at a time."""
+        points = 0 if self.recovery is None else len(self.recovery.points)
+        step = max(1, BLOCK_BYTES // (8 * (9 * len(self.source.node_ids) + 18 * points + 1)))
+        for at in range(0, len(trajectory.times), step):
+            yield self.expand(trajectory.part(slice(at, at + step)))
+
+    def expand(self, trajectory: Trajectory) -> Expansion:
+        """The expansion of all steps."""
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+            q = reduced_coordinates(self.body, trajectory)
+            u = self._nodes(q)
+            stress = None if self.recovery is None else self.recovery.at(q, trajectory.loads)
+            motion = self._motion(trajectory, q, u)
+        for name, values in (("displacement", u), ("motion", motion), ("stress", stress)):
+            if values is not None:
+                trajectory.refuse_too_large(name, values)
+        return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress)
+
+    def _motion(self, trajectory: Trajectory, q: Floats, u: Floats) -> Floats | None:
+        p, A = trajectory.position, trajectory.rotation
+        if p is not None or A is not None:
+            x, origin = self.source.coordinates, _origin(self.body)
+            arms = x - origin + self.scale * u
+            turned = arms if A is None else arms @ np.swapaxes(A, 1, 2)
+            return np.asarray(turned + (origin if p is None else p[:, None]) - x)
+        if self.scale == 1.0:
+            return None
+        return u + (self.scale - 1.0) * self._nodes(q @ _deformation(self.body).T)
+
+    def _nodes(self, q: Floats) -> Floats:
+        """V q as (nt, n, 3)."""
+        rows, order = 3 * len(self.source.node_ids), q.shape[1]
+        found = np.zeros((rows, len(q)))
+        width = max(1, KEPT_BYTES // (8 * max(rows, 1)))
+        for at in range(0, order, width):
+            if order <= width:
+                if not self.kept:
+                    self.kept.append(self.body.basis())
+                block = self.kept[0]
+            else:
+                block = self.body.basis(slice(at, at + width))
+            found += block @ q[:, at : at + width].T
+        return np.ascontiguousarray(found.T).reshape(len(q), -1, 3)
+
+
+def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
+    """Reduced coordinates (nt, nr) of a trajectory in these or in elastic coordinates.
+
+    Raises:
+        InputError: neither fits, loads of another count, or a frame that the body does not have.
+    """
+    width, order, inputs = trajectory.coordinates.shape[1], len(body.stiffness_matrix), body.input_matrix.shape[1]
+    elastic = None if body.floating is None else body.floating.elastic.shape[1]
+    if width != order and width != elastic:
+        also = "" if elastic is None else f" or the {elastic} elastic ones of its floating frame"
+        raise InputError(
+            f"the trajectory has {width} coordinates; body {body.name!r} has {order}: give all of its reduced "
+            f"coordinates{also}, in the order of the file"
+        )
+    if trajectory.loads is not None and trajectory.loads.shape[1] != inputs:
+        raise InputError(
+            f"the trajectory has {trajectory.loads.shape[1]} loads; body {body.name!r} has {inputs} interface motions: "
+            "give one load for each column of its input matrix"
+        )
+    framed = trajectory.position is not None or trajectory.rotation is not None
+    if framed and width != elastic:
+        cure = (
+            "leave position and rotation out" if elastic is None else f"give the {elastic} elastic coordinates with it"
+        )
+        raise InputError(
+            f"the trajectory moves a frame, but its {width} coordinates of body {body.name!r} are not those of a "
+            f"floating frame; {cure}"
+        )
+    if body.floating is None or width == order:
+        return trajectory.coordinates
+    return np.asarray(trajectory.coordinates @ body.floating.elastic.T)
+
+
+def _origin(body: StoredBody) -> Floats:
+    return np.zeros(3) if body.floating is None else body.floating.origin
+
+
+def _deformation(body: StoredBody) -> Floats:
+    """What takes the rigid motion out of reduced coordinates (nr, nr)."""
+    r, order = body.rigid_count, len(body.stiffness_matrix)
+    if body.mode_kind[:r] == ("rigid",) * r:
+        return np.diag(np.concatenate([np.zeros(r), np.ones(order - r)]))
+    M = body.mass_matrix
+    Z = sl.eigh(body.stiffness_matrix, M, subset_by_index=[0, r - 1])[1]
+    return np.asarray(np.eye(order) - Z @ (Z.T @ M))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovered:
+    """What ``recover`` wrote; ``peak`` is the largest von Mises stress in Pa, the label of its node and its time in s.
+
+    ``notes`` say what the file lacks.
+    """
+
+    path: Path
+    body: str
+    steps: int
+    nodes: int
+    peak: tuple[float, int, float] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def recover(
+    body_file: str | Path, trajectory_file: str | Path | Trajectory, out: str | Path, *, body: str | None = None,
+    stress: bool = True, scale: float = 1.0, every: int = 1, progress: Progress = SILENT,
+) -> Recovered:  # fmt: skip
+    """Write a trajectory at the nodes of a body as a VTKHDF time series for ParaView.
+
+    Point data: displacement, motion (where a frame moves, or deformations are magnified by ``scale``; warp by this
+    one), and with ``stress`` the tensor stress (xx, yy, zz, xy, yz, zx along the body's axes) and von_mises in Pa.
+    A node where materials meet shows the stress with the larger von Mises; nodes without stress are NaN.
+
+    Args:
+        body: name of the body; may be left out where the file has one only.
+        every: take each how manieth step.
+
+    Raises:
+        InputError: files that cannot be read or do not fit each other, or an option out of range.
+        OutputError: ``out`` cannot be written; a file that was there before is unchanged.
+    """
+    place, target = Path(body_file), Path(out)
+    _check_options(place, trajectory_file, target, scale, every)
+    source = read_body(place)
+    chosen = choose_body(place, source, body)
+    whole = trajectory_file if isinstance(trajectory_file, Trajectory) else read_trajectory(trajectory_file)
+    trajectory = whole.part(slice(None, None, every))
+    reduced_coordinates(chosen, trajectory.part(slice(0, 1)))
+    its = stored_recovery(place, chosen.name) if stress else None
+    if stress and its is None:
+        raise InputError(
+            f"{place}: body {chosen.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
+        )
+    for name, values in (("stress", its.stress), ("correction", its.correction)) if its is not None else ():
+        if values is not None:
+            refuse_not_finite(place, f"bodies/{chosen.name}/recovery/{name}", values)
+    grid = read_grid(place)
+    check_grid(place, len(source.node_ids), grid.points, grid.connectivity, grid.offsets, grid.types)
+    progress.stage(f"expanding {chosen.name}")
+    shown = None if its is None else _Shown(its, source)
+    moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
+    named = {"displacement": 3, "motion": 3 if moved else 0, "stress": 6 if its else 0, "von_mises": 1 if its else 0}
+    wanted = {name: width for name, width in named.items() if width}
+
+    def steps() -> Iterator[Mapping[str, Any]]:
+        for block in _Expander(source, chosen, its, scale).blocks(trajectory):
+            for number, time in enumerate(block.times):
+                step = {"displacement": block.displacement[number]}
+                if block.motion is not None:
+                    step["motion"] = block.motion[number]
+                if shown is not None and block.stress is not None:
+                    step["stress"], step["von_mises"] = shown.fields(block.stress[number], float(time))
+                yield step
+
+    write_series(target, grid, trajectory.times, wanted, steps(), progress)
+    return Recovered(
+        path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
+        peak=None if shown is None else shown.peak,
+        notes=(*_still(chosen, trajectory), *(() if shown is None else shown.notes(trajectory))),
+    )  # fmt: skip
+
+
+class _Shown:
+    """Stress at the nodes of a file from that at the points of a recovery, and the peak so far."""
+
+    def __init__(self, recovery: Recovery, source: StoredBodies) -> None:
+        self.recovery, self.count = recovery, len(source.node_ids)
+        order = np.argsort(source.node_ids, kind="stable")
+        labels = source.node_ids[order]
+        at = np.minimum(np.searchsorted(labels, recovery.points), len(labels) - 1)
+        self.known = labels[at] == recovery.points
+        self.rows = order[at]
+        self.peak: tuple[float, int, float] | None = None
+
+    def fields(self, stress: Floats, time: float) -> tuple[Floats, Floats]:
+        """Stress (n, 6) and von Mises stress (n,) at the nodes."""
+        size = von_mises(stress)
+        top = int(np.argmax(size)) if len(size) else -1
+        if top >= 0 and (self.peak is None or size[top] > self.peak[0]):
+            self.peak = float(size[top]), int(self.recovery.points[top]), time
+        points = np.flatnonzero(self.known)
+        if self.recovery.seams:
+            # The last of several assignments stays.
+            points = points[np.argsort(size[points], kind="stable")]
+        tensor, scalar = np.full((self.count, 6), np.nan), np.full(self.count, np.nan)
+        tensor[self.rows[points]], scalar[self.rows[points]] = stress[points], size[points]
+        return tensor, scalar
+
+    def notes(self, trajectory: Trajectory) -> tuple[str, ...]:
+        """What a user should know about the stress in the file."""
+        found = []
+        bare = self.count - len(np.unique(self.rows[self.known]))
+        if bare:
+            found.append(
+                f"{bare} of {self.count} nodes have no stress recovery; their stress is NaN "
+                '(nodes = "all" in [stress] covers them)'
+            )
+        if not self.known.all():
+            lost = len(np.unique(self.recovery.points[~self.known]))
+            found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
+        if trajectory.loads is None and self.recovery.correction is not None:
+            found.append("no loads were given, so the stress lacks its mode-acceleration correction")
+        if trajectory.loads is not None and self.recovery.correction is None:
+            found.append("the file has no mode-acceleration correction; the loads were not used")
+        return tuple(found)
+
+
+def _still(body: StoredBody, trajectory: Trajectory) -> tuple[str, ...]:
+    """A note on a body that floats, of which only the elastic coordinates were given."""
+    if body.floating is None or trajectory.coordinates.shape[1] == len(body.stiffness_matrix):
+        return ()
+    missing = [name for name in ("position", "rotation") if getattr(trajectory, name) is None]
+    what = " and ".join(missing)
+    still = "motions are those seen from the body's frame" if len(missing) == 2 else f"the {what} of the frame is fixed"
+    return (f"no {what} of the frame was given: {still}; give it to see the body move",) if missing else ()
+
+
+def choose_body(path: Path, source: StoredBodies, name: str | None) -> StoredBody:
+    """The body called ``name``, or the only one.
+
+    Raises:
+        InputError: there is none of that name, or no name and several bodies.
+    """
+    names = list(source.bodies)
+    if name is None and len(names) > 1:
+        raise InputError(f"{path} holds {len(names)} bodies; name one of {', '.join(names)}")
+    if name is not None and name not in names:
+        raise InputError(f"{path} holds no body {name!r}; {nearest(name, names)}")
+    return source.bodies[names[0] if name is None else name]
+
+
+def _check_options(place: Path, trajectory: str | Path | Trajectory, target: Path, scale: float, every: int) -> None:
+    if target.suffix not in SERIES:
+        raise InputError(f"{target} was given for the result; expected a name that ends with {' or '.join(SERIES)}")
+    for given in (place, *(() if isinstance(trajectory, Trajectory) else (Path(trajectory),))):
+        if given.resolve() == target.resolve():
+            raise InputError(f"{target} would overwrite what it is made from; give the result another name")
+    if not np.isfinite(scale):
+        raise InputError(f"scale = {scale} was given; expected a number, 1 for true deformations")
+    if every < 1:
+        raise InputError(f"every = {every} was given; expected 1 or more: each how manieth step to take")
+    check_writable(target)

@@ -1,1 +1,0 @@
-"""Stress of a model, of a reduced body, and of its motions."""

@@ -1,0 +1,334 @@
+"""Stress at nodes against exact fields, and its recovery from reduced models against full solutions."""
+
+import dataclasses
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import h5py
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from morembs.body.stress_shapes import read_recovery, stress_recovery, write_recovery
+from morembs.budget import Budget
+from morembs.certificate.residual import static_response
+from morembs.errors import InputError
+from morembs.importers import read_mesh
+from morembs.interface import make_interface
+from morembs.model import Mesh
+from morembs.model import assembly as fem
+from morembs.model.assembly import assemble
+from morembs.model.elements import TYPES
+from morembs.model.material import isotropic, orthotropic
+from morembs.model.stress_operator import principal, stress_operator, stress_shapes, von_mises
+from morembs.problem import Problem
+from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
+from morembs.units import parse_units
+from tests.support.meshes import STEEL, box, steel, where
+
+TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+H = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.5], [0.6, -0.1, 0.9]]) * 1e-3
+TURNED = np.linalg.qr(np.array([[1.0, 2.0, 0.0], [0.5, -1.0, 1.0], [0.0, 1.0, 3.0]]))[0]
+WOOD = orthotropic(
+    set="all", young=(1.2e10, 8e8, 5e8), poisson=(0.4, 0.3, 0.5), shear=(7e8, 6e8, 1e8), density=500.0, axes=TURNED
+)
+
+
+def hooke(young, poisson, H):
+    """Six stresses of an isotropic body of displacement gradients H (..., 3, 3)."""
+    strain = 0.5 * (H + np.swapaxes(H, -1, -2))
+    lam, mu = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+    stress = lam * np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) + 2 * mu * strain
+    return np.stack([stress[..., i, j] for i, j in TENSOR], axis=-1)
+
+
+def uneven(xyz):
+    """A box without right angles."""
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    return np.stack([x + 0.2 * y + 0.1 * x * z, y - 0.1 * z + 0.15 * x * y, z + 0.1 * x + 0.05 * y * z], axis=-1)
+
+
+@pytest.mark.parametrize("kind", sorted(TYPES))
+@pytest.mark.parametrize("material", ["steel", "wood"])
+def test_patch_test_constant_stress_in_every_element(kind, material):
+    mesh = box(kind, (2, 3, 2), (1.0, 1.2, 0.8), uneven)
+    model = steel(mesh) if material == "steel" else assemble(mesh, [WOOD])
+    operator = stress_operator(model, "all")
+    u = (mesh.nodes.xyz @ H.T + np.array([3.0, -2.0, 1.0]) * 1e-3).reshape(-1, 1)
+    strain = operator.strain(u).reshape(-1, 6)
+    exact = np.array([0.5 * (H + H.T)[i, j] for i, j in TENSOR])
+    assert np.abs(strain - exact).max() < 1e-10 * np.abs(exact).max()
+    if material == "steel":
+        stress = hooke(STEEL["young"], STEEL["poisson"], H)
+    else:
+        C = WOOD.stiffness @ np.array([*exact[:3], 2 * exact[4], 2 * exact[5], 2 * exact[3]])
+        stress = C[[0, 1, 2, 5, 3, 4]]
+    assert np.abs(operator.stress(u).reshape(-1, 6) - stress).max() < 1e-10 * np.abs(stress).max()
+
+
+@pytest.mark.parametrize("kind", ["tet10", "hex20", "hex27", "wedge15"])
+def test_linear_stress_is_exact_in_quadratic_elements(kind):
+    mesh = box(kind, (2, 2, 2), (1.0, 1.2, 0.8))
+    model = steel(mesh)
+    x, y, z = mesh.nodes.xyz.T
+    u = np.stack([x * x - 0.5 * y * z, x * y + 0.3 * z * z, 0.7 * x * z - y * y], axis=1) * 1e-3
+    zero = np.zeros_like(x)
+    grad = np.array([[2 * x, -0.5 * z, -0.5 * y], [y, x, 0.6 * z], [0.7 * z, -2 * y, 0.7 * x]]) * 1e-3 + zero
+    exact = hooke(STEEL["young"], STEEL["poisson"], np.moveaxis(grad, -1, 0))
+    found = stress_operator(model, "all").stress(u.reshape(-1, 1)).reshape(-1, 6)
+    assert np.abs(found - exact).max() < 1e-10 * np.abs(exact).max()
+
+
+def test_average_weighs_elements_by_volume_and_chunks_change_nothing(monkeypatch):
+    """Linear tetrahedra have one strain each; that of a node is their mean by volume."""
+    mesh = box("tet4", (3, 2, 2), (1.0, 1.0, 1.0), uneven)
+    model = steel(mesh)
+    u = np.sin(np.arange(3.0 * len(mesh.nodes)))[:, None]
+    whole = stress_operator(model, "all").strain(u)
+    nodes, xyz = mesh.blocks[0].nodes, mesh.nodes.xyz
+    edges = xyz[nodes[:, 1:]] - xyz[nodes[:, :1]]
+    volume = np.linalg.det(edges) / 6
+    moved = u.reshape(-1, 3)[nodes]
+    grad = np.swapaxes(np.linalg.solve(edges, moved[:, 1:] - moved[:, :1]), 1, 2)
+    strain = np.array([[0.5 * (g[i, j] + g[j, i]) for i, j in TENSOR] for g in grad])
+    for node in (0, 7, 20, len(xyz) - 1):
+        at = (nodes == node).any(axis=1)
+        mean = volume[at] @ strain[at] / volume[at].sum()
+        assert whole.reshape(-1, 6)[node] == pytest.approx(mean, rel=1e-11, abs=1e-12)
+    monkeypatch.setattr(fem, "CHUNK_BYTES", 1)
+    monkeypatch.setattr("morembs.model.stress_operator._COLLECTED", 1)
+    assert np.abs(stress_operator(model, "all").strain(u) - whole).max() < 1e-12 * np.abs(whole).max()
+    some = stress_operator(model, np.array([20, 7, 7]))
+    assert some.nodes.tolist() == [7, 20]
+    assert some.strain(u).reshape(-1, 6) == pytest.approx(whole.reshape(-1, 6)[[7, 20]], rel=1e-12)
+    skin = stress_operator(model, "skin").nodes
+    inside = np.setdiff1d(np.arange(len(xyz)), skin)
+    assert len(inside) == 2 * 1 * 1
+
+
+def test_a_node_between_two_materials_has_both_stresses():
+    """Tension through two materials: the strain along it jumps, the stress of each is its own."""
+    mesh = box("hex20", (4, 1, 1), (4.0, 1.0, 1.0))
+    halves = {"soft": (np.array([0, 1]),), "hard": (np.array([2, 3]),)}
+    mesh = Mesh(nodes=mesh.nodes, blocks=mesh.blocks, element_sets=halves)
+    E = {"soft": 1e9, "hard": 3e9}
+    model = assemble(mesh, [isotropic(set=s, young=E[s], poisson=0.0, density=1.0) for s in ("soft", "hard")])
+    x = mesh.nodes.xyz[:, 0]
+    u = np.zeros((len(x), 3))
+    u[:, 0] = np.minimum(x, 2) / E["soft"] + np.maximum(x - 2, 0) / E["hard"]
+    operator = stress_operator(model)
+    middle = where(model, 0, 2.0)
+    assert len(operator.nodes) == len(x) + len(middle)
+    assert np.array_equal(operator.nodes[np.flatnonzero(np.diff(operator.nodes) == 0)], middle)
+    stress, strain = (f(u.reshape(-1, 1)).reshape(-1, 6) for f in (operator.stress, operator.strain))
+    assert np.abs(stress - [1, 0, 0, 0, 0, 0]).max() < 1e-10
+    assert np.abs(strain[:, 0] - np.where(operator.material == 0, 1e-9, 1 / 3e9)).max() < 1e-19
+    # Two names for one material are one material.
+    twice = assemble(mesh, [isotropic(set=s, **STEEL) for s in ("soft", "hard")])
+    assert len(stress_operator(twice).nodes) == len(x)
+
+
+def test_von_mises_and_principal_values():
+    rng = np.random.default_rng(5)
+    T = rng.standard_normal((7, 2, 3, 3))
+    T = T + np.swapaxes(T, -1, -2)
+    six = np.stack([T[..., i, j] for i, j in TENSOR], axis=-1)
+    values = np.linalg.eigvalsh(T)
+    assert principal(six) == pytest.approx(values[..., ::-1], abs=1e-12)
+    a, b, c = np.moveaxis(values, -1, 0)
+    assert von_mises(six) == pytest.approx(np.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 2), rel=1e-12)
+    assert von_mises(np.array([0, 0, 0, 2.0, 0, 0])) == pytest.approx(2 * np.sqrt(3))
+    assert von_mises(np.array([5.0, 0, 0, 0, 0, 0], dtype=np.float32)) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("kind", ["hex20", "tet10"])
+def test_bending_beam(kind):
+    """Cantilever under a tip force: sigma = F (L - x) (z - h/2) / I at the skin, away from the ends."""
+    L, b, h, F = 0.5, 0.03, 0.05, 1000.0
+    model = steel(box(kind, (10, 1, 2), (L, b, h)), poisson=0.0)
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
+                  for n, x in (("root", 0.0), ("tip", L))]  # fmt: skip
+    with Problem(model, interfaces) as problem:
+        reduced = CraigBampton(modes=0).reduce(problem)
+        its = stress_recovery(problem, reduced, single=False)
+    root, tip = reduced.B[:, :6], reduced.B[:, 6:]
+    K = np.block([[reduced.K, root], [root.T, np.zeros((6, 6))]])
+    q = np.linalg.solve(K, np.concatenate([F * tip[:, 2], np.zeros(6)]))[: reduced.order]
+    stress = its.at(q[None])[0]
+    x, _, z = its.coordinates.T
+    far = (x > 0.1 * L) & (x < 0.9 * L)
+    exact = -F * (L - x) * (z - h / 2) / (b * h**3 / 12)
+    assert np.abs(stress[far, 0] - exact[far]).max() < 2e-2 * np.abs(exact).max()
+    surface = far & ((z == 0) | (np.abs(z - h) < 1e-9))
+    assert np.abs(von_mises(stress[surface]) - np.abs(exact[surface])).max() < 2e-2 * np.abs(exact).max()
+
+
+def bar(**change):
+    """Bar with one interface of each coupling, rigid at the left, direct at few nodes in the middle."""
+    model = steel(box("hex20", (6, 2, 2), (0.5, 0.06, 0.04)), **change)
+    middle = np.flatnonzero(np.linalg.norm(model.nodes.xyz - [0.25, 0.03, 0.04], axis=1) < 1e-6)
+    chosen = ((("left"), where(model, 0, 0.0), "rigid"), ("right", where(model, 0, 0.5), "average"),
+              ("middle", middle, "direct"))  # fmt: skip
+    return model, [make_interface(model, name=n, nodes=rows, coupling=c) for n, rows, c in chosen]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    model, interfaces = bar()
+    with Problem(model, interfaces) as problem:
+        yield problem
+
+
+def full_static(problem, operator, loads):
+    """Stress of K u = B f - M R a of the free body by dense least squares, R a balancing the loads."""
+    K, M, B, R = problem.K.toarray(), problem.M.toarray(), problem.B.toarray(), problem.coupling.R
+    f = B @ loads
+    f = f - M @ R @ np.linalg.solve(R.T @ M @ R, R.T @ f)
+    d = 1 / np.sqrt(np.diag(K))
+    u = d * np.linalg.lstsq(d[:, None] * K * d, d * f, rcond=1e-11)[0]
+    return operator.stress((problem.coupling.T @ u)[:, None]).reshape(-1, 6)
+
+
+@pytest.mark.parametrize("reducer", [Modal(modes=6), FreeInterface(modes=3), CraigBampton(modes=4),
+                                     Modal(modes=3, interfaces="fixed")], ids=repr)  # fmt: skip
+def test_correction_makes_static_stress_exact(problem, reducer):
+    operator = stress_operator(problem.model)
+    reduced = reducer.reduce(problem)
+    its = stress_recovery(problem, reduced, single=False, operator=operator)
+    loads = np.sin(1.0 + np.arange(problem.B.shape[1])) * 100
+    exact = full_static(problem, operator, loads)
+    values, Y = reduced.modes()
+    elastic = Y[:, reduced.rigid_count :]
+    q = elastic @ ((elastic.T @ (reduced.B @ loads)) / values[reduced.rigid_count :])
+    q = q + 1e-3 * Y[:, : reduced.rigid_count].sum(axis=1)
+    size = np.abs(exact).max()
+    assert np.abs(its.at(q[None], loads[None])[0] - exact).max() < 1e-7 * size
+    error = np.abs(its.at(q[None])[0] - exact).max() / size
+    # Attachment modes are complete; craig-bampton lacks only what inertia relief does inside the body.
+    least = {FreeInterface: 0.0, CraigBampton: 1e-5, Modal: 0.1}[type(reducer)]
+    assert error > least and (error < 1e-7 or type(reducer) is not FreeInterface)
+
+
+@pytest.mark.parametrize(
+    "reducer",
+    [Krylov(shifts_hz=[9000.0], order=7),
+     Krylov(shifts_hz=[3000.0], two_sided=True, inputs=["left"], outputs=["left", "middle"])],
+    ids=["one-sided", "two-sided"],
+)  # fmt: skip
+def test_correction_of_bases_that_are_no_modes(problem, reducer):
+    """What the reduced model gives and what is added make the static response, also where V is not the test space."""
+    operator = stress_operator(problem.model, where(problem.model, 2, 0.0))
+    reduced = reducer.reduce(problem)
+    its = stress_recovery(problem, reduced, nodes=where(problem.model, 2, 0.0), single=False)
+    static = stress_shapes(problem, static_response(problem), operator)
+    r = reduced.rigid_count
+    own = its.stress[:, r:] @ np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
+    assert np.abs(own - static).max() > 0.01 * np.abs(static).max()
+    np.testing.assert_allclose(its.correction + own, static, rtol=0, atol=1e-8 * np.abs(static).max())
+
+
+def test_rigid_motion_gives_no_stress_even_in_single_precision(problem):
+    """A craig-bampton body has no rigid coordinates; moved by 100 m and turned by 1 rad it stays free of stress."""
+    for reducer in (CraigBampton(modes=4), Modal(modes=4)):
+        reduced = reducer.reduce(problem)
+        its = stress_recovery(problem, reduced)
+        assert its.stress.dtype == its.correction.dtype == np.float32
+        assert not its.stress[:, np.array(reduced.mode_kind) == "rigid"].any()
+        Z = np.linalg.lstsq(reduced.V, problem.coupling.R, rcond=None)[0]
+        q = Z @ np.array([100.0, -50.0, 20.0, 1.0, 0.5, -0.3])
+        # 1e-9 of the strain that such displacements make when they are not rigid.
+        assert np.abs(its.at(q[None])).max() < 1e-9 * STEEL["young"] * 100 / 0.5
+        double = stress_recovery(problem, reduced, single=False)
+        q = q + np.linspace(-1, 1, reduced.order) * 1e-6
+        assert np.abs(its.at(q[None]) - double.at(q[None])).max() < 1e-6 * np.abs(double.at(q[None])).max()
+
+
+def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_path):
+    reduced = CraigBampton(modes=2).reduce(problem)
+    for single, correction in ((True, True), (False, False)):
+        its, check = stress_recovery(problem, reduced, single=single, correction=correction), Mock()
+        with h5py.File(tmp_path / "r.h5", "w") as file:
+            write_recovery(file.create_group("r"), its, check)
+            assert check.call_count >= reduced.order
+            back = read_recovery(file["r"])
+            del file["r/stress"]
+            with pytest.raises(InputError, match="lacks stress"):
+                read_recovery(file["r"])
+        for field in dataclasses.fields(its):
+            mine, theirs = getattr(its, field.name), getattr(back, field.name)
+            assert (mine is None) == (theirs is None)
+            if mine is not None:
+                assert mine.dtype == theirs.dtype
+                np.testing.assert_array_equal(mine, theirs)
+
+
+def test_what_stress_refuses(problem):
+    model = problem.model
+    with pytest.raises(InputError, match="expected one of skin, all"):
+        stress_operator(model, "surface")
+    with pytest.raises(InputError, match="row -1"):
+        stress_operator(model, np.array([-1, 3]))
+    with pytest.raises(InputError, match="no node"):
+        stress_operator(model, np.array([], dtype=int))
+    for change in ({"mesh": None}, {"materials": ()}):
+        with pytest.raises(InputError, match="needs solid elements"):
+            stress_operator(dataclasses.replace(model, **change))
+
+
+@pytest.fixture(scope="module")
+def rod(small_meshes):
+    """The coarse connecting rod between its pins, with few modes."""
+    units = parse_units("mm-t-s")
+    mesh = read_mesh(small_meshes / "conrod.msh", units)
+    model = assemble(mesh, [isotropic(set="all", **STEEL)])
+    interfaces = [make_interface(model, name=n, nodes=mesh.nodes.sets[n]) for n in ("BIGEND", "SMALLEND")]
+    with Problem(model, interfaces) as problem:
+        reduced, operator = Modal(modes=20).reduce(problem), stress_operator(model)
+        its = stress_recovery(problem, reduced, operator=operator)
+        yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, its=its)
+
+
+def test_connecting_rod_at_its_ten_most_loaded_points(rod):
+    """Static loads between the pins, twenty modes: 1e-6 with the correction in single precision, not so without."""
+    problem, its = rod.problem, rod.its
+    pull, bend, push = (np.zeros(12) for _ in range(3))
+    pull[[0, 6]] = 1000.0, -1000.0
+    bend[[5, 11]] = 30.0, -30.0
+    push[7] = 500.0  # in balance with the inertia of the rod
+    for loads, without in ((pull, 0.06), (bend, 0.06), (push, 0.005)):
+        full = problem.elastic.flexibility(problem.B @ loads[:, None])
+        exact = stress_shapes(problem, full, rod.operator).reshape(-1, 6)
+        top = np.argsort(von_mises(exact))[-10:]
+        q = np.linalg.pinv(rod.reduced.K, rcond=1e-9) @ (rod.reduced.B @ loads)
+        worst = [np.abs(von_mises(s[0, top]) / von_mises(exact[top]) - 1).max()
+                 for s in (its.at(q[None], loads[None]), its.at(q[None]))]  # fmt: skip
+        assert worst[0] < 1e-6 and worst[1] > without
+
+
+def test_correction_in_slow_motion(rod):
+    """Harmonic loads at a tenth of the first frequency left out: the error falls by far."""
+    problem, reduced = rod.problem, Modal(modes=6).reduce(rod.problem)
+    its = stress_recovery(problem, reduced, operator=rod.operator)
+    left_out = 2 * np.pi * problem.elastic_modes(count=7).frequencies_hz[6]
+    loads = np.array([1.0, 2.0, 0.5, 0, 0, 0, -1.5, 1.0, 1.0, 0, 0, 0]) * 500
+    omega = 0.1 * left_out
+    A = sp.csc_array(problem.K - omega**2 * problem.M)
+    exact = rod.operator.stress(problem.coupling.T @ spl.spsolve(A, problem.B @ loads)[:, None]).reshape(-1, 6)
+    q = np.linalg.solve(reduced.K - omega**2 * reduced.M, reduced.B @ loads)
+    corrected, plain = (np.abs(s[0] - exact).max() / np.abs(exact).max() for s in (its.at(q[None], loads[None]),
+                                                                                  its.at(q[None])))  # fmt: skip
+    assert plain > 0.02 and corrected < 0.05 * plain
+
+
+def test_a_small_memory_budget_changes_nothing(rod, monkeypatch):
+    """Scratch files and single columns give what memory gives."""
+    monkeypatch.setattr("morembs.budget._SMALL", 0)
+    monkeypatch.setattr("morembs.budget._IN_MEMORY", 0.0)
+    monkeypatch.setattr(Budget, "columns", lambda *_, **__: 5)
+    with Budget(10**9) as budget:
+        monkeypatch.setattr(rod.problem, "budget", budget)
+        again = stress_recovery(rod.problem, rod.reduced)
+        for name in ("stress", "correction"):
+            a, b = getattr(again, name), getattr(rod.its, name)
+            assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()

@@ -1,0 +1,324 @@
+"""The verbs, their JSON documents, exit codes, and what goes where."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+from typer.testing import CliRunner
+
+import morembs
+from morembs.body.file import read_body
+from morembs.cli import commands as cli
+from morembs.cli import terminal
+from morembs.importers import read_mesh
+from morembs.jobs.job import load_job
+from morembs.jobs.picture import _view
+from morembs.jobs.run import run_job
+from morembs.linalg.sparse.solver import Analysis
+from morembs.progress import Progress
+from tests.support.decks import BEAM, HINGED, deck, folder
+
+RUNNER = CliRunner()
+# The beam of BEAM: 60 x 20 x 20 mm of steel.
+MASS = 7850 * 0.06 * 0.02 * 0.02
+
+
+@pytest.fixture(autouse=True)
+def no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slow machine even a small job lasts long enough for a line."""
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 1e9)
+
+
+def run(*arguments: str) -> Any:
+    """The JSON document of a command that succeeds."""
+    result = RUNNER.invoke(cli.app, [*arguments, "--json"])
+    assert result.exit_code == 0, (result.stderr, result.exception)
+    assert result.stderr == ""
+    return json.loads(result.stdout)
+
+
+def test_reduce_json(tmp_path: Path) -> None:
+    tables = {"reduce2": 'method = "guyan"', "response": "from_hz = 100.0\nto_hz = 20000.0\npoints = 20"}
+    done = run("reduce", str(folder(tmp_path, tables)))
+    assert done["dofs"] == 3 * 7 * 3 * 3
+    assert done["output"] == str(tmp_path / "part.h5") and (tmp_path / "part.h5").is_file()
+    assert done["solver"] in morembs.available_solvers()
+    assert done["mass"] == pytest.approx(MASS, rel=1e-9)
+    assert done["center_of_mass"] == pytest.approx([0.03, 0.01, 0.01], rel=1e-9)
+    assert done["inertia"][0][0] == pytest.approx(MASS * (0.02**2 + 0.02**2) / 12, rel=1e-9)
+    assert len(done["full_frequencies_hz"]) == 6 + 10
+    assert list(done["bodies"]) == ["cb", "guyan"]
+    cb, guyan = done["bodies"]["cb"], done["bodies"]["guyan"]
+    assert (cb["order"], guyan["order"]) == (16, 12)
+    assert cb["mode_kind"] == ["constraint"] * 12 + ["fixed-interface"] * 4
+    assert done["frequencies_hz"] == cb["frequencies_hz"]
+    # Reduced frequencies lie above the full ones, those of the smaller basis highest.
+    known = done["full_frequencies_hz"], cb["frequencies_hz"], guyan["frequencies_hz"]
+    full, more, fewer = (np.array(frequencies[6:8]) for frequencies in known)
+    assert (full <= more * (1 + 1e-9)).all() and (more <= fewer * (1 + 1e-9)).all()
+    assert more == pytest.approx(full, rel=0.02)
+    assert 0 < cb["largest_response_error"] < guyan["largest_response_error"]
+    stages = {"read", "assemble", "couple", "factorise", "solve modes", "response", "deliver", "write"}
+    stages |= {"reduce cb", "reduce guyan"}
+    assert set(done["seconds"]) == stages == set(done["peak_memory_bytes"])
+    assert all(seconds >= 0 for seconds in done["seconds"].values())
+    assert all(count > 1e6 for count in done["peak_memory_bytes"].values())
+
+
+def test_units_and_damping_are_converted(tmp_path: Path) -> None:
+    """The same part in mm-t-s and in m-kg-ms gives the same body."""
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    damping = "rayleigh = { alpha = 5.0, beta = 2e-6 }"
+    point = 'name = "left"\nnodes = "box:-1,0,0,1,20,20"\npoint = [-5.0, 0.0, 0.0]'
+    first = folder(tmp_path / "a", {"damping": damping, "interface": point})
+    other = {
+        "model": 'mesh = "part.inp"\nunits = { length = "m", mass = "kg", time = "ms" }',
+        "material": "young = 210e3\npoisson = 0.3\ndensity = 7850.0",
+        "interface": 'name = "left"\nnodes = "box:-0.001,0,0,0.001,0.02,0.02"\npoint = [-0.005, 0.0, 0.0]',
+        "damping": "rayleigh = { alpha = 5e-3, beta = 2e-3 }",
+    }
+    second = folder(tmp_path / "b", other, deck(BEAM, size=0.01))
+    for path in (first, second):
+        run("reduce", str(path))
+    a, b = (read_body(path.parent / "part.h5") for path in (first, second))
+    assert b.mass == pytest.approx(a.mass, rel=1e-12)
+    assert a.interfaces["left"].point == pytest.approx([-0.005, 0, 0], abs=1e-15)
+    assert b.interfaces["left"].point == pytest.approx(a.interfaces["left"].point, abs=1e-15)
+    # Modes may differ in sign: the condensed matrices at the interfaces must not.
+    for name in ("mass_matrix", "stiffness_matrix", "damping_matrix"):
+        A, B = (getattr(x.bodies["cb"], name)[:12, :12] for x in (a, b))
+        assert np.abs(A - B).max() < 1e-6 * np.abs(A).max()
+    cb = a.bodies["cb"]
+    assert np.abs(cb.damping_matrix).max() > 1e-9 * np.abs(cb.stiffness_matrix).max()
+
+
+def test_orthotropic_equal_to_isotropic(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    G = 210e3 / 2.6
+    table = (
+        "young = [210e3, 210e3, 210e3]\npoisson = [0.3, 0.3, 0.3]\ndensity = 7.85e-9\n"
+        f"shear = [{G!r}, {G!r}, {G!r}]\naxes = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]"
+    )
+    isotropic = run("reduce", str(folder(tmp_path / "a")))
+    orthotropic = run("reduce", str(folder(tmp_path / "b", {"material": table})))
+    assert orthotropic["frequencies_hz"][6:] == pytest.approx(isotropic["frequencies_hz"][6:], rel=1e-8)
+
+
+def test_full_modes_can_be_switched_off(tmp_path: Path) -> None:
+    done = run("reduce", str(folder(tmp_path, {"check": "full_modes = 0"})))
+    assert done["full_frequencies_hz"] is None
+    assert "solve modes" not in done["seconds"]
+
+
+def test_reduce_table_and_picture(tmp_path: Path) -> None:
+    job = folder(tmp_path, {"output": 'path = "part.h5"\npicture = "part.png"', "damping": "modal = 0.01"})
+    result = RUNNER.invoke(cli.app, ["reduce", str(job)])
+    assert result.exit_code == 0, (result.stderr, result.exception)
+    for words in ("12 constraint + 4 fixed-interface = 16 coordinates", "off by %", "0.1884 kg", "reduce cb"):
+        assert words in result.stdout
+    pixels = imread(tmp_path / "part.png")[:, :, :3]
+    colored = np.ptp(pixels, axis=2) > 0.2
+    half = len(colored) // 2
+    assert colored[:half, :1250].mean() > 0.05  # modes, the scale beside them not counted
+    assert colored[half:].mean() > 0.001  # curves
+
+
+def test_picture_shows_the_flat_side() -> None:
+    """A plate along no axis of the model: its length runs to the right, its normal comes towards the viewer."""
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    corners = np.array(list(np.ndindex(2, 2, 2))) * [0.3, 0.1, 0.01]
+    frame = _view(corners @ turn.T)
+    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1)
+    length, _, normal = turn.T
+    assert abs(frame[0] @ length) > 0.9 and abs(frame[2] @ normal) > 0.8
+
+
+def test_info(tmp_path: Path) -> None:
+    done = run("reduce", str(folder(tmp_path)))
+    found = run("info", done["output"])
+    for key in ("dofs", "frequencies_hz", "full_frequencies_hz", "mass", "center_of_mass", "inertia", "output"):
+        assert found[key] == done[key]
+    for key in ("order", "frequencies_hz", "mode_kind", "rigid_count"):
+        assert found["bodies"]["cb"][key] == done["bodies"]["cb"][key]
+    assert found["interfaces"]["left"]["nodes"] == 9
+    result = RUNNER.invoke(cli.app, ["info", done["output"]])
+    assert result.exit_code == 0 and "interface left: rigid, 9 nodes" in result.stdout
+
+
+def test_info_of_another_file(tmp_path: Path) -> None:
+    (tmp_path / "x.h5").write_bytes(b"no")
+    for name in ("x.h5", "y.h5"):
+        result = RUNNER.invoke(cli.app, ["info", str(tmp_path / name)])
+        assert result.exit_code == 2 and result.stderr.count("\n") == 1 and name in result.stderr
+
+
+def test_check_forecasts_without_factorising(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RuntimeError("a factorisation was made")
+
+    monkeypatch.setattr(Analysis, "factorize", refuse)
+    job = folder(tmp_path)
+    found = run("check", str(job))
+    assert (found["nodes"], found["elements"], found["dofs"]) == (63, 24, 189)
+    assert found["coupled_dofs"] == 189 - 2 * 27 + 2 * 6
+    assert found["rigid_modes"] == 6
+    assert not (tmp_path / "part.h5").exists()
+    steel = morembs.isotropic(set="all", young=210e9, poisson=0.3, density=7850)
+    K = morembs.assemble(read_mesh(tmp_path / "part.inp"), [steel]).K
+    assert found["stiffness_nonzeros"] == K.nnz
+    assert isinstance(RUNNER.invoke(cli.app, ["reduce", str(job)]).exception, RuntimeError)
+    monkeypatch.undo()
+    # The symbolic analysis counts what the factorisation then stores.
+    model = morembs.assemble(read_mesh(tmp_path / "part.inp", morembs.units.parse_units("mm-t-s")), [steel])
+    assert found["solver"] in morembs.available_solvers() and "fastest" in found["choice"]
+    assert model.K.nnz == found["stiffness_nonzeros"]
+    factor = run("reduce", str(job))["factor"]
+    assert found["factor_entries"] == pytest.approx(factor["factor_entries"], rel=0.2)
+    assert found["factor_flops"] == pytest.approx(factor["flops"], rel=0.25)
+
+
+def test_rigid_interface_joins_parts(tmp_path: Path) -> None:
+    """Two cubes that touch along an edge are one sound body once a rigid frame holds both sides of it."""
+    frame = {"interface": 'name = "joint"\nnodes = "box:10,10,0,30,30,20"', "interface2": None}
+    found = run("check", str(folder(tmp_path, frame, deck(HINGED))))
+    assert found["rigid_modes"] == 6
+
+
+def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
+    """A budget that Python alone exceeds is refused, and the message says by how much."""
+    job = str(folder(tmp_path, {"solver": 'memory = "100 kB"'}))
+    assert load_job(job).memory == 100_000
+    for verb in ("check", "reduce"):
+        result = RUNNER.invoke(cli.app, [verb, job])
+        assert result.exit_code == 2 and "raise the budget by" in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_solvers() -> None:
+    found = run("solvers")
+    assert list(found) == list(morembs.available_solvers())
+    assert found["superlu"] == {"available": True, "reason": ""}
+    assert "superlu: available" in RUNNER.invoke(cli.app, ["solvers"]).stdout
+
+
+def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
+    for name in "abc":
+        (tmp_path / name).mkdir()
+        folder(tmp_path / name, {"model": 'mesh = "none.inp"'} if name == "a" else None)
+    jobs = [str(tmp_path / name / "job.toml") for name in "abc"]
+    result = RUNNER.invoke(cli.app, ["reduce", *jobs, "--json"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {jobs[0]}: ") and result.stderr.count("\n") == 1
+    found = json.loads(result.stdout)
+    assert [set(one) == {"job", "error"} for one in found] == [True, False, False]
+    assert [one["job"] for one in found] == jobs
+    assert all((tmp_path / name / "part.h5").is_file() for name in "bc")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"), [(KeyboardInterrupt(), 130, "interrupted"), (MemoryError(), 2, "memory")]
+)
+def test_exit_codes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cli, "run_job", fail)
+    result = RUNNER.invoke(cli.app, ["reduce", str(folder(tmp_path))])
+    assert result.exit_code == code
+    assert words in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_usage() -> None:
+    assert RUNNER.invoke(cli.app, ["redduce"]).exit_code == 2
+    assert RUNNER.invoke(cli.app, ["reduce"]).exit_code == 2
+    assert RUNNER.invoke(cli.app, ["--version"]).stdout == f"morembs {morembs.__version__}\n"
+    for verb in ([], ["reduce"], ["check"], ["info"], ["solvers"], ["export"], ["recover"]):
+        assert "130 interrupted" in " ".join(RUNNER.invoke(cli.app, [*verb, "--help"]).stdout.split())
+
+
+def test_lines_without_a_terminal(tmp_path: Path) -> None:
+    """Stages on standard error, a clean document on standard output; nothing where it is quick, or --quiet."""
+    fast = "terminal.STAGE_SECONDS = 0.0"
+    for seconds, options in ((0.0, ["--json"]), (0.0, ["--json", "--quiet"]), (1e9, ["--json"])):
+        code = (
+            f"from morembs.cli import commands as cli, terminal; terminal.PATIENCE_OF_LINES = {seconds}; {fast}; "
+            "cli.main()"
+        )
+        command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), *options]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        assert json.loads(done.stdout)["dofs"] == 189
+        lines = done.stderr.splitlines()
+        if seconds or "--quiet" in options:
+            assert lines == []
+        else:
+            told = [re.fullmatch(r"\[\d+ s\] ([a-z ]+).*", line) for line in lines]
+            assert all(told), lines
+            assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {one[1] for one in told if one}
+
+
+def test_long_work_goes_on_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call that reports nothing for long is told all the same, and one that reports a lot is not told each time."""
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 0.0)
+    monkeypatch.setattr(terminal, "STAGE_SECONDS", 0.05)
+    monkeypatch.setattr(terminal, "REPEAT_SECONDS", 0.2)
+    lines: list[str] = []
+    with terminal.LineProgress(lines.append).shown() as progress:
+        progress.stage("factorise")
+        time.sleep(0.7)
+        silent = len(lines)
+        progress.stage("solve modes")
+        for step in range(700):
+            progress.update(f"{step} converged")
+            time.sleep(0.001)
+    assert 3 <= silent <= 5 and all(line.endswith(" s] factorise") for line in lines[:silent])
+    told = lines[silent:]
+    assert 3 <= len(told) <= 6 and "solve modes" in told[0]
+    assert all("converged" in line for line in told[1:])
+    assert not progress_threads()
+
+
+def progress_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if "_watch" in thread.name]
+
+
+@pytest.mark.parametrize("visible", [True, False])
+def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) -> None:
+    monkeypatch.setattr(terminal, "PATIENCE_SECONDS", 0.0)
+    screen = io.StringIO()
+    with terminal.TerminalProgress(Console(file=screen, force_terminal=True), visible).shown() as progress:
+        progress.stage("factorise")
+        progress.update("half")
+        time.sleep(0.4)
+    assert ("factorise: half" in screen.getvalue()) == visible
+
+
+def test_stages_are_reported(tmp_path: Path) -> None:
+    class Listener(Progress):
+        def __init__(self) -> None:
+            self.stages: list[str] = []
+
+        def stage(self, name: str) -> None:
+            self.stages.append(name)
+
+        def update(self, text: str) -> None:
+            pass
+
+    listener = Listener()
+    result = run_job(load_job(folder(tmp_path)), listener)
+    assert [stage.name for stage in result.stages] == [s for s in listener.stages if not s.startswith("writing")]

@@ -1,0 +1,241 @@
+"""Damaged body files: every dataset is damaged in turn, and the answer is one message that names it."""
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs.body import elastic_body, make_part
+from morembs.body.file import read_body, write_body
+from morembs.body.stress_shapes import stress_recovery
+from morembs.certificate.certify import certify
+from morembs.cli import app
+from morembs.errors import InputError
+from morembs.exporters import export_body
+from morembs.floating.frame import floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
+from morembs.importers import import_file
+from morembs.interface import make_interface
+from morembs.problem import Problem
+from morembs.recovery.recover import Trajectory, expand, recover
+from morembs.reducers import CraigBampton
+from tests.support.meshes import box, steel, where
+
+# What follows from other datasets and is for people or other programs only.
+DERIVED = "C4|C6|Cr1|J1|Gr|Ge|Oe|Oe1"
+UNREAD = rf"provenance/|VTKHDF/|format|.*/integrals/({DERIVED})$|.*/recovery/coordinates|.*/notes$"
+# Sizes that nothing else in the file has.
+FREE = r"mode_kinds|.*/(full_frequencies_hz|certificate/.*|components|stiffening/dropped|floating_frame/interfaces)$"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A body with everything: frame, stiffening, stress, certificate, a direct interface."""
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    chosen = (("root", 0.0, "rigid"), ("tip", 0.4, "average"), ("middle", 0.2, "direct"))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c) for n, x, c in chosen]
+    path = tmp_path_factory.mktemp("whole") / "beam.h5"
+    with Problem(model, faces) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
+        stiff = geometric_stiffening(problem, reduced, frame)
+        body = elastic_body(
+            problem, reduced, make_part(problem), floating=replace(frame, stiffening=stiff),
+            certificate=certify(problem, [reduced], np.array([100.0, 500.0]))[0],
+        )  # fmt: skip
+        body = replace(body, recovery=stress_recovery(problem, reduced))
+        return write_body(path, [body])
+
+
+def damaged(whole, folder, change):
+    path = folder / "bad.h5"
+    shutil.copy(whole, path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    return path
+
+
+def put(name, value):
+    """Another dataset in the place of ``name``."""
+    def change(file):
+        del file[name]
+        file[name] = value
+
+    return change
+
+
+def used_up(path, folder):
+    """All that reads a body file."""
+    body = next(iter(read_body(path).bodies.values()))
+    body.basis()
+    for target in ("exudyn", "sid", "simscape", "mbdyn", "dmig"):
+        export_body(path, target, path=folder / "out.hdf5")
+    motion = Trajectory(times=np.array([0.0]), coordinates=np.zeros((1, len(body.mass_matrix))))
+    recover(path, motion, folder / "out.vtkhdf")
+
+
+def datasets(path):
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    return {name: value for name, value in found.items() if not re.match(UNREAD, name)}
+
+
+def ways(name, value):
+    """How a dataset of such values can be wrong, each with a new value."""
+    if value.dtype.kind == "f" and value.size:
+        first = value.copy() if value.shape else np.array(value)
+        first[(-1,) * first.ndim] = np.nan
+        if not re.search(r"(frequencies_hz|certificate/.*|share|load)$", name):
+            yield "nan", first
+    if value.dtype.kind in "fiu":
+        yield "text", np.bytes_(b"hello")
+        yield "lines", np.full(value.shape or (1,), b"1")
+    else:
+        yield "numbers", np.ones(value.shape)
+    if not re.match(FREE, name) and value.size > 1:
+        yield "shorter", value[1:] if value.ndim == 1 else value[:, 1:]
+    yield "deeper", value[None]
+
+
+def test_every_dataset_of_a_damaged_file_is_named(whole, tmp_path):
+    used_up(whole, tmp_path)
+    tried = 0
+    for name, value in datasets(whole).items():
+        for way, other in ways(name, np.asarray(value)):
+            path = damaged(whole, tmp_path, put(name, other))
+            with pytest.raises(InputError) as caught:
+                used_up(path, tmp_path)
+            message = str(caught.value)
+            assert message.count("bad.h5") == 1 and "\n" not in message, (name, way, message)
+            # A size that two datasets give is the fault of either.
+            assert re.search(rf" /{name}\b", message), (name, way, message)
+            tried += 1
+    assert tried > 200
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (put("mass_properties/mass", -1.0), "/mass_properties/mass is -1; expected more than zero"),
+        (put("bodies/cb/floating_frame/integrals/mass", -1.0), "integrals/mass is -1; expected more than zero"),
+        (put("inputs/interface_index", np.full(24, 77)), "/inputs/interface_index holds 77; expected 0 to 2"),
+        (put("inputs/component", np.full(24, 6)), "/inputs/component holds 6; expected 0 to 5"),
+        (put("bodies/cb/mode_kind", np.full(28, 99)), "/bodies/cb/mode_kind holds 99; expected 0 to"),
+        (put("bodies/cb/rigid_count", 29), "/bodies/cb/rigid_count holds 29; expected 0 to 28"),
+        (put("bodies/cb/recipe", np.bytes_(b"{bad")), "/bodies/cb/recipe cannot be read"),
+        (put("interfaces/tip/coupling", np.bytes_(b"glued")), "coupling is 'glued'; expected one of rigid, average"),
+        (put("interfaces/tip/coupling", np.bytes_(b"\xff")), "/interfaces/tip/coupling cannot be read"),
+        (put("bodies/cb/floating_frame/kind", np.bytes_(b"loose")), "floating_frame/kind is 'loose'; expected one of"),
+        (lambda f: f.move("bodies/cb/floating_frame/markers/tip", "bodies/cb/floating_frame/markers/top"),
+         "/bodies/cb/floating_frame/markers has 'top'"),
+        (lambda f: put("bodies/cb/output_matrix", 1)(f) if "output_matrix" in f["bodies/cb"] else
+         f.create_group("bodies/cb/output_matrix"), "/bodies/cb/output_matrix is a group; expected a dataset"),
+        (put("interfaces/tip/axes", np.diag([1.0, 1.0, -1.0])), "/interfaces/tip/axes is no rotation"),
+        (put("interfaces/tip/axes", np.diag([1.0, 1.0, 1.1])), "axes is no rotation (A A' - I = 2.1e-01"),
+        (put("unit_system", np.bytes_(b"mm")), "/unit_system is 'mm'; expected one of SI"),
+        (put("VTKHDF/Points", np.full((20, 3), np.nan)), "/VTKHDF/Points[:, 0] holds nan"),
+        (put("VTKHDF/Points", np.zeros((19, 3))), "/VTKHDF/Points holds float64 of the shape (19, 3); expected"),
+        (put("VTKHDF/Connectivity", np.full(32, 10**9)), "/VTKHDF/Connectivity holds 1000000000 at [0]; expected 0 to"),
+        (put("VTKHDF/Connectivity", np.zeros(32)), "/VTKHDF/Connectivity holds float64"),
+        (put("VTKHDF/Offsets", np.array([0, 8, 16, 30, 32])), "/VTKHDF/Offsets gives cell 2 of type 12 14 nodes"),
+        (put("VTKHDF/Offsets", np.array([0, 8, 24, 16, 32])), "/VTKHDF/Offsets does not ascend from 0 to 32"),
+        (put("VTKHDF/Types", np.full(3, 12, dtype="u1")), "/VTKHDF/Offsets has 5 numbers; expected 4"),
+        (lambda f: f.__delitem__("VTKHDF/Types"), "cannot be read as HDF5"),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be(whole, tmp_path, change, words):
+    path = damaged(whole, tmp_path, change)
+    for act in (lambda: export_body(path, "exudyn", path=tmp_path / "o.hdf5"),
+                lambda: recover(path, motion(28), tmp_path / "o.vtkhdf")):  # fmt: skip
+        with pytest.raises(InputError, match=re.escape(words)):
+            act()
+    assert [one.name for one in tmp_path.iterdir()] == ["bad.h5"]
+
+
+def test_a_basis_that_was_never_filled(whole, tmp_path):
+    def hollow(file):
+        data = file["bodies/cb/basis"]
+        shape = data.shape
+        del file["bodies/cb/basis"]
+        file.create_dataset("bodies/cb/basis", shape, "f8", chunks=(shape[0], 1))
+
+    with pytest.raises(InputError, match=r"/bodies/cb/basis announces \d+ bytes, of which the file holds 0"):
+        read_body(damaged(whole, tmp_path, hollow))
+
+
+def test_a_compressed_copy_is_the_same_body(whole, tmp_path):
+    def packed(file):
+        value = file["bodies/cb/basis"][()]
+        del file["bodies/cb/basis"]
+        file.create_dataset("bodies/cb/basis", data=value, chunks=(len(value), 1), compression="gzip")
+
+    found = read_body(damaged(whole, tmp_path, packed)).bodies["cb"].basis()
+    assert np.array_equal(found, read_body(whole).bodies["cb"].basis())
+
+
+@pytest.mark.parametrize("target", ["sid", "mbdyn", "exudyn", "simscape"])
+@pytest.mark.parametrize("diagonal", [-1.0, 1.0])
+def test_matrices_that_no_body_has(whole, tmp_path, target, diagonal):
+    """Finite numbers, but no mass: what linear algebra says becomes one message."""
+    def change(file):
+        for name in ("bodies/cb/mass_matrix", "bodies/cb/floating_frame/integrals/Me"):
+            n = len(file[name])
+            file[name][...] = 2 * np.ones((n, n)) + (diagonal - 2) * np.eye(n)
+
+    path = damaged(whole, tmp_path, change)
+    with pytest.raises(InputError, match="reduce it again"):
+        export_body(path, target, path=tmp_path / "o.hdf5")
+    assert [one.name for one in tmp_path.iterdir()] == ["bad.h5"]
+
+
+def motion(n, **other):
+    return Trajectory(**{"times": np.array([0.0, 0.1]), "coordinates": np.zeros((2, n)), **other})
+
+
+def run(*arguments):
+    done = CliRunner().invoke(app, [*map(str, arguments)])
+    assert done.exit_code == 2 and isinstance(done.exception, SystemExit), (done.stdout, done.exception)
+    assert done.stderr.startswith("error: ") and len(done.stderr.strip().splitlines()) == 1
+    return done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"times": 0.0}, "times has the shape ()"),
+        ({"times": np.zeros((2, 1))}, "times has the shape (2, 1)"),
+        ({"time": [0.0, 0.1], "times": [0.0, 5.0]}, "holds both time and times"),
+        ({"times": [0.0, 0.1], "coordinates": np.full((2, 28), 1e308)}, "from numbers up to 1e+308"),
+        ({"times": [0.0, 0.1], "coordinates": np.full((2, 28), 1e37)}, "check the units"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_motions_that_cannot_be_recovered(whole, tmp_path, arrays, words):
+    np.savez(tmp_path / "m.npz", **{"coordinates": np.zeros((2, 28)), **arrays})
+    message = run("recover", whole, tmp_path / "m.npz", "-o", tmp_path / "o.vtkhdf")
+    assert words in message and not (tmp_path / "o.vtkhdf").exists()
+
+
+def test_results_that_are_not_finite_name_their_time(whole):
+    source = read_body(whole)
+    q = np.zeros((2, 28))
+    q[1] = 1e300
+    with pytest.raises(InputError, match=r"displacement at 0.1 s is .*, from numbers up to 1e\+300"):
+        expand(source, source.bodies["cb"], motion(28, coordinates=q))
+
+
+def test_a_body_file_is_no_model(whole, tmp_path):
+    export_body(whole, "exudyn", path=tmp_path / "beam.hdf5")
+    for path, kind in ((whole, "a body file of morembs"), (tmp_path / "beam.hdf5", "a reduced body for Exudyn")):
+        message = run("import", path, "-o", tmp_path / "out.model.h5")
+        assert f"{Path(path).name} is {kind}" in message and "not a model" in message
+    assert not (tmp_path / "out.model.h5").exists()
+    # Who names a matrix in it gets that matrix.
+    K = import_file(whole, options={"K": "bodies/cb/stiffness_matrix", "M": "bodies/cb/mass_matrix"}).K
+    assert np.array_equal(K.toarray(), read_body(whole).bodies["cb"].stiffness_matrix)

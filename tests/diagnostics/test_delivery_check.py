@@ -1,0 +1,200 @@
+"""The check before delivery, against pyYeti's cbcheck and with planted defects."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from morembs.body import elastic_body, make_part
+from morembs.body.file import read_body, write_body
+from morembs.diagnostics.delivery_check import check_delivery
+from morembs.errors import InputError
+from morembs.interface import make_interface
+from morembs.model import FEModel
+from morembs.problem import Damping, Problem
+from morembs.reducers import CraigBampton, FreeInterface, Guyan
+from tests.support.meshes import STEEL, box, steel, where
+
+SIZE = (0.5, 0.06, 0.04)
+WAYS = ("geometry", "stiffness", "eigenvectors")
+
+
+def body_of(reducer=None, coupling="rigid", damping=None, model=None):
+    model = steel(box("hex20", (6, 1, 1), SIZE)) if model is None else model
+    ends = [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+            for name, x in (("left", 0.0), ("right", SIZE[0]))]  # fmt: skip
+    with Problem(model, ends, damping=damping) as problem:
+        reduced = (reducer or CraigBampton(modes=8)).reduce(problem)
+        return elastic_body(problem, reduced, make_part(problem))
+
+
+def grave(diagnosis):
+    return {one.code for one in diagnosis.findings if one.severity != "note"}
+
+
+def with_matrices(body, **matrices):
+    return replace(body, reduced=replace(body.reduced, **matrices))
+
+
+def finding(diagnosis, code):
+    return next(one for one in diagnosis.findings if one.code == code)
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "average", "direct"])
+@pytest.mark.parametrize("reducer", [CraigBampton(modes=8), FreeInterface(modes=8), Guyan()], ids=repr)
+def test_sound_bodies_pass_with_the_mass_of_the_book(reducer, coupling):
+    body = body_of(reducer, coupling, Damping(modal=0.02))
+    seen = check_delivery(body)
+    assert grave(seen) == set(), seen.text()
+    mass = STEEL["density"] * np.prod(SIZE)
+    a, b, c = SIZE
+    assert seen.facts["mass"] == pytest.approx(mass)
+    assert seen.facts["center_of_mass"] == pytest.approx(np.array(SIZE) / 2)
+    book = mass / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+    assert np.diag(seen.facts["inertia"]) == pytest.approx(book, rel=1e-6)
+    assert tuple(seen.facts["rigid_hz"]) == WAYS
+    assert max(seen.facts["rigid_hz"].values()) < 1e-2
+    for way in WAYS:
+        assert seen.facts["rigid_mass"][way][:3, :3] == pytest.approx(mass * np.eye(3), abs=1e-6 * mass)
+    assert seen.facts["damping_ratios"] == pytest.approx(0.02, rel=1e-6)
+
+
+def test_quantities_are_those_of_cbcheck():
+    """Craig-Bampton body, pyYeti's cbcheck as an independent program."""
+    cb = pytest.importorskip("pyyeti.cb")
+    nastran = pytest.importorskip("pyyeti.nastran.n2p")
+    body = body_of()
+    r = body.reduced
+    constraint = np.flatnonzero(np.array(r.mode_kind) == "constraint")
+    assert len(constraint) == 12
+    uset = None
+    for label, interface in enumerate(body.part.interfaces, start=1):
+        uset = nastran.addgrid(uset, label, "b", 0, interface.point.tolist(), 0)
+    theirs = cb.cbcheck(io.StringIO(), r.M, r.K, constraint, constraint[:6], uset, uref=(0, 0, 0), rb_norm=True,
+                        n_freefree_modes=10)  # fmt: skip
+    facts = check_delivery(body).facts
+    assert facts["fixed_hz"] == pytest.approx(theirs.cb_frq if hasattr(theirs, "cb_frq") else theirs.effmass.index)
+    assert facts["effective_mass"] == pytest.approx(theirs.effmass.to_numpy(), rel=1e-6, abs=1e-9)
+    share = theirs.effmass_percent.to_numpy().sum(axis=0) / 100
+    assert facts["effective_mass_share"] == pytest.approx(share, rel=1e-8)
+    rigid = {"geometry": np.vstack([theirs.rbg, np.zeros((r.order - 12, 6))]), "stiffness": theirs.rbs,
+             "eigenvectors": theirs.rbe}  # fmt: skip
+    scale = np.abs(facts["rigid_mass"]["geometry"]).max()
+    for way, q in rigid.items():
+        tolerance = 1e-6 if way == "eigenvectors" else 1e-9
+        assert facts["rigid_mass"][way] == pytest.approx(q.T @ theirs.m @ q, abs=tolerance * scale)
+        assert np.abs(facts["ground_force"][way]).max() < 1e-8 * np.abs(r.K).max()
+        assert np.abs(theirs.k @ q).max() < 1e-8 * np.abs(r.K).max()
+
+
+def test_a_reduced_model_without_frame():
+    body = body_of()
+    seen = check_delivery(body.reduced, body.part)
+    assert grave(seen) == set() and tuple(seen.facts["rigid_hz"]) == WAYS[1:]
+    known = check_delivery(body).facts
+    assert seen.facts["effective_mass"] == pytest.approx(known["effective_mass"], rel=1e-6, abs=1e-9)
+    with pytest.raises(InputError, match="part"):
+        check_delivery(body.reduced)
+
+
+def test_grounding_energy_is_that_of_the_springs():
+    """Springs of 1e7 N/m from the frame of one interface to the ground, known to no one."""
+    body = body_of()
+    K = body.reduced.K.copy()
+    K[:3, :3] += 1e7 * np.eye(3)
+    seen = check_delivery(with_matrices(body, K=K))
+    one = finding(seen, "grounded")
+    assert one.severity == "error" and "ground" in one.cure
+    arm = body.part.center_of_mass - body.part.interfaces[0].point
+    turned = 0.5e7 * np.array([arm[1] ** 2 + arm[2] ** 2, arm[0] ** 2 + arm[2] ** 2, arm[0] ** 2 + arm[1] ** 2])
+    assert seen.facts["rigid_energy_J"]["geometry"][:3] == pytest.approx([0.5e7] * 3, rel=1e-6)
+    assert seen.facts["rigid_energy_J"]["geometry"][3:] == pytest.approx(turned, rel=1e-4, abs=1.0)
+    assert "frequencies" in grave(seen)
+
+
+def test_a_body_held_to_the_ground():
+    model = steel(box("hex20", (6, 1, 1), SIZE))
+    K = model.K.tolil()
+    for row in model.dofs.of_nodes(where(model, 1, 0.0)).ravel():
+        K[row, row] += 1e9
+    held = FEModel(K=K.tocsr(), M=model.M, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh)
+    ends = [make_interface(held, name="left", nodes=where(held, 0, 0.0))]
+    with Problem(held, ends) as problem:
+        body = elastic_body(problem, CraigBampton(modes=4).reduce(problem), make_part(problem))
+    assert grave(check_delivery(body)) == {"held"}
+
+
+def test_defects_of_the_matrices():
+    body = body_of(damping=Damping(modal=0.01))
+    r = body.reduced
+    bad = {name: getattr(r, name).copy() for name in "MKD"}
+    bad["M"][0, 5] *= 1.001
+    bad["M"][0, 5] += 1e-3
+    assert "not-symmetric" in grave(check_delivery(with_matrices(body, M=bad["M"])))
+    bad["K"][-1, -1] *= -1
+    seen = check_delivery(with_matrices(body, K=bad["K"]))
+    assert "K of the reduced body" in finding(seen, "indefinite").sentence
+    bad["D"][-1, -1] *= -0.5
+    assert {"indefinite", "negative-damping"} <= grave(check_delivery(with_matrices(body, D=bad["D"])))
+    assert grave(check_delivery(with_matrices(body, M=r.M * np.nan))) == {"not-finite"}
+    assert "indefinite" in grave(check_delivery(with_matrices(body, M=-r.M)))
+    seen = check_delivery(with_matrices(body, M=1.01 * r.M))
+    assert {"mass", "frequencies"} <= grave(seen)
+    assert seen.facts["mass"] == pytest.approx(1.01 * body.part.mass)
+    dragged = with_matrices(body, D=3.0 * r.M)
+    assert grave(check_delivery(dragged)) == {"grounded-damping"}
+    assert "3 1/s" in finding(check_delivery(dragged), "grounded-damping").sentence
+
+
+def test_interface_points_that_are_not_where_the_matrices_have_them():
+    body = body_of()
+    left, right = body.part.interfaces
+    moved = replace(right, point=right.point + np.array([0, 0.01, 0]))
+    seen = check_delivery(replace(body, part=replace(body.part, interfaces=(left, moved))))
+    assert finding(seen, "interfaces").where == ("right x", "right z")
+
+
+def test_frequencies_below_those_of_the_full_model():
+    body = body_of()
+    hz = body.frequencies_hz.copy()
+    full = hz[:9].copy()
+    full[7] *= 1.001
+    seen = check_delivery(replace(body, full_frequencies_hz=full))
+    assert grave(seen) == {"below-full-model"} and "mode 2" in finding(seen, "below-full-model").sentence
+    assert grave(check_delivery(replace(body, full_frequencies_hz=0.999 * hz[:9]))) == set()
+
+
+def test_effective_mass_of_all_modes_is_the_mass_inside():
+    """With every mode kept, the shares are those of the full model with its ends held."""
+    model = steel(box("hex8", (4, 1, 1), SIZE))
+    ends = [make_interface(model, name="left", nodes=where(model, 0, 0.0))]
+    with Problem(model, ends) as problem:
+        inside = problem.K.shape[0] - 6
+        body = elastic_body(problem, CraigBampton(modes=inside).reduce(problem), make_part(problem))
+        held = problem.coupling.columns["left"]
+        rest = np.setdiff1d(np.arange(problem.K.shape[0]), problem.B.tocoo().coords[0])
+        M, R = problem.M.toarray(), problem.coupling.R
+        assert held is not None
+    # Rows inside see the rigid motion through the whole mass matrix.
+    b = M[rest] @ R[:, :3]
+    expected = np.einsum("ia,ia->a", b, np.linalg.solve(M[np.ix_(rest, rest)], b))
+    share = check_delivery(body).facts["effective_mass_share"][:3]
+    assert share == pytest.approx(expected / body.part.mass, rel=1e-8)
+    assert "effective-mass" in check_delivery(body_of(CraigBampton(modes=1))).codes
+    assert ("effective-mass" in check_delivery(body).codes) == (share.min() < 0.8)
+
+
+def test_stored_bodies_are_checked_alike(tmp_path):
+    body = body_of(damping=Damping(modal=0.01))
+    write_body(tmp_path / "body.h5", [body], recipe={})
+    file = read_body(tmp_path / "body.h5")
+    stored = file.bodies[body.name]
+    here, there = check_delivery(body), check_delivery(stored, file)
+    assert grave(there) == set() and there.codes == here.codes
+    assert there.facts["effective_mass"] == pytest.approx(here.facts["effective_mass"], rel=1e-9, abs=1e-12)
+    assert tuple(there.facts["rigid_hz"]) == WAYS
+    spoilt = replace(stored, stiffness_matrix=stored.stiffness_matrix * 1.1)
+    assert grave(check_delivery(spoilt, file)) == {"frequencies"}
+    with pytest.raises(InputError, match="file"):
+        check_delivery(stored)

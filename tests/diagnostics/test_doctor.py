@@ -1,0 +1,640 @@
+"""The doctor finds planted defects, names them, and is silent on sound models."""
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.diagnostics import examine, examine_model, repaired
+from morembs.errors import InputError
+from morembs.importers import read_mesh
+from morembs.interface import make_interface
+from morembs.model import DofMap, Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
+from morembs.problem import Problem
+from morembs.units import parse_units
+from tests.support.meshes import STEEL, box, merged, points_and_cells, steel, where
+
+SIZE = (0.5, 0.06, 0.04)
+
+
+def bar(kind="hex8", n=(6, 2, 2), size=SIZE, **change):
+    return steel(box(kind, n, size), **change)
+
+
+def known(model):
+    return {"nodes": model.nodes, "dofs": model.dofs}
+
+
+def grave(diagnosis):
+    """Codes of errors and warnings."""
+    return {one.code for one in diagnosis.findings if one.severity != "note"}
+
+
+def finding(diagnosis, code):
+    return next(one for one in diagnosis.findings if one.code == code)
+
+
+def changed(A, entries):
+    """``A`` with values added at (row, column), and at their mirror images."""
+    A = A.tolil(copy=True)
+    for row, column, value in entries:
+        A[row, column] += value
+        if row != column:
+            A[column, row] += value
+    return sp.csr_array(A)
+
+
+def permuted(model, order):
+    return sp.csr_array(model.K[order, :][:, order]), sp.csr_array(model.M[order, :][:, order])
+
+
+def beam(count=8, length=1.2, radius=0.01, direction=(1.0, 0.0, 0.0)):
+    """Straight beam of Euler-Bernoulli elements with six dofs per node and rotational inertia of the section."""
+    E, nu, rho = 2.1e11, 0.3, 7850.0
+    A, Iy, J = np.pi * radius**2, np.pi * radius**4 / 4, np.pi * radius**4 / 2
+    h = length / count
+    EI = E * Iy / h**3 * np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]])  # fmt: skip
+    mass = [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]]  # fmt: skip
+    mass = rho * A * h / 420 * np.array(mass)
+    k, m = np.zeros((12, 12)), np.zeros((12, 12))
+    for rows, stiff, heavy in (([0, 6], E * A / h, rho * A * h), ([3, 9], E / (2 + 2 * nu) * J / h, rho * J * h)):
+        k[np.ix_(rows, rows)] += stiff * np.array([[1, -1], [-1, 1]])
+        m[np.ix_(rows, rows)] += heavy / 6 * np.array([[2, 1], [1, 2]])
+    for rows, sign in (([1, 5, 7, 11], 1.0), ([2, 4, 8, 10], -1.0)):
+        s = np.diag([1, sign, 1, sign])
+        k[np.ix_(rows, rows)] += s @ EI @ s
+        m[np.ix_(rows, rows)] += s @ mass @ s
+    x = np.asarray(direction) / np.linalg.norm(direction)
+    frame = np.linalg.qr(np.column_stack([x, np.roll(np.eye(3), 1, axis=0)[np.argmax(np.abs(x))], np.ones(3)]))[0]
+    frame *= np.sign(np.linalg.det(frame)) * np.sign(frame[:, 0] @ x) ** np.array([1, 1, 0])
+    frame[:, 0], frame[:, 2] = x, np.cross(x, frame[:, 1])
+    T = np.kron(np.eye(4), frame)
+    k, m = T @ k @ T.T, T @ m @ T.T
+    K, M = np.zeros((6 * count + 6,) * 2), np.zeros((6 * count + 6,) * 2)
+    for one in range(count):
+        at = slice(6 * one, 6 * one + 12)
+        K[at, at] += k
+        M[at, at] += m
+    xyz = np.linspace(0, length, count + 1)[:, None] * x
+    nodes = Nodes(ids=np.arange(1, count + 2), xyz=xyz)
+    dofs = DofMap(node=np.repeat(np.arange(count + 1), 6), component=np.tile(np.arange(6), count + 1))
+    return sp.csr_array(K), sp.csr_array(M), nodes, dofs
+
+
+def joined_boxes(shared):
+    """Two boxes of steel that touch in a node (1), an edge (2) or a face (4), in the sense of x, y, z."""
+    offset = {1: (2, 2, 2), 2: (2, 2, 0), 4: (2, 0, 0)}[shared]
+    cells = [(i, j, k) for i in range(2) for j in range(2) for k in range(2)]
+    both = cells + [tuple(np.add(cell, offset)) for cell in cells]
+    return steel(merged("hex8", 0.02 * points_and_cells("hex8", both)))
+
+
+# Defects
+
+
+def test_half_stored_matrices_are_found_and_completed():
+    model = bar()
+    for which, make in (("lower", sp.tril), ("upper", sp.triu)):
+        half = sp.csr_array(make(model.K)), sp.csr_array(make(model.M))
+        for K, M in ((half[0], model.M), (model.K, half[1]), half):
+            seen = examine(K, M, **known(model))
+            assert grave(seen) == {"half-stored"} and which in finding(seen, "half-stored").sentence
+        whole = repaired(*half)
+        assert abs(whole[0] - model.K).max() == 0 and abs(whole[1] - model.M).max() == 0
+        assert [note.code for note in whole[3]] == ["completed", "completed"] and which in whole[3][0].sentence
+    assert repaired(model.K, model.M)[3] == ()
+    seen = examine(half[0], half[1], **known(model), deep=True)
+    assert seen.facts["mass"] == pytest.approx(7850 * np.prod(SIZE)) and seen.facts["zero_modes"] == 6
+    with pytest.raises(InputError, match="upper triangle"):
+        seen.refuse_errors()
+
+
+def test_a_half_in_mixed_order_is_completed():
+    """One entry of each pair, above or below the diagonal: as files come whose labels are not in order."""
+    model = bar()
+    lower = sp.coo_array(sp.tril(model.K))
+    flip = np.random.default_rng(1).random(lower.nnz) < 0.5
+    row, column = lower.coords
+    mixed = sp.csr_array((lower.data, (np.where(flip, column, row), np.where(flip, row, column))), shape=lower.shape)
+    assert "some" in finding(examine(mixed, model.M), "half-stored").sentence
+    assert abs(repaired(mixed, model.M)[0] - model.K).max() == 0
+
+
+def test_a_doubled_diagonal():
+    model = bar()
+    K = sp.csr_array(model.K + sp.diags_array(model.K.diagonal()))
+    assert grave(examine(K, model.M, **known(model))) == {"doubled-diagonal"}
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e9])
+def test_grounded_nodes_are_named(stiffness):
+    model = bar()
+    held = [3, 17]
+    K = changed(model.K, [(3 * row + a, 3 * row + a, stiffness) for row in held for a in range(3)])
+    seen = examine(K, model.M, **known(model))
+    one = finding(seen, "grounded")
+    assert grave(seen) == {"grounded"} and set(one.where) == {str(model.nodes.ids[row]) for row in held}
+    assert f"{2 * stiffness:.3g}, {2 * stiffness:.3g}, {2 * stiffness:.3g} N/m" in one.sentence
+    # Two nodes leave the rotation about their line free.
+    assert seen.facts["free_motions"] == 1
+
+
+def test_constraints_that_were_eliminated_count_as_ground():
+    model = bar()
+    left = where(model, 0, 0.0)
+    keep = np.flatnonzero(~np.isin(model.dofs.node, left))
+    dofs = DofMap(node=model.dofs.node[keep], component=model.dofs.component[keep])
+    K, M = permuted(model, keep)
+    seen = examine(K, M, nodes=model.nodes, dofs=dofs)
+    next_row = where(model, 0, SIZE[0] / 6)
+    assert grave(seen) == {"grounded"}
+    assert set(finding(seen, "grounded").where) == set(map(str, model.nodes.ids[next_row]))
+    assert "have no dofs" in finding(seen, "grounded").cure and seen.facts["free_motions"] == 0
+
+
+@pytest.mark.parametrize("order", ["component by component", "reverse", "labels"])
+def test_wrong_dof_order_is_found_and_named(order):
+    model = bar()
+    N, n = model.size, len(model.nodes)
+    rows = np.arange(N)
+    nodes = model.nodes
+    if order == "component by component":
+        rows = rows.reshape(n, 3).T.ravel()
+    elif order == "reverse":
+        rows = rows[::-1]
+    else:
+        ids = np.random.default_rng(5).permutation(n) + 10
+        nodes = Nodes(ids=ids, xyz=nodes.xyz)
+        rows = model.dofs.of_nodes(np.argsort(ids)).ravel()
+    K, M = permuted(model, rows)
+    seen = examine(K, M, nodes=nodes, dofs=model.dofs)
+    assert grave(seen) == {"dof-order"} and order in finding(seen, "dof-order").sentence
+    assert seen.facts["mass"] == pytest.approx(7850 * np.prod(SIZE)) and seen.facts["free_motions"] == 6
+    guessed = examine(K, M, nodes=nodes)
+    assert grave(guessed) == set() and order in guessed.facts["dof_order"]
+
+
+def test_a_mass_matrix_in_another_order_than_the_stiffness():
+    model = bar()
+    _, M = permuted(model, np.arange(model.size).reshape(-1, 3).T.ravel())
+    seen = examine(model.K, M, **known(model))
+    assert grave(seen) == {"mass-dof-order"} and "component by component" in finding(seen, "mass-dof-order").sentence
+
+
+def test_swapped_nodes_are_named():
+    model = bar(n=(8, 2, 2))
+    a, b = 5, 30
+    swap = np.arange(len(model.nodes))
+    swap[[a, b]] = [b, a]
+    rows = model.dofs.of_nodes(swap).ravel()
+    K, M = permuted(model, rows)
+    seen = examine(K, M, **known(model))
+    one = finding(seen, "node-mapping")
+    assert "swapped" in one.sentence and set(one.where) == {str(model.nodes.ids[a]), str(model.nodes.ids[b])}
+
+
+def test_a_node_with_wrong_coordinates_is_put_right():
+    model = bar(n=(8, 2, 2))
+    xyz = model.nodes.xyz.copy()
+    xyz[20] += [0.03, -0.01, 0.02]
+    seen = examine(model.K, model.M, nodes=Nodes(ids=model.nodes.ids, xyz=xyz), dofs=model.dofs)
+    one = finding(seen, "node-mapping")
+    assert one.where == (str(model.nodes.ids[20]),)
+    numbers = [float(word) for word in one.cure.split("(")[1].split(")")[0].split(",")]
+    assert numbers == pytest.approx(model.nodes.xyz[20], abs=1e-5)
+
+
+def test_local_axes_at_two_nodes():
+    model = bar(n=(8, 2, 2))
+    turn = np.eye(model.size)
+    for row, angle in ((20, 0.4), (40, 1.3)):
+        c, s = np.cos(angle), np.sin(angle)
+        turn[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    T = sp.csr_array(turn)
+    seen = examine(sp.csr_array(T @ model.K @ T.T), sp.csr_array(T @ model.M @ T.T), **known(model))
+    assert "local-axes" in grave(seen)
+    assert set(finding(seen, "local-axes").where) == {str(model.nodes.ids[row]) for row in (20, 40)}
+
+
+def test_empty_rows_and_dofs_that_nothing_holds():
+    model = bar()
+    N = model.size
+    for mass, code in ((0.0, "empty-dofs"), (1.0, "no-stiffness")):
+        K = sp.csr_array(sp.block_diag([model.K, sp.csr_array((3, 3))]))
+        M = sp.csr_array(sp.block_diag([model.M, mass * sp.eye_array(3)]))
+        nodes = Nodes(ids=np.append(model.nodes.ids, 999), xyz=np.vstack([model.nodes.xyz, [0.25, 0.03, 0.02]]))
+        node, component = np.append(model.dofs.node, [len(nodes) - 1] * 3), np.append(model.dofs.component, range(3))
+        dofs = DofMap(node=node, component=component)
+        seen = examine(K, M, nodes=nodes, dofs=dofs)
+        assert grave(seen) == {code} and finding(seen, code).where == ("999",) and K.shape[0] == N + 3
+
+
+def test_unmerged_nodes():
+    mesh = box("hex8", (4, 2, 2), SIZE)
+    n = len(mesh.nodes)
+    xyz = np.vstack([mesh.nodes.xyz, mesh.nodes.xyz + np.array([SIZE[0], 0, 0])])
+    block = mesh.blocks[0]
+    both = type(block)(type="hex8", nodes=np.vstack([block.nodes, block.nodes + n]), ids=np.arange(2 * len(block.ids)))
+    model = steel(Mesh(nodes=Nodes(ids=np.arange(1, 2 * n + 1), xyz=xyz), blocks=(both,)))
+    seen = examine_model(model)
+    one = finding(seen, "parts")
+    assert grave(seen) == {"parts"} and seen.facts["parts"] == 2 and "9 pairs" in one.sentence
+    pairs = np.array(one.where, dtype=int).reshape(-1, 2) - 1
+    assert len(pairs) == 9 and np.abs(xyz[pairs[:, 0]] - xyz[pairs[:, 1]]).max() < 1e-12
+
+
+def test_an_open_seam_is_noted():
+    """A box of which one node on an edge was split: a crack that needs no cure, but the pair is named."""
+    mesh = box("hex8", (4, 2, 2), SIZE)
+    elements = mesh.blocks[0]
+    row = int(np.argmin(np.linalg.norm(mesh.nodes.xyz - np.array([SIZE[0] / 2, 0, 0]), axis=1)))
+    table = elements.nodes.copy()
+    second = np.flatnonzero((table == row).any(axis=1))[1]
+    table[second, table[second] == row] = len(mesh.nodes)
+    nodes = Nodes(ids=np.append(mesh.nodes.ids, 777), xyz=np.vstack([mesh.nodes.xyz, mesh.nodes.xyz[row]]))
+    model = steel(Mesh(nodes=nodes, blocks=(type(elements)(type="hex8", nodes=table, ids=elements.ids),)))
+    seen = examine_model(model, deep=True)
+    assert grave(seen) == set() and finding(seen, "coincident-nodes").where == (str(mesh.nodes.ids[row]), "777")
+
+
+def test_many_parts_are_all_counted():
+    model = bar(n=(2, 1, 1))
+    K, M = (sp.csr_array(sp.block_diag([A] * 12)) for A in (model.K, model.M))
+    xyz = np.vstack([model.nodes.xyz + np.array([0, part, 0]) for part in range(12)])
+    nodes = Nodes(ids=np.arange(len(xyz)), xyz=xyz)
+    seen = examine(K, M, nodes=nodes, dofs=DofMap.translations(len(xyz)), deep=True)
+    assert grave(seen) == {"parts"} and seen.facts["parts"] == 12 and seen.facts["zero_modes"] == 72
+    assert "merge" not in finding(seen, "parts").cure
+
+
+def test_a_dof_written_twice():
+    model = bar()
+    rows = np.append(np.arange(model.size), 40)
+    K, M = permuted(model, rows)
+    dofs = DofMap(node=model.dofs.node[rows], component=model.dofs.component[rows])
+    assert "duplicate-dofs" in grave(examine(K, M))
+    seen = examine(K, M, nodes=model.nodes, dofs=dofs)
+    assert grave(seen) == {"dof-map"} and finding(seen, "dof-map").where == (str(model.nodes.ids[40 // 3]),)
+
+
+def test_massless_dofs_and_a_part_without_mass():
+    model = bar()
+    lumped = np.asarray(model.M.sum(axis=1)).ravel()
+    right = model.nodes.xyz[model.dofs.node, 0] > 0.3
+    lumped[right] = 0.0
+    seen = examine(model.K, sp.csr_array(sp.diags_array(lumped)), **known(model))
+    expected = set(map(str, model.nodes.ids[model.nodes.xyz[:, 0] > 0.3]))
+    assert grave(seen) == {"massless"} and set(finding(seen, "massless").where) == expected
+    seen = examine_model(model)
+    assert seen.facts["volume"] == pytest.approx(np.prod(SIZE))
+    light = examine(model.K, model.M * 0.5, model.D, mesh=model.mesh, materials=model.materials, **known(model))
+    assert grave(light) == {"mass-of-mesh"}
+
+
+@pytest.mark.parametrize(("shared", "extra"), [(1, 3), (2, 1)])
+def test_a_hinge_is_found_with_its_nodes(shared, extra):
+    model = joined_boxes(shared)
+    assert grave(examine_model(model)) == set()
+    seen = examine_model(model, deep=True)
+    hinge = np.flatnonzero((np.abs(model.nodes.xyz[:, :2] - 0.04) < 1e-9).all(axis=1) & (model.nodes.xyz[:, 2] < 0.041))
+    if shared == 1:
+        hinge = hinge[np.abs(model.nodes.xyz[hinge, 2] - 0.04) < 1e-9]
+    assert grave(seen) == {"mechanism"} and seen.facts["zero_modes"] == 6 + extra
+    assert set(finding(seen, "mechanism").where) == set(map(str, model.nodes.ids[hinge]))
+
+
+def test_a_shaft_cut_in_torsion():
+    """Nodes stay in place, so the rotations are named."""
+    K, M, nodes, dofs = beam(count=8)
+    about_x = np.flatnonzero(dofs.component == 3)
+    a, b = about_x[2], about_x[3]
+    k = -K[a, b]
+    cut = changed(K, [(a, a, -k), (b, b, -k), (a, b, k)])
+    seen = examine(cut, M, nodes=nodes, dofs=dofs, deep=True)
+    one = finding(seen, "mechanism")
+    assert seen.facts["zero_modes"] == 7 and {label.split(" ", 2)[2] for label in one.where} == {"rotation x"}
+
+
+def test_units_that_do_not_fit():
+    mm = (500.0, 60.0, 40.0)
+    proper = bar(size=mm, young=2.1e5, density=7.85e-9)
+    mixed = bar(size=mm, young=2.1e5, density=7850.0)
+    assert grave(examine_model(proper)) == {"units"} and "mm-t-s" in finding(examine_model(proper), "units").cure
+    assert grave(examine_model(mixed)) == {"units"} and "7.85e-9" in finding(examine_model(mixed), "units").cure
+    for model in (proper, mixed):
+        assert grave(examine(model.K, model.M, **known(model))) == {"units"}
+    seen = examine_model(proper)
+    assert grave(examine(proper.K, proper.M, **known(proper), units=parse_units("mm-t-s"))) == set()
+    assert seen.facts["speed_of_sound"] == pytest.approx(5.2e6, rel=2)
+
+
+STEEL_IN = {
+    "mm-t-s": (2.1e5, 7.85e-9, 500.0), "mm-kg-ms": (210.0, 7.85e-6, 500.0), "cm-g-s": (2.1e12, 7.85, 50.0),
+    "in-slinch-s": (3.05e7, 7.35e-4, 20.0), "mm-g-ms": (2.1e5, 7.85e-3, 500.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STEEL_IN)
+def test_likely_units_are_named(name):
+    young, density, length = STEEL_IN[name]
+    model = bar(size=(length, 0.1 * length, 0.1 * length), young=young, density=density)
+    for given in (known(model), {**known(model), "mesh": model.mesh, "materials": model.materials}):
+        assert f'"{name}"' in finding(examine(model.K, model.M, **given), "units").cure
+        assert grave(examine(model.K, model.M, **given, units=parse_units(name))) == set()
+
+
+@pytest.mark.parametrize("true", ["m-kg-s", *STEEL_IN])
+@pytest.mark.parametrize("wrong", ["m-kg-s", "mm-t-s"])
+def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
+    """Numbers of one system that were converted to SI as if they were of another, as an import does."""
+    if wrong == true:
+        return
+    young, density, length = {"m-kg-s": (2.1e11, 7850.0, 0.5), **STEEL_IN}[true]
+    units = parse_units(wrong)
+    length *= units.length
+    size = (length, 0.1 * length, 0.1 * length)
+    model = bar(size=size, young=young * units.stress, density=density * units.density)
+    for given in (known(model), {**known(model), "mesh": model.mesh, "materials": model.materials}):
+        seen = finding(examine(model.K, model.M, **given, declared=units), "units")
+        assert f"taken in {wrong} as declared" in seen.sentence and f"look like {true}" in seen.sentence
+        assert f'"{true}"' in seen.cure and f"--units {true}" in seen.cure
+    if (wrong, true) == ("mm-t-s", "m-kg-s"):
+        unknown = finding(examine_model(model), "units")
+        assert "as declared" not in unknown.sentence and f"{true} that was taken for {wrong}" in unknown.sentence
+        assert "again with --units m-kg-s" in unknown.cure
+
+
+def test_a_material_in_si_beside_millimetres():
+    """Two metres or two millimetres: metres. Of 50 both cures are named, as either may be meant; 500 m are too long."""
+    mm = parse_units("mm-t-s")
+    for length, meters, material in ((2.0, True, False), (50.0, True, True), (500.0, False, True)):
+        size = tuple(length * mm.length * np.array([1.0, 0.1, 0.1]))
+        model = bar(size=size, young=2.1e11 * mm.stress, density=7850.0 * mm.density)
+        seen = finding(examine(model.K, model.M, **known(model), materials=model.materials, declared=mm), "units")
+        assert ("modulus 2.1e+05, density 7.85e-09" in seen.cure) == material and ('"m-kg-s"' in seen.cure) == meters
+
+
+def test_any_sparse_format_and_entries_in_pieces():
+    """Entries that add up, as in a file that lists elements; complex stiffness with structural damping."""
+    model = bar()
+    pieces = sp.vstack([model.K, model.K]).tocoo()
+    row, column = pieces.coords
+    K = sp.coo_array((0.5 * pieces.data, (row % model.size, column)), shape=model.K.shape)
+    for A in (K, sp.csr_array(model.K).tocsc()):
+        assert grave(examine(A, model.M.tocoo(), **known(model))) == set()
+    raw = sp.csr_array((np.repeat(0.5 * model.K.data, 2), np.repeat(model.K.indices, 2), 2 * model.K.indptr))
+    before = raw.nnz
+    assert grave(examine(raw, model.M, **known(model))) == set() and raw.nnz == before
+    seen = examine(model.K * (1 + 0.02j), model.M, **known(model))
+    assert seen.facts["speed_of_sound"] == examine(model.K, model.M, **known(model)).facts["speed_of_sound"]
+    assert seen.codes == ("complex",) and repaired(model.K * 1j, model.M)[0].dtype == complex
+
+
+def test_indefinite_matrices():
+    model = bar()
+    N = model.size
+    R = np.zeros(N)
+    R[30:60] = np.random.default_rng(2).standard_normal(30)
+    R *= np.sqrt(model.K.diagonal().mean()) / np.linalg.norm(R)
+    inside = sp.csr_array(np.outer(R, R) * 0.6)
+    plain = changed(model.K, [(40, 40, -2 * model.K[40, 40])])
+    minor = changed(model.K, [(40, 41, 3 * model.K[40, 40])])
+    assert "diagonal is negative" in finding(examine(plain, model.M, **known(model)), "indefinite").sentence
+    assert "too large" in finding(examine(minor, model.M, **known(model)), "indefinite").sentence
+    hidden = sp.csr_array(model.K - inside)
+    assert sl.eigvalsh(hidden.toarray())[0] < -1e-3 * model.K.diagonal().mean() and hidden.diagonal().min() > 0
+    seen = finding(examine(hidden, model.M, **known(model)), "indefinite")
+    assert set(seen.where[:4]) <= set(map(str, model.nodes.ids[10:20]))
+    heavy = changed(model.M, [(30, 30, -1.0)])
+    seen = examine(model.K, heavy, **known(model))
+    assert "M is indefinite" in finding(seen, "indefinite").sentence and finding(seen, "indefinite").where == ("11",)
+
+
+@pytest.mark.parametrize("factor", [180 / np.pi, 1e3])
+def test_rotations_in_degrees_or_scaled(factor):
+    K, M, nodes, dofs = beam(direction=(1, 2, 2))
+    T = sp.diags_array(np.where(dofs.component > 2, 1 / factor, 1.0))
+    seen = examine(T @ K @ T, T @ M @ T, nodes=nodes, dofs=dofs)
+    one = finding(seen, "rotation-scale")
+    assert f"{factor:.4g}" in one.sentence and ("degrees" in one.sentence) == (factor < 100)
+
+
+def test_one_entry_without_its_mirror_image():
+    model = bar()
+    K = model.K.tolil()
+    K[20, 22] *= 1.001
+    seen = examine(sp.csr_array(K), model.M, **known(model))
+    ids = model.nodes.ids
+    sentence = finding(seen, "not-symmetric").sentence
+    assert seen.errors
+    K[20, 22] = model.K[20, 22] * (1 + 1e-7)
+    rounded = examine(sp.csr_array(K), model.M, **known(model))
+    assert not rounded.errors and "mean" in finding(rounded, "not-symmetric").cure
+    assert "1 pairs" in sentence and f"node {ids[6]} z" in sentence and f"node {ids[7]} y" in sentence
+
+
+def test_a_mass_matrix_that_belongs_to_other_coordinates():
+    """A heavy offset mass puts the centre outside; a rotational inertia about one axis alone is impossible."""
+    K, M, nodes, dofs = beam()
+    far = M.tolil()
+    rows = np.flatnonzero(dofs.node == 4)
+    skewed = 50 * np.array([[0, 0, 0], [0, 0, 9.0], [0, -9.0, 0]])
+    far[np.ix_(rows[:3], rows[:3])] += 50 * np.eye(3)
+    far[np.ix_(rows[:3], rows[3:])] += skewed
+    far[np.ix_(rows[3:], rows[:3])] += skewed.T
+    far[np.ix_(rows[3:], rows[3:])] += 50 * 81.0 * np.diag([0, 1, 1]) + np.eye(3)
+    seen = examine(K, sp.csr_array(far), nodes=nodes, dofs=dofs)
+    assert grave(seen) == {"center-outside"}
+    assert abs(seen.facts["center_of_mass"][0] - 0.6) == pytest.approx(9 * 50 / seen.facts["mass"], rel=1e-9)
+    turning = changed(M, [(rows[3], rows[3], 40.0)])
+    assert grave(examine(K, turning, nodes=nodes, dofs=dofs)) == {"impossible-inertia"}
+
+
+def test_dampers_to_the_ground_are_noted():
+    model = bar()
+    D = changed(sp.csr_array(1e-6 * model.K), [(3 * 5, 3 * 5, 4.0)])
+    seen = examine(model.K, model.M, D, **known(model))
+    assert grave(seen) == set() and finding(seen, "grounded-damping").where == (str(model.nodes.ids[5]),)
+    seen = examine(model.K, model.M, sp.csr_array(-1e-6 * model.K), **known(model))
+    assert grave(seen) == {"indefinite"} and not seen.errors
+
+
+def test_values_that_are_not_numbers():
+    model = bar()
+    K = model.K.copy()
+    K.data[K.indptr[33]] = np.nan
+    seen = examine(K, model.M, **known(model))
+    assert grave(seen) == {"not-finite"} and finding(seen, "not-finite").where == (str(model.nodes.ids[11]),)
+
+
+def test_shapes_and_maps_that_do_not_fit():
+    model = bar()
+    assert grave(examine(model.K, model.M[:-3, :-3], **known(model))) == {"shapes"}
+    for other in (model.K[:-1], None, model.K.toarray()):
+        with pytest.raises(InputError, match="square"):
+            examine(other, model.M)
+    elements = model.mesh.blocks[0]
+    inverted = type(elements)(type="hex8", nodes=elements.nodes[:, [4, 5, 6, 7, 0, 1, 2, 3]], ids=elements.ids)
+    mesh = Mesh(nodes=model.nodes, blocks=(inverted,))
+    seen = examine(model.K, model.M, dofs=model.dofs, mesh=mesh, materials=model.materials)
+    assert "inverted" in finding(seen, "mesh").sentence
+    bad = DofMap(node=model.dofs.node, component=model.dofs.component + 4)
+    assert grave(examine(model.K, model.M, nodes=model.nodes, dofs=bad)) == {"dof-map"}
+    twice = Nodes(ids=np.where(model.nodes.ids == 2, 1, model.nodes.ids), xyz=model.nodes.xyz)
+    assert grave(examine(model.K, model.M, nodes=twice, dofs=model.dofs)) == {"labels"}
+
+
+def test_another_geometry_and_numbers_with_few_digits():
+    model = bar()
+    xyz = model.nodes.xyz * (1 + 0.3 * np.random.default_rng(7).random(model.nodes.xyz.shape))
+    nodes = Nodes(ids=model.nodes.ids, xyz=xyz)
+    assert "node-mapping" in grave(examine(model.K, model.M, nodes=nodes, dofs=model.dofs))
+    rounded = sp.csr_array((np.array([float(f"{x:.4e}") for x in model.K.data]), model.K.indices, model.K.indptr))
+    seen = examine(rounded, model.M, **known(model), deep=True)
+    assert "few-digits" in seen.codes and grave(seen) <= {"few-digits", "not-symmetric"} and not seen.errors
+
+
+# Sound models
+
+
+def small():
+    return bar(size=(5e-6, 2e-6, 1e-6), n=(5, 2, 2))
+
+
+def ship():
+    return bar("hex20", (8, 2, 2), (90.0, 10.0, 6.0))
+
+
+def slender():
+    return bar("hex20", (100, 1, 1), (10.0, 0.02, 0.02))
+
+
+def plate():
+    return bar("hex20", (10, 10, 1), (1.0, 1.0, 0.002))
+
+
+def rubber_on_steel():
+    mesh = box("tet10", (4, 2, 2), SIZE)
+    count = len(mesh.blocks[0].ids)
+    sets = {"steel": (np.arange(count // 2),), "rubber": (np.arange(count // 2, count),)}
+    mesh = Mesh(nodes=mesh.nodes, blocks=mesh.blocks, element_sets=sets)
+    soft = isotropic(set="rubber", young=5e6, poisson=0.48, density=1100.0)
+    return assemble(mesh, [isotropic(set="steel", **STEEL), soft])
+
+
+def as_input(model):
+    return {"K": model.K, "M": model.M, "nodes": model.nodes, "dofs": model.dofs, "mesh": model.mesh,
+            "materials": model.materials}  # fmt: skip
+
+
+def with_point_mass():
+    model = bar()
+    given = as_input(model)
+    given["M"] = changed(model.M, [(3 * 7 + a, 3 * 7 + a, 3.0) for a in range(3)])
+    return given
+
+
+def with_rbe2_master():
+    """Slave dofs eliminated, the master a node of its own with six dofs."""
+    model = bar()
+    face = where(model, 0, SIZE[0])
+    frame = make_interface(model, name="end", nodes=face, point=(0.55, 0.03, 0.02))
+    with Problem(model, [frame]) as problem:
+        K, M, T = problem.K, problem.M, sp.csr_array(problem.coupling.T)
+    n, master = len(model.nodes), problem.coupling.columns["end"]
+    nodes = Nodes(ids=np.append(model.nodes.ids, 1000), xyz=np.vstack([model.nodes.xyz, frame.point]))
+    node, component = np.full(K.shape[0], n), np.full(K.shape[0], -1)
+    inside = np.flatnonzero(~np.isin(model.dofs.node, face))
+    for row in inside:
+        column = T.indices[T.indptr[row]]
+        node[column], component[column] = model.dofs.node[row], model.dofs.component[row]
+    frames = np.flatnonzero(component < 0)
+    component[frames] = np.arange(6)
+    assert len(frames) == 6 and master is not None
+    return {"K": K, "M": M, "nodes": nodes, "dofs": DofMap(node=node, component=component)}
+
+
+def damped():
+    model = bar()
+    return {**as_input(model), "D": sp.csr_array(1e-5 * model.K + 3.0 * model.M)}
+
+
+def of_beams(direction):
+    K, M, nodes, dofs = beam(direction=direction)
+    return {"K": K, "M": M, "nodes": nodes, "dofs": dofs}
+
+
+def in_single_precision():
+    model = bar()
+    return {**as_input(model), "K": sp.csr_array(model.K.astype(np.float32))}
+
+
+def in_millimetres():
+    model = bar(size=(500.0, 60.0, 40.0), young=2.1e5, density=7.85e-9)
+    return {**as_input(model), "units": parse_units("mm-t-s")}
+
+
+SOUND = {
+    **{kind: lambda kind=kind: as_input(bar(kind)) for kind in ("hex8", "hex20", "tet4", "tet10", "wedge6", "wedge15")},
+    **{make.__name__: lambda make=make: as_input(make()) for make in (small, ship, slender, plate, rubber_on_steel)},
+    **{make.__name__: make for make in (with_point_mass, with_rbe2_master, damped)},
+    **{make.__name__: make for make in (in_single_precision, in_millimetres)},
+    "beams along x": lambda: of_beams((1.0, 0.0, 0.0)),
+    "beams across": lambda: of_beams((1.0, 2.0, 2.0)),
+    "joined": lambda: as_input(joined_boxes(4)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_silence_on_sound_models(name):
+    given = SOUND[name]()
+    seen = examine(**given, deep=True)
+    assert seen.errors == () and seen.warnings == (), seen.text()
+    assert seen.facts["zero_modes"] == 6 and seen.facts["free_motions"] == 6 and seen.facts["parts"] == 1
+    seen.refuse_errors()
+    # Matrices alone, without elements.
+    for name in ("mesh", "materials"):
+        given.pop(name, None)
+    seen = examine(**given)
+    assert seen.errors == () and seen.warnings == (), seen.text()
+
+
+def triplets(path):
+    row, column, value = np.loadtxt(path).T
+    size = int(max(row.max(), column.max()))
+    return sp.csr_array((value, (row.astype(int) - 1, column.astype(int) - 1)), shape=(size, size))
+
+
+def test_matrices_of_calculix_and_abaqus(shared_data):
+    """Connecting rod: upper triangles, no map of the dofs; frequencies as published. Block: lumped masses of Abaqus."""
+    folder = shared_data / "conrod_abaqus"
+    nodes = read_mesh(folder / "job_matrix_generate_conrod.inp").nodes
+    K, M = triplets(folder / "conrod_ccx.sti.gz"), triplets(folder / "conrod_ccx.mas.gz")
+    assert [one.code for one in examine(K, M, nodes=nodes).errors] == ["half-stored", "half-stored"]
+    seen = examine(*repaired(K, M)[:2], nodes=nodes, deep=True)
+    assert grave(seen) == set() and seen.facts["mass"] == pytest.approx(0.1379211513593743, rel=1e-9)
+    assert seen.facts["frequencies_hz"][:3] == pytest.approx([5931.72907, 10572.56166, 13006.48953], rel=1e-6)
+    folder = shared_data / "abaqus_block"
+    nodes = read_mesh(folder / "blockC3D4.inp").nodes
+    seen = examine(*(triplets(folder / f"blockC3D4_{name}1.mtx") for name in ("STIF", "MASS")), nodes=nodes, deep=True)
+    assert grave(seen) == set() and seen.facts["mass"] == pytest.approx(11600)
+    assert seen.facts["frequencies_hz"][:2] == pytest.approx([489.296266, 489.854771], rel=1e-6)
+
+
+def test_facts_of_a_beam_are_those_of_the_book():
+    K, M, nodes, dofs = beam(count=12, length=1.2, radius=0.01)
+    seen = examine(K, M, nodes=nodes, dofs=dofs, deep=True, up_to_hz=500.0)
+    A, Iy = np.pi * 1e-4, np.pi * 1e-8 / 4
+    assert seen.facts["mass"] == pytest.approx(7850 * A * 1.2)
+    assert seen.facts["center_of_mass"] == pytest.approx([0.6, 0, 0], abs=1e-12)
+    assert seen.facts["inertia"][2, 2] == pytest.approx(7850 * A * 1.2**3 / 12, rel=1e-9)
+    first = 4.730041**2 / (2 * np.pi) * np.sqrt(2.1e11 * Iy / (7850 * A * 1.2**4))
+    assert seen.facts["frequencies_hz"][:2] == pytest.approx([first, first], rel=1e-4)
+    values = np.sqrt(np.maximum(sl.eigh(K.toarray(), M.toarray(), eigvals_only=True), 0)) / (2 * np.pi)
+    assert seen.facts["modes_below"] == int((values < 500).sum()) - 6
+    # Six dofs per node are guessed too.
+    assert examine(K, M, nodes=nodes).facts["free_motions"] == 6

@@ -1,0 +1,91 @@
+"""Reduced members in a file: what comes back, and the evaluator of docs/gmp.md on the raw datasets."""
+
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from morembs.errors import InputError
+from morembs.gmp import ReducedMember
+from morembs.gmp.stored import read_members, write_members
+from morembs.nonlinear import PlanarBeam, Section
+
+DOCS = Path(__file__).parents[2] / "docs" / "gmp.md"
+
+
+@pytest.fixture(scope="module")
+def member():
+    section = Section.of(E=3e6, A=7.854e-5, I=4.909e-10, density=2770)
+    return ReducedMember(
+        PlanarBeam.straight(0.304, 12, section), modes=3, formulation="membrane", reach=0.8, points_per_angle=7
+    )
+
+
+@pytest.fixture(scope="module")
+def file(member, tmp_path_factory):
+    return write_members(tmp_path_factory.mktemp("members") / "members.h5", {"rod": member.data})
+
+
+def configuration(turn=2.0):
+    end = 0.29 * np.array([np.cos(turn), np.sin(turn)])
+    return np.array([0.2, -0.1, turn + 0.55, 0.2 + end[0], -0.1 + end[1], turn - 0.4, 1e-3, -5e-4, 3e-4])
+
+
+def test_a_member_comes_back_bit_by_bit(member, file):
+    data = read_members(file)["rod"]
+    one, other = member.at(configuration()), ReducedMember.of(data).at(configuration())
+    for name in ("x", "J", "V", "force", "stiffness"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    # Memory is laid out otherwise, so that sums may be rounded otherwise.
+    assert np.allclose(ReducedMember.of(data).nodes(one.x), member.nodes(one.x), atol=1e-14)
+    outside = configuration() + np.array([0, 0, 0.4, 0, 0, 0, 0, 0, 0])
+    assert ReducedMember.of(data).at(outside).V == member.at(outside).V
+    assert data.formulation == "membrane" and member.outside(outside) == ReducedMember.of(data).outside(outside)
+
+
+def test_the_evaluator_of_the_documentation_gives_the_same(member, file):
+    (code,) = re.findall(r"```python evaluator\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    space = {}
+    exec(code, space)
+    with h5py.File(file) as opened:
+        group = opened["bodies/rod/parameterised"]
+        for turn in (0.3, 2.0, -3.1, 9.0):
+            q = configuration(turn)
+            x, V = space["evaluate"](group, q)
+            assert np.allclose(x, member.at(q).x, atol=1e-11)
+            assert np.isclose(V, member.at(q).V, rtol=1e-9)
+
+
+def test_the_example_of_the_documentation_runs():
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    space = {}
+    exec(code, space)
+    assert space["nodes"].shape == (75, 101) and space["motion"].warnings == ()
+
+
+def test_damaged_files_are_named(file, tmp_path):
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(file.read_bytes())
+    with h5py.File(damaged, "a") as opened:
+        group = opened["bodies/rod/parameterised"]
+        table = group["table"][:, :, :-1]
+        del group["table"]
+        group["table"] = table
+    with pytest.raises(InputError, match=r"table of a member has the shape \(7, 7, \d+\); expected"):
+        read_members(damaged)
+    with h5py.File(damaged, "a") as opened:
+        del opened["bodies/rod/parameterised/M"]
+    with pytest.raises(InputError, match="lack M"):
+        read_members(damaged)
+    with h5py.File(damaged, "a") as opened:
+        del opened["bodies/rod/parameterised"]
+    with pytest.raises(InputError, match="holds no group"):
+        read_members(damaged)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_members(tmp_path / "none.h5")
+    with pytest.raises(InputError, match="give at least one"):
+        write_members(tmp_path / "new.h5", {})
+    with pytest.raises(InputError, match="'a/b' was given as the name"):
+        write_members(tmp_path / "new.h5", {"a/b": None})

@@ -1,0 +1,683 @@
+"""ANSYS files: .full and text matrices with their mapping, and archives (.cdb)."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from morembs.errors import InputError
+from morembs.importers import import_file
+from morembs.importers.abaqus_matrices import read_abaqus_matrix
+from morembs.importers.ansys_cdb import import_ansys_cdb
+from morembs.importers.ansys_full import import_ansys_full, read_ansys_full
+from morembs.importers.ansys_text import import_ansys_matrices, read_ansys_matrix
+from morembs.model import rigid_motion
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
+from morembs.problem import Problem
+from tests.support.meshes import STEEL, box, steel
+
+FULL_HZ = [1283.20037, 1283.20037, 5781.97486, 6919.39888, 6919.39888, 10172.61498]
+FREE_HZ = [7366.49503969, 7366.49503969, 11504.89523664, 17285.70459456, 17285.70459, 20137.193]
+ROTOR_ANSYS_HZ, ROTOR_ABAQUS_HZ = 104.63701055079783, 104.6370132606291
+ROTOR_HZ = [104.637011, 104.637011, 187.824087, 212.329701]
+
+
+def hertz(K, M):
+    values = scipy.linalg.eigh(K.toarray(), M.toarray(), eigvals_only=True)
+    return np.sqrt(np.abs(values)) / (2 * np.pi)
+
+
+# ---- .full
+
+
+def record(values, flags):
+    words = np.asarray(values, dtype="<i4" if flags else "<f8").tobytes()
+    count = np.array([len(words) // 4], dtype="<i4").tobytes()
+    return count + np.array([flags], dtype="<i4").tobytes() + words + count
+
+
+INTEGER = -(2**31)
+
+
+def write_full(path, matrices, labels, dof, per_node, *, changes=None, lumped=False, complex_values=False):
+    """A .full file as the Programmer's Reference describes it: upper rows, the diagonal last; dof < 0 is held."""
+    size = len(dof)
+    header = np.zeros(160, dtype=np.int64)
+    header[[0, 1, 2, 3, 4, 6, 7, 32]] = (
+        -4,
+        size,
+        (np.array(dof) > 0).sum(),
+        2,
+        2,
+        len(labels),
+        max(per_node),
+        len(labels),
+    )
+    standard = np.zeros(100, dtype=np.int64)
+    standard[0] = 4
+    used = range(1, int(max(per_node)) + 1)
+    front = record(standard, INTEGER), record(header, INTEGER), record(list(used), INTEGER), record(labels, INTEGER)
+    body, at = b"", sum(map(len, front))
+    places = {"K": ((8, 9), 18), "M": ((33, 21), 26), "D": ((34, 39), 28)}
+    for name, matrix in matrices.items():
+        terms, place = places[name]
+        header[place] = (at + len(body)) // 4
+        if lumped and name == "M":
+            header[terms[0]], header[10] = size, 1
+            body += record(matrix.diagonal(), 0)
+            continue
+        upper = sp.csr_array(sp.triu(matrix, 1))
+        header[terms[0]] = upper.nnz + size
+        for i in range(size):
+            row = slice(upper.indptr[i], upper.indptr[i + 1])
+            values = np.append(upper.data[row], matrix[i, i])
+            body += record(np.append(upper.indices[row], i) + 1, INTEGER)
+            body += record(np.repeat(values, 2) if complex_values else values, 0)
+    header[35] = (at + len(body)) // 4
+    body += record(per_node, INTEGER) + record(dof, INTEGER)
+    for place, value in (changes or {}).items():
+        header[place] = value
+    front = (*front[:1], record(header, INTEGER), *front[2:])
+    path.write_bytes(b"".join(front) + body)
+    return path
+
+
+def write_nodes(path, ids, xyz):
+    path.write_text("".join(f"{i} {x!r} {y!r} {z!r}\n" for i, (x, y, z) in zip(ids, xyz.tolist(), strict=True)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def model():
+    return steel(box("hex8", (3, 2, 2), (0.3, 0.2, 0.1)))
+
+
+def shuffled(model, seed=1):
+    """The model with its nodes in another order: matrices, labels, and K, M by ascending label."""
+    n = len(model.nodes)
+    order = np.random.default_rng(seed).permutation(n)
+    labels = 10 * (order + 1)
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    return {"K": model.K[rows][:, rows], "M": model.M[rows][:, rows]}, labels
+
+
+def test_full_file_of_ansys(shared_data):
+    folder = shared_data / "mapdl_reader"
+    full = read_ansys_full(folder / "file.full")
+    assert hertz(full.K, full.M)[:6] == pytest.approx(FULL_HZ, abs=6e-6)
+    assert full.K.shape == (900, 900) and len(full.constrained) == 63 and full.D is None and not full.lumped
+    with pytest.raises(InputError, match=r"63 dofs are constrained .*a free body needs a model without constraints"):
+        import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb")
+    grounded = import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb", drop_constrained=True)
+    assert "grounded" in grounded.notes[0] and "63" in grounded.notes[0]
+    for word in ("True", "true"):
+        options = {"nodes": str(folder / "HexBeam.cdb"), "drop_constrained": word}
+        assert import_file(folder / "file.full", options=options).notes == grounded.notes
+    with pytest.raises(InputError, match="drop_constrained=yes was given; expected true or false"):
+        import_file(folder / "file.full", options={**options, "drop_constrained": "yes"})
+    clamped = grounded.nodes.sets.get("NCOMP2")
+    assert clamped is not None and len(grounded.nodes) == 300 and len(grounded.dofs) == 900
+
+
+def test_full_file_against_the_library(shared_data):
+    reader = pytest.importorskip("ansys.mapdl.reader")
+    path = shared_data / "mapdl_reader" / "file.full"
+    library = reader.read_binary(str(path))
+    dofs, K, M = library.load_km(sort=True)
+    free = np.flatnonzero(M.diagonal() > 0)
+    own = read_ansys_full(path)
+    assert np.array_equal(np.column_stack([own.node, own.component]), dofs[free])
+    assert np.array_equal(np.unique(own.constrained, axis=0), np.unique(library.const, axis=0))
+    for ours, theirs in ((own.K, K), (own.M, M)):
+        upper = sp.csr_array(sp.csr_array(theirs)[free][:, free])
+        assert abs(ours - (upper + sp.triu(upper, 1).T)).max() == 0
+
+
+def test_full_file_of_a_free_model(model, tmp_path):
+    matrices, labels = shuffled(model)
+    matrices["D"] = 1e-6 * matrices["K"] + 2.0 * matrices["M"]
+    n = len(labels)
+    path = write_full(tmp_path / "free.full", matrices, labels, np.tile([1, 2, 3], n), [3] * n)
+    nodes = write_nodes(tmp_path / "n.lis", 10 * np.arange(1, n + 1), model.nodes.xyz)
+    imported = import_ansys_full(path, nodes=nodes)
+    assert abs(imported.K - model.K).max() == 0 and abs(imported.M - model.M).max() == 0
+    assert abs(imported.D - (1e-6 * model.K + 2.0 * model.M)).max() <= 1e-15 * abs(model.K).max()
+    assert imported.nodes.ids.tolist() == (10 * np.arange(1, n + 1)).tolist() and imported.dofs.is_solid
+    assert imported.notes == ()
+    R = rigid_motion(imported.nodes.xyz[imported.dofs.node], imported.dofs.component)
+    assert np.diag(R.T @ imported.M @ R)[:3] == pytest.approx([STEEL["density"] * 0.3 * 0.2 * 0.1] * 3)
+    with pytest.raises(InputError, match="holds no coordinates; give nodes"):
+        import_ansys_full(path)
+
+
+def test_full_file_with_lumped_mass_or_without_mass(model, tmp_path):
+    matrices, labels = shuffled(model)
+    n = len(labels)
+    dof = np.tile([1, 2, 3], n)
+    lumped = sp.csr_array(sp.diags_array(np.arange(1.0, 3 * n + 1)))
+    read = read_ansys_full(
+        write_full(tmp_path / "l.full", {"K": matrices["K"], "M": lumped}, labels, dof, [3] * n, lumped=True)
+    )
+    by_label = np.argsort(np.repeat(labels, 3), kind="stable")
+    assert read.lumped and read.M.diagonal().tolist() == (by_label + 1.0).tolist() and read.M.nnz == 3 * n
+    static = write_full(tmp_path / "s.full", {"K": matrices["K"]}, labels, dof, [3] * n)
+    nodes = write_nodes(tmp_path / "n.lis", 10 * np.arange(1, n + 1), model.nodes.xyz)
+    assert "no mass matrix" in import_ansys_full(static, nodes=nodes).notes[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({0: 4}, "frontal"), ({13: 1}, "unsymmetric"), ({62: 1}, "distributed"), ({4: 1}, "buckling"),
+        ({20: 6}, "6 constraint equations"), ({1: 10**9}, "header says 1000000000 equations"),
+        ({8: 2**31 - 1}, "header says 2147483647 entries"), ({8: 5}, "where its header says 5"),
+        ({18: 7}, "cut off or"),
+    ],
+)  # fmt: skip
+def test_full_files_that_are_refused(model, tmp_path, changes, message):
+    matrices, labels = shuffled(model)
+    n = len(labels)
+    path = write_full(tmp_path / "x.full", matrices, labels, np.tile([1, 2, 3], n), [3] * n, changes=changes)
+    with pytest.raises(InputError, match=message):
+        read_ansys_full(path)
+
+
+def test_entries_given_twice_in_a_full_file_are_refused(model, tmp_path):
+    matrices, labels = shuffled(model)
+    n = len(labels)
+    path = write_full(tmp_path / "x.full", matrices, labels, np.tile([1, 2, 3], n), [3] * n)
+    row = sp.csr_array(sp.triu(matrices["K"], 1)).indices[: np.diff(sp.csr_array(sp.triu(matrices["K"], 1)).indptr)[0]]
+    given = record(np.append(row, 0) + 1, INTEGER)
+    repeated = record(np.append(np.where(row == row[1], row[0], row), 0) + 1, INTEGER)
+    assert path.read_bytes().count(given) >= 1
+    path.write_bytes(path.read_bytes().replace(given, repeated, 1))
+    with pytest.raises(InputError, match="K has entries twice"):
+        read_ansys_full(path)
+
+
+def test_complex_and_thermal_full_files_are_refused(model, tmp_path):
+    matrices, labels = shuffled(model)
+    n = len(labels)
+    dof = np.tile([1, 2, 3], n)
+    with pytest.raises(InputError, match="K is complex"):
+        read_ansys_full(write_full(tmp_path / "c.full", matrices, labels, dof, [3] * n, complex_values=True))
+    with pytest.raises(InputError, match=r"dofs \[1, 2, 3, 4\]"):
+        read_ansys_full(write_full(tmp_path / "t.full", matrices, labels, dof, [4] + [3] * (n - 1)))
+
+
+# ---- text matrices
+
+
+def test_rotor_of_ansys_and_abaqus(shared_data):
+    folder = shared_data / "ansys_rotor"
+    imported = import_ansys_matrices(
+        folder / "rotorAnsysStiffnessMatrixSparse.txt",
+        mass=folder / "rotorAnsysMassMatrixSparse.txt",
+        mapping=folder / "rotorAnsysMatrixDofMappingVector.txt",
+        nodes=folder / "rotorAnsysNodalCoordinates.txt",
+    )
+    found = hertz(imported.K, imported.M)
+    assert found[6] == pytest.approx(ROTOR_ANSYS_HZ, rel=1e-9)
+    assert found[6:10] == pytest.approx(ROTOR_HZ, abs=1e-6) and imported.notes == ()
+    K, M = (read_abaqus_matrix(folder / f"rotorDiscTest{kind}1.mtx").matrix for kind in ("STIF", "MASS"))
+    assert hertz(0.01 * K, M)[6] == pytest.approx(ROTOR_ABAQUS_HZ, rel=1e-9)
+
+
+def test_rotor_in_a_wrong_order_or_without_mapping(shared_data, tmp_path):
+    folder = shared_data / "ansys_rotor"
+    K, M = (folder / f"rotorAnsys{name}MatrixSparse.txt" for name in ("Stiffness", "Mass"))
+    with pytest.raises(InputError, match=r"which node and dof its rows are; write that too \(HBMAT with Mapping"):
+        import_ansys_matrices(K, mass=M)
+    table = (folder / "rotorAnsysMatrixDofMappingVector.txt").read_bytes()
+    (tmp_path / "m").write_bytes(table.replace(b"\n3\n31\n", b"\n31\n3\n"))
+    with pytest.raises(InputError, match="not in the order of the table of nodes"):
+        import_ansys_matrices(K, mass=M, mapping=tmp_path / "m", nodes=folder / "rotorAnsysNodalCoordinates.txt")
+
+
+def market(path, matrix, symmetric=True):
+    part = sp.coo_array(sp.tril(matrix) if symmetric else matrix)
+    lines = [f"{i + 1} {j + 1} {v:.15E}\n" for i, j, v in zip(*part.coords, part.data, strict=True)]
+    kind = "symmetric" if symmetric else "general"
+    size = f"{matrix.shape[0]} {matrix.shape[1]} {part.nnz}\n"
+    path.write_text(f"%%MatrixMarket matrix coordinate real {kind}\n% Creator: ANSYS Inc\n{size}" + "".join(lines))
+    return path
+
+
+def boeing(path, matrix, per_line=1, symmetric=True):
+    part = sp.csc_array(sp.tril(matrix) if symmetric else matrix)
+    part.sort_indices()
+
+    def lines(values, width, text, count):
+        rows = [values[i : i + count] for i in range(0, len(values), count)]
+        return ["".join(format(v, text).rjust(width) for v in row).replace("E", "D") + "\n" for row in rows]
+
+    sections = [
+        lines(part.indptr + 1, 14, "d", 1), lines(part.indices + 1, 14, "d", 1), lines(part.data, 23, ".16E", per_line)
+    ]  # fmt: skip
+    counts = [len(section) for section in sections]
+    head = "Stiffness matrix".ljust(72) + "KEY\n" + "".join(f"{c:14d}" for c in (sum(counts), *counts, 0)) + "\n"
+    head += f"{'RSA' if symmetric else 'RUA'}{'':11}{matrix.shape[0]:14d}{matrix.shape[1]:14d}{part.nnz:14d}{0:14d}\n"
+    head += "(1I14)          (1I14)          " + f"({per_line}D23.16)\n"
+    path.write_text(head + "".join(line for section in sections for line in section))
+    return path
+
+
+@pytest.mark.parametrize(("per_line", "symmetric"), [(1, True), (3, True), (1, False)])
+def test_harwell_boeing_with_its_mapping(model, tmp_path, per_line, symmetric):
+    matrices, labels = shuffled(model)
+    K, M = (boeing(tmp_path / name, matrices[name], per_line, symmetric) for name in "KM")
+    rows = [(label, dof) for label in labels for dof in ("UX", "UY", "UZ")]
+    text = "  Matrix Eqn     Node     DOF\n" + "".join(
+        f"{i:10d}{n:10d}   {d}\n" for i, (n, d) in enumerate(rows, start=1)
+    )
+    (tmp_path / "K.mapping").write_text(text)
+    nodes = write_nodes(tmp_path / "n.lis", 10 * np.arange(1, len(labels) + 1), model.nodes.xyz)
+    imported = import_ansys_matrices(K, mass=M, mapping=tmp_path / "K.mapping", nodes=nodes)
+    # 17 digits are printed.
+    assert abs(imported.K - model.K).max() <= 1e-15 * abs(model.K).max() and imported.dofs.is_solid
+    assert abs(imported.M - model.M).max() <= 1e-15 * abs(model.M).max() and imported.notes == ()
+    (tmp_path / "K.mapping").write_text(text.replace("       2  ", "       1  "))
+    with pytest.raises(InputError, match="expected each row from 1"):
+        import_ansys_matrices(K, mass=M, mapping=tmp_path / "K.mapping", nodes=nodes)
+
+
+def test_solver_order_by_nod2solv(model, tmp_path):
+    """Solver order differs from the internal order; with supports, dofs are missing and the body is held."""
+    matrices, labels = shuffled(model)
+    n = 3 * len(labels)
+    nodes = write_nodes(tmp_path / "n.lis", 10 * np.arange(1, len(labels) + 1), model.nodes.xyz)
+    (tmp_path / "back").write_text(
+        f"%%MatrixMarket matrix array integer general\n{len(labels)} 1\n" + "".join(f"{label}\n" for label in labels)
+    )
+    solver = np.random.default_rng(2).permutation(n)
+    for kept in (solver, solver[5:]):
+        choice = sp.csr_array((np.ones(len(kept)), (np.arange(len(kept)), kept)), shape=(len(kept), n))
+        K, M = (market(tmp_path / name, matrices[name][kept][:, kept]) for name in "KM")
+        files = {"mass": M, "mapping": tmp_path / "back", "nodes": nodes}
+        to_solver = market(tmp_path / "map", choice, symmetric=False)
+        imported = import_ansys_matrices(K, nod2solv=to_solver, **files)
+        rows = 3 * imported.dofs.node + imported.dofs.component
+        assert len(rows) == len(kept)
+        assert abs(imported.K - model.K[rows][:, rows]).max() <= 1e-15 * abs(model.K).max()
+        assert (len(imported.notes) == 1 and "held to the ground" in imported.notes[0]) == (len(kept) < n)
+        vector = np.zeros(n, dtype=int)
+        vector[kept] = np.arange(1, len(kept) + 1)
+        (tmp_path / "v").write_text(
+            f"%%MatrixMarket matrix array integer general\n{n} 1\n" + "\n".join(map(str, vector)) + "\n"
+        )
+        assert abs(import_ansys_matrices(K, nod2solv=tmp_path / "v", **files).K - imported.K).max() == 0
+        with pytest.raises(InputError, match=r"not in the order|expected 3 or 6 dofs"):
+            import_ansys_matrices(K, **files)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("symmetric", "hermitian", "hermitian, which is not read"), ("coordinate", "pattern", "starts with"),
+        ("real", "complex", "complex symmetric"), ("\n36 36 ", "\n99999999 99999999 ", "more than it can hold"),
+        ("\n2 1 ", "\n1 2 ", "entries in both triangles"), ("\n3 1 ", "\n37 1 ", "row or column 37; expected 1 to 36"),
+    ],
+)  # fmt: skip
+def test_damaged_market_files(tmp_path, old, new, message):
+    path = market(tmp_path / "K.mtx", steel(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0))).K)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        read_ansys_matrix(path)
+
+
+# ---- archives
+
+
+def e21(value):
+    """A number as Fortran's e21.13e3 prints it."""
+    mantissa, exponent = f"{value:.13E}".split("E")
+    return f"{mantissa}E{int(exponent):+04d}".rjust(21)
+
+
+WRITERS = {
+    "(3i9,6e21.13e3)": (lambda i: f"{i:9d}{0:9d}{0:9d}", e21, "NBLOCK,6,SOLID"),
+    "(3i8,6e20.13)": (lambda i: f"{i:8d}{0:8d}{0:8d}", lambda v: f"{v:20.13E}", "NBLOCK,6,SOLID"),
+    "(1i9,3e22.14e3)": (lambda i: f"{i:9d}", lambda v: e21(v).rjust(22), "nblock,3"),
+}
+
+
+def full_form(kind, nodes, quadratic_tets=187):
+    """Routine and nodes of an element as ANSYS numbers them; wedges and tetrahedra as degenerate bricks."""
+    n = nodes.tolist()
+    if kind in ("hex8", "hex20"):
+        return (185 if kind == "hex8" else 186), n
+    if kind == "wedge6":
+        return 185, [*n[:3], n[2], *n[3:], n[5]]
+    if kind == "tet4":
+        return 45, [*n[:3], n[2], *[n[3]] * 4]
+    if kind == "tet10" and quadratic_tets == 187:
+        return 187, n
+    if kind == "tet10":
+        i, j, k, m, ij, jk, ki, im, jm, km = n
+        return 95, [i, j, k, k, m, m, m, m, ij, jk, k, ki, m, m, m, m, im, jm, km, km]
+    i, j, k, m, nn, o, ij, jk, ki, mn, no, om, im, jn, ko = n
+    return 186, [i, j, k, k, m, nn, o, o, ij, jk, k, ki, mn, no, o, om, im, jn, ko, ko]
+
+
+def element_lines(elements, plain=False):
+    """Lines of elements (label, type, material, real, nodes)."""
+    lines = []
+    for label, kind, material, real, nodes in elements:
+        row = (
+            [label, 1, real, material, 0, *nodes]
+            if plain
+            else [material, kind, real, 1, 0, 0, 0, 0, len(nodes), 0, label, *nodes]
+        )
+        cut = 15 if plain else 19
+        lines += ["".join(f"{v:10d}" for v in part) + "\n" for part in (row[:cut], row[cut:]) if part]
+    return "".join(lines)
+
+
+def deck(mesh, *, form="(3i9,6e21.13e3)", before="", after="", plain=False, tets=187, extra=()):
+    """An archive of a mesh with nodes 101, 102, ..., as CDWRITE or (plain) Workbench writes it."""
+    label, number, command = WRITERS[form]
+    nodes = [label(i) + "".join(map(number, x)).rstrip() for i, x in enumerate(mesh.nodes.xyz.tolist(), start=101)]
+    block = mesh.blocks[0]
+    formed = [full_form(block.type, 101 + rows, tets) for rows in block.nodes]
+    elements = [(i, 1, 1, 1, labels) for i, (_, labels) in enumerate(formed, start=1)] + list(extra)
+    head = "EBLOCK,10,,,\n(15i10)" if plain else f"EBLOCK,19,SOLID,{len(elements)},{len(elements)}\n(19i10)"
+    return "\n".join([
+        "/COM,ANSYS RELEASE", "/PREP7", f"ET,1,{formed[0][0]}", "TYPE,1",
+        f"{before}{command},{len(nodes)},{len(nodes)}",
+        form, *nodes, "N,R5.3,LOC,       -1,", head, f"{element_lines(elements, plain)}        -1",
+        f"EN,R5.5,ATTR,       -1,\n{after}FINISH\n",
+    ])  # fmt: skip
+
+
+def write(tmp_path, text):
+    path = tmp_path / "model.cdb"
+    path.write_text(text)
+    return path
+
+
+def hex_deck(**options):
+    return deck(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)), **options)
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize(("kind", "tets"), [
+    ("hex8", 0), ("hex20", 0), ("wedge6", 0), ("wedge15", 0), ("tet4", 0), ("tet10", 187), ("tet10", 95),
+])  # fmt: skip
+def test_every_solid_and_its_degenerate_forms(tmp_path, kind, tets, form, plain):
+    """K of the archive is K of the mesh that it was written from."""
+    mesh = box(kind, (2, 1, 1), (0.2, 0.1, 0.1), lambda x: x - [0.1, 0.3, 0.2])
+    imported = import_ansys_cdb(write(tmp_path, deck(mesh, form=form, plain=plain, tets=tets)))
+    assert imported.nodes.ids.tolist() == (101 + np.arange(len(mesh.nodes))).tolist()
+    assert imported.nodes.xyz == pytest.approx(mesh.nodes.xyz, abs=1e-13)
+    assert [block.type for block in imported.mesh.blocks] == [kind]
+    ours, theirs = steel(imported.mesh), steel(mesh)
+    assert abs(ours.K - theirs.K).max() <= 1e-11 * abs(theirs.K).max()
+
+
+def test_archives_of_ansys_against_the_library(shared_data):
+    library = pytest.importorskip("mapdl_archive")
+    for name in ("HexBeam", "TetBeam", "sector"):
+        path = shared_data / "mapdl_reader" / f"{name}.cdb"
+        theirs, ours = library.Archive(str(path), parse_vtk=False), import_ansys_cdb(path)
+        by_label = dict(zip(theirs.nnum.tolist(), theirs.nodes.tolist(), strict=True))
+        assert ours.nodes.xyz == pytest.approx(np.array([by_label[i] for i in ours.nodes.ids.tolist()]), abs=1e-13)
+        elements = {int(row[8]): set(row[10:].tolist()) for row in theirs.elem}
+        for block in ours.mesh.blocks:
+            for label, nodes in zip(block.ids.tolist(), ours.nodes.ids[block.nodes].tolist(), strict=True):
+                assert set(nodes) == elements.pop(label) - {-1}
+        assert not elements
+        for key, labels in theirs.node_components.items():
+            assert set(ours.nodes.ids[ours.nodes.sets[key]]) == set(labels) & set(ours.nodes.ids)
+        for key, labels in theirs.element_components.items():
+            found = [b.ids[rows] for b, rows in zip(ours.mesh.blocks, ours.mesh.element_sets[key], strict=True)]
+            assert set(np.concatenate(found)) == set(labels)
+
+
+def test_beam_against_frequencies_of_ansys(shared_data):
+    """SOLID186 is integrated at 8 points by ANSYS and at 27 here, which is a little stiffer."""
+    mesh = import_ansys_cdb(shared_data / "mapdl_reader" / "HexBeam.cdb")
+    assert len(mesh.nodes) == 321 and mesh.materials[0].density == 2700 and mesh.notes == ()
+    stiffness = isotropic(set="all", young=7e10, poisson=0.35, density=2700.0).stiffness
+    assert mesh.materials[0].stiffness == pytest.approx(stiffness)
+    material = isotropic(set="material 1", young=16.9e6, poisson=0.31, density=4.1408e-4)
+    with Problem(assemble(mesh.mesh, [material])) as problem:
+        found = problem.elastic_modes(count=6).frequencies_hz
+    assert (found > FREE_HZ).all() and found == pytest.approx(FREE_HZ, rel=4e-3)
+    assert found[:2] == pytest.approx(FREE_HZ[:2], rel=3e-4)
+
+
+def components(*given):
+    """CMBLOCK commands of (name, kind, numbers)."""
+    return "".join(
+        f"CMBLOCK,{name:8s},{kind},{len(numbers):8d}  ! users component definition\n(8i10)\n"
+        + "".join("".join(f"{v:10d}" for v in numbers[i : i + 8]) + "\n" for i in range(0, len(numbers), 8))
+        for name, kind, numbers in given
+    )
+
+
+def test_components_with_ranges_and_what_is_left_out(tmp_path):
+    blocks = components(
+        ("ENDS", "NODE", [101, 103, -106, 108]), ("MANY", "NODE", [*range(101, 111), 112]), ("BOTH", "ELEM", [1, -2]),
+        ("LAST", "ELEMENT", [2]), ("FACES", "AREA", [1]),
+    )  # fmt: skip
+    after = blocks + "D,101,UX,0.0\nD,101,UY,0.0\nF,102,FX,1.0,0.0\n/UNITS,MPA\nCM,PICKED,NODE\n"
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
+    sets = {name: imported.nodes.ids[rows].tolist() for name, rows in imported.nodes.sets.items()}
+    assert sets == {"ENDS": [101, 103, 104, 105, 106, 108], "MANY": [*range(101, 111), 112]}
+    assert [rows.tolist() for rows in imported.mesh.element_sets["BOTH"]] == [[0, 1]]
+    assert [rows.tolist() for rows in imported.mesh.element_sets["LAST"]] == [[1]]
+    for words in ("2 supports (D) were not applied", "nodal forces", "MPA", "CM,PICKED", "FACES", "no EX and no DENS"):
+        assert sum(words in note for note in imported.notes) == 1, words
+
+
+def test_materials_isotropic_and_orthotropic(tmp_path):
+    """Strains under stress along one axis, by the definitions of PRXY (major) and NUXY (minor)."""
+    e, major, g = (1.2e11, 9e9, 8e9), (0.3, 0.25, 0.2), (5e9, 4e9, 3e9)
+    minor = major[0] * e[1] / e[0], major[1] * e[2] / e[0], major[2] * e[2] / e[1]
+    common = "".join(f"MP,E{a},1,{v}\n" for a, v in zip("XYZ", e, strict=True)) + "".join(
+        f"MPDATA,R5.0, 1,G{p}  ,       1, 1, {v:.9E},\n" for p, v in zip(("XY", "XZ", "YZ"), g, strict=True)
+    )
+    common += "MPTEMP,R5.0, 1, 1,  0.0,\nMPDATA,DENS,1,1,1500.0\nMP,ALPX,1,1e-5\n"
+    compliance = []
+    for prefix, nu in (("PR", major), ("NU", minor)):
+        text = common + "".join(f"MP,{prefix}{p},1,{v!r}\n" for p, v in zip(("XY", "XZ", "YZ"), nu, strict=True))
+        (found,) = import_ansys_cdb(write(tmp_path, hex_deck(after=text))).materials
+        assert found.set == "material 1" and found.density == 1500
+        compliance.append(np.linalg.inv(found.stiffness))
+    # Tension along x shortens y by PRXY / EX; shear in the order yz, zx, xy.
+    for S in compliance:
+        assert S[:3, 0] == pytest.approx([1 / e[0], -major[0] / e[0], -major[1] / e[0]])
+        assert S[:3, 1] == pytest.approx([-major[0] / e[0], 1 / e[1], -major[2] / e[1]])
+        assert np.diag(S)[3:] == pytest.approx([1 / g[2], 1 / g[1], 1 / g[0]])
+    one = "MP,EX,1,2.1e11\nMP,NUXY,1,0.3\nMP,DENS,1,7850\n"
+    (found,) = import_ansys_cdb(write(tmp_path, hex_deck(after=one))).materials
+    assert found.stiffness == pytest.approx(isotropic(set="s", **STEEL).stiffness)
+
+
+def test_two_materials_own_their_elements(tmp_path):
+    extra = [(3, 1, 2, 1, [101 + i for i in box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)).blocks[0].nodes[0]])]
+    imported = import_ansys_cdb(
+        write(tmp_path, hex_deck(extra=extra, after="MP,EX,2,1e9\nMP,DENS,2,1e3\nMP,BETD,2,1e-6\n"))
+    )
+    sets = imported.mesh.element_sets
+    assert [s[0].tolist() for s in (sets["material 1"], sets["material 2"], sets["type 1"])] == [[0, 1], [2], [0, 1, 2]]
+    assert [m.set for m in imported.materials] == ["material 2"]
+    assert any("0.3 was taken" in n for n in imported.notes) and any("BETD" in n for n in imported.notes)
+
+
+REALS = {
+    "RLBLOCK,1,7,6,7\n(2i8,6g16.9)\n(7g16.9)\n" + f"{7:8d}{6:8d}"
+    + "".join(f"{v:16.9g}" for v in (2, 2, 2, 3, 4, 5)): 5,
+    "R,7,2.0,2.0,2.0,3.0,4.0,5.0": 5,
+    "R,7,2.0,2.0,2.0\n": 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "izz"), REALS.items())
+def test_point_masses(tmp_path, text, izz):
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(before=f"ET,2,21\n{text}\n", extra=[(9, 2, 1, 7, [103])])))
+    (mass,) = imported.masses
+    assert mass.mass == 2 and imported.nodes.ids[mass.node] == 103
+    assert mass.inertia.tolist() == (np.diag([3.0, 4.0, 5.0]) if izz else np.zeros((3, 3))).tolist()
+    assert [len(block.ids) for block in imported.mesh.blocks] == [2]
+    with pytest.raises(InputError, match="MASS21 9 has the masses 2, 1, 2"):
+        import_ansys_cdb(write(tmp_path, hex_deck(before="ET,2,21\nR,7,2.0,1,2\n", extra=[(9, 2, 1, 7, [103])])))
+    with pytest.raises(InputError, match="names the real constants 8, which are not there"):
+        import_ansys_cdb(write(tmp_path, hex_deck(before=f"ET,2,21\n{text}\n", extra=[(9, 2, 1, 8, [103])])))
+
+
+PYRAMID = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 105, 105])]
+TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"extra": PYRAMID}, r"1 pyramids \(SOLID185 with five corners; first: element 7\)"),
+        ({"extra": TWISTED}, "element 7 .SOLID185. repeats nodes"),
+        ({"extra": [(7, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 999])]}, "name the node 999, which is not"),
+        ({"extra": [(2, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 108])]}, "defines the element 2 twice"),
+        ({"extra": [(7, 3, 1, 1, [101])]}, "type 3, which no ET defines"),
+        ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, r"1 elements CONTA174 .* skip=\('CONTA174',\)"),
+        ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
+        ({"after": "CP,1,UX,101,102\n"}, "coupled dofs .CP."),
+        ({"after": "CE,R5.0,1,2\n"}, "constraint equations .CE."),
+        ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."), ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
+        ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"), ({"after": "N,7,1.0,2.0\n"}, "UNBLOCKED"),
+        ({"after": "MPDATA,R5.0,2,EX,1,1,2e11,1e11\n"}, "EX of material 1 depends on temperature"),
+        ({"after": "MP,EX,1,modulus\n"}, "not a program with parameters"),
+        ({"after": "MP,EX,1,nan\n"}, "cannot be read"), ({"after": "TB,ANEL,1\n"}, "TB,ANEL"),
+        ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, "poisson = 0.6"),
+        ({"after": components(("C", "NODE", [101, 999]))}, r"C names 1 nodes that are not defined .first: 999"),
+        ({"after": components(("C", "ELEM", [1, 999]))}, "component C names 1 elements that are not defined"),
+        ({"after": components(("C", "NODE", [-105]))}, "does not run from a label"),
+        ({"after": components(("C", "NODE", [105, -102]))}, "does not run from a label"),
+        ({"after": components(("C", "NODE", [105, -99999999]))}, "C names 99999887 nodes .* .first: 113"),
+    ],
+)  # fmt: skip
+def test_archives_that_are_refused_by_name(tmp_path, options, message):
+    with pytest.raises(InputError, match=message):
+        import_ansys_cdb(write(tmp_path, hex_deck(**options)))
+
+
+def test_damaged_archives(tmp_path):
+    text = hex_deck()
+    for old, new, message in (
+        ("N,R5.3", "      101        0        0\nN,R5.3", "holds 13 nodes where it announces 12"),
+        ("(3i9,6e21.13e3)", "(3z9)", "has the format"), ("      102 ", "      101 ", "the node 101 twice"),
+        ("1.0000000000000E+000", "1.0000000000000E+00x", "not as its format says"),
+        ("1.0000000000000E+000", "                 nan", "not finite"),
+        ("(19i10)", "(2i10)", "longer than its format|2 columns"),
+        ("        -1\nEN", "EN", "ends within EBLOCK"),
+        ("SOLID,2,2", "SOLID,2,3", "EBLOCK holds 2 elements where it announces 3"),
+        ("FINISH", "\0", "not a text of lines"),
+    ):  # fmt: skip
+        assert old in text
+        with pytest.raises(InputError, match=message):
+            import_ansys_cdb(write(tmp_path, text.replace(old, new, 1)))
+    with pytest.raises(InputError, match="ends within EBLOCK"):
+        import_ansys_cdb(write(tmp_path, text[: text.index("        -1\nEN")]))
+    with pytest.raises(InputError, match="does not exist"):
+        import_ansys_cdb(tmp_path / "no.cdb")
+
+
+def test_some_middle_nodes_are_refused_and_none_is_linear(tmp_path):
+    mesh = box("hex20", (1, 1, 1), (1.0, 1.0, 1.0))
+    text = deck(mesh)
+    middle = [f"{101 + n:10d}" for n in mesh.blocks[0].nodes[0][8:]]
+    at = text.index("EBLOCK")
+    for count, message in ((1, "some of its middle nodes but not all"), (12, None)):
+        lines = text[at:]
+        for word in middle[:count]:
+            lines = lines.replace(word, f"{0:10d}", 1)
+        path = write(tmp_path, text[:at] + lines)
+        if message:
+            with pytest.raises(InputError, match=message):
+                import_ansys_cdb(path)
+        else:
+            imported = import_ansys_cdb(path)
+            assert imported.mesh.blocks[0].type == "hex8" and "12 nodes of no element" in imported.notes[-1]
+
+
+def test_elements_left_out_on_request(tmp_path):
+    options = {"before": "ET,3,CONTA174\nET,4,200\n", "extra": [(7, 3, 1, 1, [101] * 4), (8, 4, 1, 1, [102] * 4)]}
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(**options)), skip=("conta174",))
+    assert "1 elements CONTA174 were left out, as asked" in imported.notes
+    assert any("MESH200" in note for note in imported.notes) and len(imported.mesh.blocks[0].ids) == 2
+
+
+def test_rotated_nodes_are_noted_in_a_mesh_and_refused_for_matrices(model, tmp_path):
+    matrices, labels = shuffled(model)
+    text = deck(model.mesh)
+    first = next(line for line in text.splitlines() if line.startswith("      102"))
+    full = first.ljust(27 + 63)[:90] + e21(45.0)
+    path = write(tmp_path, text.replace(first, full))
+    assert any("1 nodes have rotated axes" in note for note in import_ansys_cdb(path).notes)
+    n = len(labels)
+    named = write_full(tmp_path / "a.full", matrices, labels // 10 + 100, np.tile([1, 2, 3], n), [3] * n)
+    with pytest.raises(InputError, match=r"1 nodes have rotated axes .first: 102"):
+        import_ansys_full(named, nodes=path)
+    imported = import_ansys_full(named, nodes=write(tmp_path, text))
+    assert abs(imported.K - model.K).max() == 0 and imported.notes == ()
+
+
+# ---- damaged files
+
+
+def mutated(data, rng):
+    """Cut short, bytes changed, moved or taken out, or words that stand for absurd sizes."""
+    data = bytearray(data)
+    how = rng.randrange(5)
+    if how == 0:
+        return bytes(data[: rng.randrange(len(data))])
+    for _ in range(rng.choice((1, 1, 5))):
+        at = rng.randrange(min(len(data), rng.choice((800, 10**9))))
+        if how == 1:
+            data[at] = rng.randrange(256)
+        elif how == 2:
+            data[at] = rng.choice(b"0123456789-+.E ,\n")
+        elif how == 3:
+            del data[at : at + rng.randrange(1, 60)]
+        else:
+            data[at // 4 * 4 : at // 4 * 4 + 4] = rng.choice((b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\xff" * 4, b"9999"))
+    return bytes(data)
+
+
+def test_damaged_files_raise_nothing_but_input_errors(model, tmp_path):
+    matrices, labels = shuffled(model)
+    n = len(labels)
+    nodes = write_nodes(tmp_path / "n.lis", 10 * np.arange(1, n + 1), model.nodes.xyz)
+    dof = np.tile([1, 2, 3], n)
+    rows = [(label, name) for label in labels for name in ("UX", "UY", "UZ")]
+    mapping = tmp_path / "K.mapping"
+    mapping.write_text("".join(f"{i:10d}{node:10d}   {d}\n" for i, (node, d) in enumerate(rows, start=1)))
+    small = {name: sp.csr_array(matrix[:9, :9]) for name, matrix in matrices.items()}
+    M = market(tmp_path / "M.mtx", small["M"])
+    after = components(("C", "NODE", [101, -105])) + "MP,EX,1,2e11\nMP,DENS,1,7850\n"
+    sources = {
+        "full": (write_full(tmp_path / "a.full", matrices, labels, dof, [3] * n), import_ansys_full, {"nodes": nodes}),
+        "market": (M, read_ansys_matrix, {}),
+        "boeing": (boeing(tmp_path / "K.hb", small["K"], 3), read_ansys_matrix, {}),
+        "archive": (write(tmp_path, hex_deck(after=after)), import_ansys_cdb, {}),
+        "mass": (boeing(tmp_path / "M.hb", matrices["M"]), lambda p, **o: import_ansys_matrices(p, mass=p, **o),
+                 {"mapping": mapping, "nodes": nodes}),
+    }  # fmt: skip
+    rng = random.Random(7)
+    refused = 0
+    for name, (source, reader, options) in sources.items():
+        data = source.read_bytes()
+        path = tmp_path / f"damaged{Path(source).suffix}"
+        for _ in range(120):
+            path.write_bytes(mutated(data, rng))
+            try:
+                reader(path, **options)
+            except InputError as error:
+                assert "\n" not in str(error), name
+                refused += 1
+    assert refused > 300

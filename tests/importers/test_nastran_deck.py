@@ -1,0 +1,310 @@
+"""Nastran bulk data: fields of all forms, coordinate systems, node order, materials, rigid elements and masses."""
+
+
+import meshio
+import numpy as np
+import pytest
+
+from morembs.errors import InputError
+from morembs.importers import nastran_cards
+from morembs.importers.nastran import import_nastran, read_nastran
+from morembs.importers.nastran_cards import real
+from morembs.model.assembly import assemble
+from morembs.model.elements import TYPES
+from morembs.model.material import isotropic, orthotropic
+from morembs.problem import Problem
+from tests.support.decks import damaged
+from tests.support.meshes import STEEL, box, steel
+
+CARDS = {"tet": "CTETRA", "hex": "CHEXA", "wed": "CPENTA"}
+# Where the cards put what VTK puts at each place (Quick Reference Guide: bottom edges, upright edges, top edges).
+ORDER = {
+    "hex20": [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
+    "wedge15": [*range(9), 12, 13, 14, 9, 10, 11],
+}  # fmt: skip
+KINDS = [kind for kind in TYPES if kind != "hex27"]
+MAT1 = "PSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n"
+CUBE = (
+    "GRID,10,,0.,0.,0.\nGRID,20,,1.,0.,0.\nGRID,30,,1.,1.,0.\nGRID,40,,0.,1.,0.\n"
+    "GRID,50,,0.,0.,1.\nGRID,60,,1.,0.,1.\nGRID,70,,1.,1.,1.\nGRID,80,,0.,1.,1.\n"
+    "CHEXA,7,1,10,20,30,40,50,60\n,70,80\n"
+)
+FULL = (
+    "SOL 103\nCEND\nTITLE = A $ with a word\nSPC = 1\n"
+    "SET 5 = 10, 20,\n  30 THRU 60\nSET 6 = 7\nSET 7 = ALL\nBEGIN BULK\n"
+    "$ a comment\nPARAM,WTMASS,.5\nPARAM,POST,-1\n"
+    + CUBE
+    + "PSOLID  1       3\n"
+    f"MAT1*   {'3':>16}{'2.1+11':>16}{'':16}{'.3':>16}\n*       {'7850.':>16}\n"
+    "GRID    500             .5      .5      2.0\nGRID,600,,.5,.5,-1.\nGRID,700,,9.,9.,9.\n"
+    "RBE2    1       500     123456  50      60      70      80\n"
+    "RBE3,2,,600,123456,2.,123,10,THRU\n,30,1.,123,40\n"
+    "RBAR,3,500,600,123456,,,\n"
+    "CONM2   9       500             10.     0.1     0.2     0.3\n        1.      .1      2.      .2      .3      3.\n"
+    "SPC1,1,123,10,20\nFORCE,4,30,,1.,1.,0.,0.\nSET1,8,10,THRU,40\nENDDATA\nthis is never read\n"
+)
+
+
+@pytest.fixture
+def bulk(tmp_path):
+    """Writes bulk data and imports them."""
+
+    def write(text, name="model.bdf"):
+        path = tmp_path / name
+        path.write_text(text)
+        return import_nastran(path)
+
+    return write
+
+
+def short(x):
+    """A number in eight columns as Nastran allows it: no E, no zero before the point."""
+    best = next(text for d in range(12, -1, -1) if len(text := squeezed(x, d)) <= 8)
+    return best.rjust(8)
+
+
+def squeezed(x, digits):
+    mantissa, power = f"{x:.{digits}e}".split("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.'}{int(power):+d}" if x else "0."
+
+
+def card(name, fields, form):
+    """One card in small, large or free fields."""
+    count = {"small": 8, "large": 4, "free": 8}[form]
+    rows = [fields[i : i + count] for i in range(0, len(fields), count)]
+    text = ""
+    for k, row in enumerate(rows):
+        if form == "free":
+            text += ",".join([name if k == 0 else "", *row]) + "\n"
+        elif form == "small":
+            text += (name if k == 0 else "+").ljust(8) + "".join(f.rjust(8) for f in row) + "\n"
+        else:
+            text += (name + "*" if k == 0 else "*").ljust(8) + "".join(f.rjust(16) for f in row) + "\n"
+    return text
+
+
+def written(mesh, form):
+    """Grids and elements of a mesh."""
+    block = mesh.blocks[0]
+    number = short if form == "small" else (lambda x: f"{x:.9E}" if form == "large" else repr(x))
+    text = ""
+    for i, p in zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True):
+        text += card("GRID", [str(i), "", *(number(x) for x in p)], form)
+    order = ORDER.get(block.type, list(range(block.nodes.shape[1])))
+    for i, row in zip(block.ids.tolist(), mesh.nodes.ids[block.nodes].tolist(), strict=True):
+        text += card(CARDS[block.type[:3]], [str(i), "1", *(str(row[k]) for k in order)], form)
+    return text
+
+
+@pytest.mark.parametrize("form", ["small", "large", "free"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_type_in_every_form_gives_the_stiffness_of_its_mesh(kind, form, bulk):
+    mesh = box(kind, (2, 1, 1), (0.5, 0.25, 0.125))
+    found = bulk("BEGIN BULK\n" + MAT1 + written(mesh, form) + "ENDDATA\n")
+    assert np.allclose(found.nodes.xyz, mesh.nodes.xyz, rtol=1e-9)
+    assert np.array_equal(found.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
+    assert found.mesh.blocks[0].ids.tolist() == mesh.blocks[0].ids.tolist() and "PSOLID_1" in found.mesh.element_sets
+    model = assemble(found.mesh, found.materials)
+    assert abs(model.K - steel(mesh).K).max() < 1e-9 * abs(model.K).max()
+    assert model.M.sum() / 3 == pytest.approx(7850 * 0.5 * 0.25 * 0.125)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6"])
+def test_meshio_reads_the_same_elements(kind, tmp_path):
+    path = tmp_path / "model.bdf"
+    path.write_text("BEGIN BULK\n" + written(box(kind, (2, 1, 1), (0.5, 0.25, 0.125)), "small") + "ENDDATA\n")
+    ours, theirs = read_nastran(path), meshio.read(path)
+    assert np.allclose(ours.nodes.xyz, theirs.points, rtol=0, atol=1e-12)
+    assert np.array_equal(ours.blocks[0].nodes, theirs.cells[0].data)
+
+
+def test_numbers_as_nastran_writes_them():
+    known = {"1.0-3": 1e-3, "7.+5": 7e5, "-.5D2": -50, "+3.": 3, "2.1E+11": 2.1e11, "1.-10": 1e-10}
+    for text, value in known.items():
+        assert real(text, "") == value
+    for text in ("1.0-", "E5", "1..2", "nan", "1_0", "1.+999", "--1."):
+        with pytest.raises(InputError):
+            real(text, "")
+
+
+def test_everything_that_hangs_on_a_body(bulk):
+    found = bulk(FULL)
+    nodes, mesh = found.nodes, found.mesh
+    assert mesh.nodes.ids.tolist() == [10, 20, 30, 40, 50, 60, 70, 80] and mesh.blocks[0].ids.tolist() == [7]
+    assert nodes.ids.tolist() == [*mesh.nodes.ids.tolist(), 500, 600]
+    sets = {name: nodes.ids[rows].tolist() for name, rows in nodes.sets.items()}
+    assert sets == {"SET1_8": [10, 20, 30, 40], "SET_5": [10, 20, 30, 40, 50, 60]}
+    assert mesh.element_sets["SET_6"][0].tolist() == [0]
+    rigid, bar = found.rigid
+    assert nodes.ids[rigid.master] == 500 and nodes.ids[rigid.slaves].tolist() == [50, 60, 70, 80]
+    assert nodes.ids[bar.master] == 500 and nodes.ids[bar.slaves].tolist() == [600]
+    (average,) = found.average
+    assert nodes.ids[average.nodes].tolist() == [10, 20, 30, 40] and average.weights.tolist() == [2, 2, 2, 1]
+    # WTMASS halves masses and densities; the card lists products of inertia, the tensor their negatives.
+    (mass,) = found.masses
+    assert mass.mass == 5.0 and mass.offset.tolist() == [0.1, 0.2, 0.3]
+    assert np.allclose(2 * mass.inertia, [[1, -0.1, -0.2], [-0.1, 2, -0.3], [-0.2, -0.3, 3]])
+    (material,) = found.materials
+    assert material.density == 3925 and np.allclose(material.stiffness, isotropic(set="", **STEEL).stiffness)
+    told = " ".join(found.notes)
+    for words in ("SPC1: not applied", "FORCE", "POST", "WTMASS", "SET 7", "1 grids belong", "case control"):
+        assert words in told
+
+
+@pytest.mark.parametrize("size", [1, 9, 80, 700])
+def test_where_pieces_of_a_file_end_does_not_matter(size, bulk, monkeypatch):
+    whole = bulk(FULL)
+    monkeypatch.setattr(nastran_cards, "PIECE", size)
+    parts = bulk(FULL)
+    assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and sorted(whole.notes) == sorted(parts.notes)
+    assert np.array_equal(whole.mesh.blocks[0].nodes, parts.mesh.blocks[0].nodes)
+    assert [tie.name for tie in whole.rigid] == [tie.name for tie in parts.rigid]
+
+
+def test_scale_of_mass_above_the_bulk_data(bulk):
+    found = bulk("SOL 103\nCEND\nParam, WTMASS, 2.-3\nBEGIN BULK\n" + CUBE + MAT1 + "ENDDATA")
+    assert found.materials[0].density == pytest.approx(15.7)
+
+
+SYSTEMS = (
+    "CORD2R,1,,1.,2.,3.,1.,2.,4.\n,1.,3.,3.\n"  # x along y, y along -x
+    "CORD2C,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    "CORD2S,3,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    "CORD1R,4,901,902,903\nGRID,901,1,0.,0.,0.\nGRID,902,1,0.,0.,5.\nGRID,903,1,0.,7.,0.\n"
+    "GRID,911,1,1.,2.,3.\nGRID,912,2,2.,90.,1.\nGRID,913,3,2.,30.,90.\nGRID,914,4,1.,2.,3.\n"
+)
+
+
+def test_grids_in_other_systems(bulk):
+    used = "CTETRA,9,1,911,912,913,914\n"
+    xyz = dict(zip((found := bulk(CUBE + SYSTEMS + used)).nodes.ids.tolist(), found.nodes.xyz.tolist(), strict=True))
+    assert xyz[911] == pytest.approx([1 - 2, 2 + 1, 3 + 3])
+    assert xyz[912] == pytest.approx([1 - 2, 2, 3 + 1])  # 2 along y of system 1
+    assert xyz[913] == pytest.approx([0, 2 * np.sin(np.pi / 6), 2 * np.cos(np.pi / 6)], abs=1e-12)
+    # System 4 stands in the origin of 1, its x along y of 1, which is -x.
+    assert xyz[914] == pytest.approx([1 - 1, 2 - 2, 3 + 3])
+
+
+def test_grdset_gives_what_grids_leave_blank(bulk):
+    text = CUBE.replace("GRID,10,,", "GRID,10,0,") + "GRDSET,,1,,,,,456\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    found = bulk(text.replace("CORD2R,1,,0.,0.,0.,0.,0.,1.", "CORD2R,1,,0.,0.,5.,0.,0.,6.").replace("1.,0.,0.\nX", ""))
+    assert found.nodes.xyz[:2, 2].tolist() == [0.0, 5.0] and any("PS" in note for note in found.notes)
+
+
+def test_mat9_of_engineering_constants(bulk):
+    """Shear comes as xy, yz, zx on the card; material directions turned by 90 degrees about z."""
+    constants = {"young": (100.0, 20.0, 10.0), "poisson": (0.3, 0.25, 0.2), "shear": (5.0, 4.0, 3.0), "density": 2.0}
+    C = orthotropic(set="", **constants).stiffness[np.ix_([0, 1, 2, 5, 3, 4], [0, 1, 2, 5, 3, 4])]
+    entries = [f"{value:.8E}" if value else "" for value in C[np.triu_indices(6)]]
+    mat = card("MAT9", ["1", *entries, "2."], "large")
+    plain = bulk(CUBE + "PSOLID,1,1\n" + mat).materials[0]
+    assert np.allclose(plain.stiffness, orthotropic(set="", **constants).stiffness, rtol=1e-7, atol=1e-6)
+    system = "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
+    turned = bulk(CUBE + system + "PSOLID,1,1,4\n" + mat).materials[0]
+    axes = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+    assert np.allclose(turned.stiffness, orthotropic(set="", **constants, axes=axes).stiffness, rtol=1e-7, atol=1e-6)
+
+
+def test_masses_in_other_axes(bulk):
+    turned = "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
+    found = bulk(CUBE + turned + "CONM2,1,70,4,3.,1.,2.,3.,\n,5.,,6.,,,7.\nCONM2,2,70,-1,3.,1.5,1.,1.\n")
+    assert found.masses[0].offset == pytest.approx([-2, 1, 3])
+    assert np.allclose(found.masses[0].inertia, np.diag([6.0, 5.0, 7.0]))
+    assert found.masses[1].offset == pytest.approx([0.5, 0, 0])
+
+
+def test_included_files_are_bulk_data(tmp_path, bulk):
+    (tmp_path / "cube.bdf").write_text(CUBE)
+    found = bulk("BEGIN BULK\nINCLUDE 'cube.bdf'\n" + MAT1 + "ENDDATA\n")
+    assert len(found.nodes) == 8 and found.materials[0].set == "PSOLID_1"
+    (tmp_path / "loop.bdf").write_text("INCLUDE 'model.bdf'\n")
+    for text, words in (("INCLUDE 'loop.bdf'\n", "includes itself"), ("INCLUDE none.bdf\n", "does not exist")):
+        with pytest.raises(InputError, match=words):
+            bulk(CUBE + text)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n", "2 CQUAD4, 1 CBAR|1 CBAR, 2 CQUAD4"),
+        ("CELAS2,3,5.,10,1\n", "1 CELAS2"),
+        ("MPC,1,10,1,1.,20,1,-1.\n", "1 MPC"),
+        ("RBE1,1,10,123456\n", "1 RBE1"),
+        ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
+        ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
+        ("RBE2,1,10,129,20\n", "'129'"),
+        ("RBE3,1,,10,123,1.,12,20\n", "123 or 123456"),
+        ("RBE3,1,,10,123456,1.,123,20\n,UM,20,123\n", "UM"),
+        ("RBAR,1,10,20,123,456\n", "123456 at one end"),
+        ("GRID,10,,0.,0.,0.\n", "grid 10 twice"),
+        ("GRID,11,5,0.,0.,0.\n", "coordinate system 5, which is not defined"),
+        ("CTETRA,7,1,10,20,30,50\n", "element 7 twice"),
+        ("CTETRA,8,1,10,20,30,55\n", "names the grid 55"),
+        ("CTETRA,8,1,10,20,30\n", "CTETRA 8 has 3 nodes"),
+        ("CTETRA,8,1,10,20,30,50,60,70\n", "CTETRA 8 has 6 nodes"),
+        ("CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
+         "by way of itself"),
+        ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
+        ("PSOLID,1,9\n", "names the material 9"),
+        ("PSOLID,1,1\nMAT1,1,1.,,,1.\n", "gives 1 of E, G and NU"),
+        ("PSOLID,1,1\nMAT1,1,1.,3.,.3,1.\n", "contradict"),
+        ("GRID,11,,0.,zero,0.\n", "GRID card"),
+        ("GRID    11              0.5 1   0.      0.\n", "not one number"),
+        ("=,*(1),=\n", "neither a card"),
+        ("PARAM,WTMASS,0.\n", "WTMASS"),
+        ("\0", "binary"),
+        ("PSOLID,1,1", "ends within the line"),
+        ("RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n",
+         "mark of the line"),
+        ("GRID    12      1       0.      0.      0.      4\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n", "system 4"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_carried_is_refused_by_name(bulk, text, words):
+    with pytest.raises(InputError, match=words):
+        bulk(CUBE + text)
+
+
+def test_partial_directions_of_turned_grids_are_refused(bulk):
+    turned = CUBE.replace("GRID,20,,1.,0.,0.", "GRID,20,,1.,0.,0.,4") + "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
+    assert bulk(turned + "RBE2,1,10,123,20\n").rigid[0].components == (0, 1, 2)
+    with pytest.raises(InputError, match="turned axes"):
+        bulk(turned + "RBE2,1,10,1,20\n")
+
+
+def test_thermal_expansion_of_a_rigid_element_is_no_grid(bulk):
+    found = bulk(CUBE + "RBE2,1,10,123456,20,30,1.2-5\n")
+    assert len(found.rigid[0].slaves) == 2 and any("thermal expansion 1.2-5" in note for note in found.notes)
+
+
+def test_two_blocks_by_comsol(shared_data):
+    """119 nodes, 358 tetrahedra of two properties fill a box with a volume of its own; no material is named."""
+    path = shared_data / "finetools" / "twoblocks.nas"
+    found, theirs = import_nastran(path), meshio.read(path)
+    assert len(found.nodes) == 119 and np.array_equal(found.mesh.blocks[0].nodes, theirs.cells[0].data)
+    assert not found.materials and sum("names no material" in note for note in found.notes) == 2
+    parts = [isotropic(set=f"PSOLID_{k}", young=1e9, poisson=0.3, density=float(k)) for k in (1, 2)]
+    model = assemble(found.mesh, parts)
+    x = found.nodes.xyz[found.mesh.blocks[0].nodes]
+    volume = np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+    rows = [found.mesh.element_sets[f"PSOLID_{k}"][0] for k in (1, 2)]
+    assert (volume > 0).all() and len(rows[0]) + len(rows[1]) == 358
+    assert model.M.sum() / 3 == pytest.approx(volume[rows[0]].sum() + 2 * volume[rows[1]].sum(), rel=1e-12)
+    with Problem(model) as problem:
+        assert problem.elastic_modes(count=1).frequencies_hz[0] > 1
+
+
+def test_damaged_files_end_in_one_message(tmp_path):
+    """Cut off, bytes changed, lines swapped or doubled: bulk data are read or refused, never a crash."""
+    path = tmp_path / "model.bdf"
+    sources = [
+        FULL, CUBE + SYSTEMS + "CTETRA,9,1,911,912,913,914\n" + MAT1,
+        MAT1 + written(box("tet10", (1, 1, 1), (1, 1, 1)), "large"),
+    ]
+    refused = 0
+    for data in damaged(sources, 450, 7, b"0123456789,.*-=+\n\r\t AzE$'\xff\x00"):
+        path.write_bytes(data)
+        try:
+            import_nastran(path)
+        except InputError:
+            refused += 1
+    assert refused > 100

@@ -1,0 +1,211 @@
+"""What ``check`` says is what ``reduce`` does: refusals, warnings about units, and what long work costs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from typer.testing import CliRunner
+
+from morembs.cli import commands as cli
+from morembs.cli import terminal
+from morembs.diagnostics import examined
+from morembs.errors import InputError
+from morembs.importers.model_file import write_model
+from morembs.interface import make_interface
+from morembs.jobs import preflight
+from morembs.jobs.duration import duration_words, mode_seconds
+from morembs.jobs.job import load_job
+from morembs.jobs.preflight import why_not_with
+from morembs.jobs.run import run_job
+from morembs.linalg.sparse.solver import Analysis
+from morembs.problem import Damping, Problem
+from morembs.reducers import Automatic, Balanced, CraigBampton, Gramian, Irka, Krylov
+from morembs.responses import damped_reference
+from tests.support.decks import BEAM, deck, folder
+from tests.support.meshes import box, steel, where
+
+RUNNER = CliRunner()
+IRKA = 'method = "irka"\norder = 4\nband_hz = [0, 5000]'
+TWO_SIDED = 'method = "krylov"\ntwo_sided = true\ninputs = ["left"]\noutputs = ["right"]'
+
+
+@pytest.fixture(autouse=True)
+def no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 1e9)
+
+
+def checked(job: Path) -> Any:
+    result = RUNNER.invoke(cli.app, ["check", str(job), "--json"])
+    assert result.exit_code == 0, (result.stderr, result.exception)
+    return json.loads(result.stdout)
+
+
+REFUSED = {
+    "a chord of nothing": ({"frame": 'kind = "chord"'}, "a chord frame was given 0 interfaces"),
+    "poles of structural damping": ({"reduce": IRKA, "damping": "structural = 0.02"}, "structural damping"),
+    "all resonances undamped": ({"reduce": 'method = "balanced-truncation"\norder = 4'}, "infinite without damping"),
+    "stress at no nodes": ({"stress": 'nodes = "set:FILLET"'}, "[stress]"),
+    "inputs of no interface": ({"reduce": 'method = "krylov"\ninputs = ["lefft"]'}, "did you mean 'left'?"),
+    "a frame without symmetry": ({"reduce": TWO_SIDED, "envelope": "acceleration = 10.0"}, "two-sided"),
+    "a preload on nothing": ({"preload": "wrench = { middle = [1, 0, 0, 0, 0, 0] }"}, "middle"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_check_refuses_what_reduce_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Both in the same words, before anything is factorised."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise RuntimeError("a factorisation was made")
+
+    monkeypatch.setattr(Analysis, "factorize", refuse)
+    tables, words = REFUSED[name]
+    job = folder(tmp_path, tables)
+    check, reduce = (RUNNER.invoke(cli.app, [verb, str(job)]) for verb in ("check", "reduce"))
+    assert (check.exit_code, reduce.exit_code) == (2, 2), (check.stdout, reduce.exception)
+    assert check.stderr == reduce.stderr and words in check.stderr
+
+
+def test_a_model_file_has_no_stress_either(tmp_path: Path) -> None:
+    model = steel(box("hex8", (4, 2, 2), (0.4, 0.2, 0.2)))
+    ends = {"LEFT": where(model, 0, 0.0), "RIGHT": where(model, 0, 0.4)}
+    model = replace(model, mesh=None, materials=(), nodes=replace(model.nodes, sets=ends))
+    write_model(tmp_path / "part.model.h5", model)
+    for extra in ({"stress": 'nodes = "skin"'}, {"stiffening": ""}, {"output": 'path = "part.h5"\nnodes = "skin"'}):
+        job = folder(tmp_path, {"model": 'file = "part.model.h5"', "material": None, **extra})
+        check, reduce = (RUNNER.invoke(cli.app, [verb, str(job)]) for verb in ("check", "reduce"))
+        assert (check.exit_code, reduce.exit_code) == (2, 2), (extra, check.stdout)
+        assert check.stderr == reduce.stderr and "matrices only" in check.stderr
+
+
+DAMPINGS = {
+    "none": Damping(), "rayleigh": Damping(alpha=5.0, beta=1e-6), "modal": Damping(modal=0.01),
+    "structural": Damping(structural=0.02), "partial": Damping(modal_table=[[0, 0.0], [9000, 0.1]]),
+}  # fmt: skip
+BAND = [0.0, 3000.0]
+METHODS = {
+    "auto": Automatic(band_hz=BAND, tolerance=1e-2), "irka": Irka(order=6, band_hz=BAND, max_steps=3),
+    "gramian": Gramian(band_hz=BAND, order=12), "direct": Gramian(band_hz=BAND, order=12, direct=True, points=6),
+    "band": Balanced(order=8, band_hz=BAND), "balanced": Balanced(order=8, adi_tolerance=1e-4),
+    "cb": CraigBampton(modes=4), "krylov": Krylov(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("own", "large"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_damping_is_refused_as_the_reducers_do(
+    monkeypatch: pytest.MonkeyPatch, damping: str, own: bool, large: bool
+) -> None:
+    """``why_not_with`` tells before any work which reducers will refuse; they are the judges."""
+    model = steel(box("hex8", (5, 1, 1), (0.5, 0.05, 0.05)))
+    if own:
+        model = replace(model, D=sp.csr_array(1e-6 * model.K))
+    if own and DAMPINGS[damping].structural:
+        return  # refused by the problem itself
+    if large:
+        monkeypatch.setattr(damped_reference, "DENSE", 10)
+        monkeypatch.setattr(preflight, "DENSE", 10)
+    end = make_interface(model, name="end", nodes=where(model, 0, 0.0))
+    with Problem(model, [end], damping=DAMPINGS[damping]) as problem:
+        for name, reducer in METHODS.items():
+            reason = why_not_with(reducer, DAMPINGS[damping], own, problem.K.shape[0])
+            try:
+                reducer.reduce(problem)
+            except InputError as error:
+                assert reason, (name, str(error))
+            else:
+                assert not reason, (name, reason)
+
+
+class Listener:
+    """Hears stages and warnings in their order."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def stage(self, name: str) -> None:
+        self.told.append(name)
+
+    def update(self, text: str) -> None:
+        pass
+
+
+SI_IN_MM = 'set = "all"\nyoung = 210e9\npoisson = 0.3\ndensity = 7850.0'
+
+
+def test_units_are_looked_at_before_any_work(tmp_path: Path) -> None:
+    """MPa taken for Pa; SI beside millimetres; and metres where millimetres are meant: ``check`` says so, and
+    ``reduce`` before it factorises."""
+    cases = [
+        ({"model": 'mesh = "part.inp"'}, 'units = "mm-t-s"'),
+        ({"material": SI_IN_MM}, "modulus 2.1e+05, density 7.85e-09"),
+    ]
+    for number, (tables, words) in enumerate(cases):
+        (tmp_path / str(number)).mkdir()
+        job = folder(tmp_path / str(number), {**tables, "check": "full_modes = 0", "reduce": 'method = "guyan"'})
+        warnings = checked(job)["warnings"]
+        assert len(warnings) == 1 and words in warnings[0] and ("mm-t-s" in warnings[0])
+        listener = Listener()
+        result = run_job(load_job(job), listener, listener.told.append)
+        assert warnings[0] in result.warnings
+        assert listener.told.index(warnings[0]) < listener.told.index("factorise")
+
+
+def test_a_mesh_in_mm_beside_a_material_in_si(tmp_path: Path) -> None:
+    """The part is 60 long: in metres nothing to warn of; ten times larger it is."""
+    tables = {"model": 'mesh = "part.inp"', "material": SI_IN_MM}
+    assert checked(folder(tmp_path, tables))["warnings"] == []
+    found = checked(folder(tmp_path, tables, deck(BEAM, size=100.0)))["warnings"]
+    assert len(found) == 1 and "m long" in found[0] and "7.85e-9" in found[0]
+
+
+def test_warnings_go_to_standard_error_first(tmp_path: Path) -> None:
+    job = folder(tmp_path, {"model": 'mesh = "part.inp"', "check": "full_modes = 0", "reduce": 'method = "guyan"'})
+    result = RUNNER.invoke(cli.app, ["reduce", str(job), "--json"])
+    assert result.exit_code == 0 and result.stderr.startswith("warning: ") and "mm-t-s" in result.stderr
+    assert json.loads(result.stdout)["warnings"][0] in result.stderr
+
+
+def test_python_can_ask_for_the_warnings() -> None:
+    size = (500.0, 60.0, 40.0)
+    assert examined(steel(box("hex8", (6, 2, 2), (0.5, 0.06, 0.04)))) == ()
+    (found,) = examined(steel(box("hex8", (6, 2, 2), size), young=2.1e5, density=7.85e-9))
+    assert 'units = "mm-t-s"' in found
+
+
+def test_many_motions_and_many_modes_are_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(preflight, "SMALL", 100)
+    direct = 'name = "left"\nnodes = "box:-1,0,0,51,20,10"\ncoupling = "direct"'
+    auto = 'method = "auto"\nband_hz = [0, 5000]\ntolerance = 1e-2'
+    modes = 'name = "cb"\nmethod = "craig-bampton"\nmodes = 40'
+    job = folder(tmp_path, {"interface": direct, "reduce": auto, "reduce2": modes})
+    found = checked(job)
+    assert set(found["reduction_seconds"]) == {"auto", "cb"} and min(found["reduction_seconds"].values()) > 0
+    motions, many = found["warnings"]
+    assert f"all {3 * 36 + 6} interface motions" in motions and "'auto' about" in motions and "average" in motions
+    assert "modes = 40 of" in many and "factor of three" in many
+    few = folder(tmp_path, {"reduce": auto, "reduce2": modes.replace("40", "4")})
+    assert checked(few)["warnings"] == []
+    shown = RUNNER.invoke(cli.app, ["check", str(few)]).stdout
+    assert "reduction seconds" in shown and "within a factor of three" in shown
+
+
+def test_time_of_modes_grows_as_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """10,956 dofs of a connecting rod, seconds of one processor at 30 GFlop/s: 100, 200, 400, 800 modes."""
+
+    class Speed:
+        gemm_gflops = 30.0
+
+    monkeypatch.setattr("morembs.jobs.duration.measured_speed", Speed)
+    measured = {100: 1.4, 200: 2.9, 400: 9.0, 800: 46.0}
+    for count, seconds in measured.items():
+        assert seconds / 3 < mode_seconds(10956, count, 2_110_617) < 3 * seconds
+    assert mode_seconds(10956, 3000, 2_110_617) > 3600
+    assert [duration_words(s) for s in (0.01, 40.0, 600.0, 7200.0)] == ["1 s", "40 s", "10 min", "2.0 h"]
+    assert np.isfinite(mode_seconds(1000, 10, 0))

@@ -1,0 +1,132 @@
+"""Whole jobs: the same input gives the same bytes, and units do not matter."""
+
+import subprocess
+import sys
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+
+from morembs.body.file import read_body
+from morembs.linalg.sparse.mumps import EmbeddedMumps
+from tests.body.test_storage import everything
+
+JOB = """
+[model]
+mesh = "{mesh}"
+units = "{units}"
+[[material]]
+young = {young}
+poisson = 0.3
+density = {density}
+[[interface]]
+name = "root"
+nodes = "set:ROOT"
+coupling = "rigid"
+[[interface]]
+name = "tip"
+nodes = "{tip}"
+coupling = "average"
+point = {point}
+[damping]
+rayleigh = {{ alpha = 5.0, beta = 2e-6 }}
+[[reduce]]
+name = "cb"
+method = "craig-bampton"
+modes = 16
+inertia_modes = true
+[[reduce]]
+method = "free-interface"
+up_to_hz = 6000.0
+[output]
+path = "{name}.h5"
+nodes = "skin"
+"""
+
+
+def reduce(folder, name, **values):
+    (folder / f"{name}.toml").write_text(JOB.format(name=name, **values))
+    subprocess.run([sys.executable, "-m", "morembs", "reduce", f"{name}.toml"], cwd=folder, check=True,
+                   capture_output=True)  # fmt: skip
+    return folder / f"{name}.h5"
+
+
+SI = {"units": "m-kg-s", "young": 2.1e11, "density": 7850.0, "tip": "set:TIP", "point": "[0.5, 0.02, 0.01]"}
+
+
+def test_two_runs_give_the_same_bytes(small_meshes, tmp_path):
+    a, b = (reduce(tmp_path, name, mesh=small_meshes / "beam.msh", **SI) for name in ("one", "two"))
+    with h5py.File(a) as one, h5py.File(b) as two:
+        mine, other = everything(one), everything(two)
+    assert len(mine) > 40 and mine == other
+
+
+def test_millimetres_and_metres_give_the_same_body(small_meshes, tmp_path):
+    mesh = meshio.read(small_meshes / "beam.msh")
+    mesh.points *= 1e3
+    mesh.write(tmp_path / "mm.msh", file_format="gmsh")
+    values = {"units": "mm-t-s", "young": 2.1e5, "density": 7.85e-9, "tip": "box:500,-1e3,-1e3,500,1e3,1e3"}
+    mm = read_body(reduce(tmp_path, "mm", mesh="mm.msh", point="[500.0, 20.0, 10.0]", **values))
+    si = read_body(reduce(tmp_path, "si", mesh=small_meshes / "beam.msh", **SI))
+    assert mm.mass == pytest.approx(si.mass, rel=1e-9)
+    assert mm.inertia == pytest.approx(si.inertia, rel=1e-9, abs=1e-12)
+    for name in ("cb", "free-interface"):
+        a, b = mm.bodies[name], si.bodies[name]
+        assert a.frequencies_hz == pytest.approx(b.frequencies_hz, rel=1e-9, abs=1e-9)
+        assert np.abs(a.stiffness_matrix - b.stiffness_matrix).max() < 1e-9 * np.abs(b.stiffness_matrix).max()
+        assert np.abs(a.damping_matrix - b.damping_matrix).max() < 1e-9 * np.abs(b.damping_matrix).max()
+
+
+@pytest.mark.parametrize("fault", ["mesh", "job", "picture"])
+def test_results_never_overwrite_what_they_come_from(small_meshes, tmp_path, fault):
+    (tmp_path / "beam.msh").write_bytes((small_meshes / "beam.msh").read_bytes())
+    text = JOB.format(name="body", mesh="beam.msh", **SI)
+    path = {"mesh": "beam.msh", "job": "job.toml", "picture": "same.png"}[fault]
+    text = text.replace('path = "body.h5"', f'path = "{path}"\npicture = "same.png"')
+    (tmp_path / "job.toml").write_text(text)
+    for verb in ("check", "reduce"):
+        command = [sys.executable, "-m", "morembs", verb, "job.toml"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 2 and "would overwrite" in done.stderr and "Traceback" not in done.stderr
+    assert (tmp_path / "beam.msh").read_bytes() == (small_meshes / "beam.msh").read_bytes()
+    assert (tmp_path / "job.toml").read_text() == text and not (tmp_path / "same.png").exists()
+
+
+def test_two_jobs_with_one_output_are_refused(small_meshes, tmp_path):
+    for name in ("a", "b"):
+        text = JOB.format(name="same", mesh=small_meshes / "beam.msh", **SI)
+        (tmp_path / f"{name}.toml").write_text(text)
+    done = subprocess.run([sys.executable, "-m", "morembs", "reduce", "a.toml", "b.toml"], cwd=tmp_path,
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 2 and "that of a.toml too" in done.stderr
+    assert "cb" in read_body(tmp_path / "same.h5").bodies
+
+
+def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
+    """SIGTERM while factors are on disk: no scratch, no temporary file, the old result untouched."""
+    if reason := EmbeddedMumps.unavailable():
+        pytest.skip(reason)
+    (tmp_path / "scratch").mkdir()
+    text = JOB.format(name="body", mesh=small_meshes / "beam.msh", **SI)
+    (tmp_path / "job.toml").write_text(text + '[solver]\nscratch = "scratch"\n')
+    (tmp_path / "body.h5").write_text("old")
+    code = (
+        "import os, signal, sys\n"
+        "from morembs.cli import commands as cli\nfrom morembs.jobs import inputs as job_inputs\n"
+        "from morembs.linalg.sparse.mumps import EmbeddedMumps\n"
+        "from morembs.problem import Problem\n"
+        # A budget would not do: it is that of the whole process, whose libraries take more than this factor.
+        "job_inputs.select_solver = lambda name, memory, scratch: EmbeddedMumps(scratch=scratch, out_of_core=True)\n"
+        "def end(self, **options):\n"
+        "    print(len(os.listdir('scratch')), self.statics.factor.stats.out_of_core, flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "Problem.fixed_modes = end\n"
+        "sys.argv = ['morembs', 'reduce', 'job.toml']\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 143, done.stderr
+    assert done.stdout.split() == ["1", "True"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["body.h5", "job.toml", "scratch"]
+    assert not list((tmp_path / "scratch").iterdir()) and (tmp_path / "body.h5").read_text() == "old"

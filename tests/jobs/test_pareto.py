@@ -1,0 +1,118 @@
+"""Reductions side by side, and what they are worth under changed boundary conditions."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs.certificate.certify import certify
+from morembs.cli import app
+from morembs.interface import make_interface
+from morembs.problem import Damping, Problem
+from morembs.reducers import CraigBampton, FreeInterface, Modal
+from morembs.responses.band import band_frequencies
+from tests.support.meshes import box, steel, where
+
+JOB = """
+[model]
+mesh = "{meshes}/conrod.msh"
+units = "mm-t-s"
+[[material]]
+young = 210e3
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "BIG"
+nodes = "set:BIGEND"
+[[interface]]
+name = "SMALL"
+nodes = "set:SMALLEND"
+[damping]
+rayleigh = {{ alpha = 5.0, beta = 2e-7 }}
+[[reduce]]
+method = "modal"
+modes = 14
+[[reduce]]
+method = "guyan"
+[[reduce]]
+method = "free-interface"
+modes = 2
+[output]
+path = "rod.h5"
+nodes = "interfaces"
+{more}
+"""
+
+
+def test_errors_with_an_interface_held_are_those_of_the_held_model():
+    """Against dense solutions of the whole model, rigid motion included, with the motions of one end made zero."""
+    model = steel(box("hex8", (8, 2, 2), (0.5, 0.05, 0.03)))
+    ends = [make_interface(model, name=str(x), nodes=where(model, 0, x), coupling="average") for x in (0.0, 0.5)]
+    with Problem(model, ends, damping=Damping(alpha=6.0, beta=2e-6)) as problem:
+        K, M, B, Z = problem.K.toarray(), problem.M.toarray(), problem.B.toarray(), problem.rigid
+        D = 2e-6 * K + 6.0 * (M - M @ Z @ Z.T @ M)
+        hz = band_frequencies(problem, [100.0, 2500.0], 8)
+        reducers = Modal(modes=9), FreeInterface(modes=6), CraigBampton(modes=6)
+        bodies = [reducer.reduce(problem) for reducer in reducers]
+        scale = problem.motion_scale
+        for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
+            for i, (held, free) in enumerate(((slice(0, 6), slice(6, 12)), (slice(6, 12), slice(0, 6)))):
+                for j, w in enumerate(2 * np.pi * hz):
+                    mine, true = (
+                        held_response(P, Q, R, b, c, w, held, free) * np.outer(scale[free], scale[free])
+                        for P, Q, R, b, c in ((body.K, body.D, body.M, body.B, body.C), (K, D, M, B, B.T))
+                    )
+                    error = np.linalg.norm(mine - true) / np.linalg.norm(true)
+                    assert its.held_error[i, j] == pytest.approx(error, rel=1e-3, abs=1e-7)
+
+
+def held_response(K, D, M, B, C, w, held, free):
+    A = K + 1j * w * D - w**2 * M
+    s = 1 / np.sqrt(np.abs(np.diag(A)))
+    H = C @ (s[:, None] * np.linalg.solve(s[:, None] * A * s, s[:, None] * B))
+    return H[free, free] - H[free, held] @ np.linalg.solve(H[held, held], H[held, free])
+
+
+@pytest.fixture
+def compare(small_meshes, tmp_path):
+    def run(more, *options):
+        job = tmp_path / "rod.toml"
+        job.write_text(JOB.format(meshes=small_meshes, more=more))
+        return CliRunner().invoke(app, ["compare", str(job), *options])
+
+    return run
+
+
+def test_comparison_marks_the_front_and_draws_it(compare, tmp_path):
+    done = compare("[certify]\nband_hz = [0, 8000]\npoints = 20", "--json", "--picture", str(tmp_path / "front.png"))
+    assert done.exit_code == 0, done.output
+    found = {one["name"]: one for one in json.loads(done.stdout)["contenders"]}
+    assert [one["order"] for one in found.values()] == [20, 12, 20]
+    # Of equal size, many modes beat few with residual statics in the band and lose in statics; the small one is alone.
+    assert found["modal"]["error"] < found["free-interface"]["error"]
+    assert found["free-interface"]["static_error"] < 1e-8 < 1e-3 < found["modal"]["static_error"]
+    assert {name for name, one in found.items() if one["best"]} == {"guyan", "modal"}
+    assert all(one["error"] <= one["bound"] * (1 + 1e-6) and one["seconds"] >= 0 for one in found.values())
+    assert (tmp_path / "front.png").read_bytes()[1:4] == b"PNG" and (tmp_path / "rod.h5").exists()
+
+
+def test_comparison_prints_a_table(compare):
+    done = compare("[certify]\nband_hz = [0, 8000]\npoints = 20\nbound = false")
+    assert done.exit_code == 0
+    assert "* guyan" in done.stdout and "held, median" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "message"),
+    [
+        ("", (), r"add a table \[certify\]"),
+        ("[certify]\nband_hz = [0, 8000]", ("--picture", "front.jpg"), "ends in .png, .pdf or .svg"),
+        ("[certify]\nband_hz = [8000, 0]", (), "0 <= LOW < HIGH"),
+    ],
+)
+def test_comparison_says_what_it_lacks(compare, tmp_path, more, options, message):
+    done = compare(more, *options)
+    assert done.exit_code == 2
+    assert message.replace("\\", "") in done.stderr
+    assert not (tmp_path / "rod.h5").exists()

@@ -1,0 +1,135 @@
+"""Low-rank ADI against dense Lyapunov equations."""
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.errors import SolverError
+from morembs.linalg import adi
+from morembs.linalg.adi import SecondOrder, low_rank_gramian
+from tests.support.matrices import chain, mass, slender_beam
+
+
+def system(M, D, K, solve=None):
+    """Dense solves stand for the sparse factor."""
+    M, D, K = (A.toarray() if sp.issparse(A) else A for A in (M, D, K))
+    return SecondOrder(
+        M=sp.csr_array(M), K=sp.csr_array(K), apply_D=lambda X: D @ X,
+        solve=solve or (lambda s, F: np.linalg.solve(s * s * M + s * D + K, F)),
+        flexibility=lambda F: np.linalg.solve(K, F),
+    )  # fmt: skip
+
+
+def dense_gramians(M, D, K, F):
+    """P and Q of A P E' + E P A' + [0; F][0; F]' = 0 and A' Q E + E' Q A + [F; 0][F; 0]' = 0 by scipy.
+
+    Solved for the coordinates (Omega a, a') of the undamped modes, where A has no large condition number.
+    """
+    M, D, K = (A.toarray() if sp.issparse(A) else A for A in (M, D, K))
+    values, Phi = sl.eigh(K, M)
+    omega, zero = np.sqrt(values), np.zeros_like(M)
+    A = np.block([[zero, np.diag(omega)], [-np.diag(omega), -Phi.T @ D @ Phi]])
+    B, C = (np.vstack(X) for X in ((0 * F, Phi.T @ F), (Phi.T @ F / omega[:, None], 0 * F)))
+    T = sl.block_diag(Phi / omega, Phi)
+    back = sl.block_diag(M @ Phi * omega, Phi)
+    P = T @ sl.solve_continuous_lyapunov(A, -B @ B.T) @ T.T
+    return P, back @ sl.solve_continuous_lyapunov(A.T, -C @ C.T) @ back.T
+
+
+def difference(mine, exact):
+    """Largest difference of entries of unit diagonal."""
+    d = 1 / np.sqrt(np.diag(exact))
+    return np.abs(d[:, None] * (mine - exact) * d).max()
+
+
+def sandwich(folder):
+    data = scipy.io.loadmat(folder / "nlevp_second_order" / "sandwich_beam_168.mat")
+    M, Ke, Kv = (np.asarray(data[name].todense()) for name in ("M", "Ke", "Kv"))
+    K = Ke + 350.4e3 * Kv
+    w = np.sqrt(sl.eigh(K, M, eigvals_only=True, subset_by_index=[0, 0])[0])
+    # The viscoelastic layer damps, which is not proportional.
+    return M, 0.05 * w * M + 350.4e3 * 0.2 / w * Kv, K
+
+
+def check(M, D, K, F, tolerance=1e-12, accuracy=1e-8):
+    found = low_rank_gramian(system(M, D, K), F, tolerance=tolerance)
+    P, Q = dense_gramians(M, D, K, F)
+    Z = np.vstack([found.Zp, found.Zv])
+    assert found.residual <= tolerance
+    assert difference(Z @ Z.T, P) < accuracy
+    M, D = (A.toarray() if sp.issparse(A) else A for A in (M, D))
+    Y = np.vstack([M @ found.Zv + D @ found.Zp, found.Zp])
+    assert difference(Y @ Y.T, Q) < accuracy
+    return found
+
+
+def test_gramians_of_a_chain_solve_their_lyapunov_equations():
+    K = chain(20)
+    M = mass(K)
+    F = np.zeros((60, 2))
+    F[0, 0], F[40, 1] = 1.0, 1e3
+    check(M, 0.05 * M + 0.02 * K, K, F)
+
+
+def test_damping_that_is_not_proportional():
+    """Two dashpots to the ground besides some damping everywhere."""
+    K = chain(15)
+    M = mass(K)
+    D = sp.csr_array(0.03 * K)
+    extra = np.zeros(45)
+    extra[[4, 30]] = 1.0, 20.0
+    F = np.zeros((45, 1))
+    F[10] = 1.0
+    found = check(M, D + sp.diags_array(extra), K, F)
+    # Overdamped motion takes real shifts.
+    assert any(p.imag == 0 for p in found.shifts)
+
+
+def test_viscoelastic_sandwich_beam(shared_data):
+    M, D, K = sandwich(shared_data)
+    F = np.zeros((168, 2))
+    F[56, 0], F[-2, 1] = 1.0, 1.0
+    # Eigenvalues span twelve powers of ten: no more digits are left in K, whatever the tolerance.
+    check(M, D, K, F, tolerance=1e-15, accuracy=2e-6)
+
+
+def test_compression_keeps_the_gramian(monkeypatch):
+    """With room for a few blocks only, Z is compressed at nearly every step and grows where it must."""
+    monkeypatch.setattr(adi, "FIRST_COLUMNS", 1)
+    monkeypatch.setattr(adi, "_ROWS", 17)
+    K = chain(20)
+    M = mass(K)
+    F = np.zeros((60, 2))
+    F[0, 0], F[40, 1] = 1.0, 1e3
+    check(M, 0.05 * M + 0.02 * K, K, F)
+
+
+def test_one_solve_for_each_shift_and_real_arithmetic_for_real_shifts():
+    K = chain(10)
+    M = mass(K)
+    D = 0.1 * M + 3.0 * K
+    seen = []
+    dense = [A.toarray() for A in (M, D, K)]
+
+    def solve(s, F):
+        seen.append((s, F.dtype.kind))
+        return np.linalg.solve(s * s * dense[0] + s * dense[1] + dense[2], F)
+
+    F = np.zeros((30, 1))
+    F[3] = 1.0
+    found = low_rank_gramian(system(M, D, K, solve), F, tolerance=1e-10)
+    assert [-s for s, _ in seen] == list(found.shifts)
+    assert {kind for s, kind in seen if complex(s).imag == 0} == {"f"}
+    assert all(p.real < 0 for p in found.shifts) and found.Zp.dtype == float
+
+
+def test_what_is_left_is_said_where_steps_run_out_or_damping_is_missing():
+    K = sp.csc_array(slender_beam(20))
+    M = sp.eye_array(40, format="csc")
+    F = np.eye(40)[:, [38]]
+    with pytest.raises(SolverError, match=r"residual of .* in 3 shifts \(needed 1.0e-10\).*frequency band"):
+        low_rank_gramian(system(M, 1e-3 * M, K), F, max_steps=3)
+    with pytest.raises(SolverError, match="no mode that the loads excite is damped"):
+        low_rank_gramian(system(M, 0.0 * M, K), F)

@@ -1,0 +1,292 @@
+"""What MUMPS adds to the contract of all solvers: its memory, factors on disk, inertia, null space and complement."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.sparse import interruptible, mumps, mumps_instance, mumps_library, ordering
+from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
+from morembs.linalg.sparse.symmetric import Lower
+from tests.support.matrices import backward_error, brick, chain, damped, random, shifted, sparse_loads
+
+Kind = type[Mumps] | type[EmbeddedMumps]
+FULL = Lower.of(brick(10))
+
+
+@pytest.fixture(params=[Mumps, EmbeddedMumps], ids=lambda kind: kind.name)
+def kind(request: pytest.FixtureRequest) -> Kind:
+    if reason := request.param.unavailable():
+        pytest.skip(reason)
+    return request.param
+
+
+def _needs(precision: str, structure: str) -> None:
+    if reason := Mumps.lacks(precision, structure):
+        pytest.skip(reason)
+
+
+def _bytes_in(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def test_indefinite_matrix_is_not_taken_for_positive_definite(kind: Kind) -> None:
+    with pytest.raises(SingularMatrixError, match="positive definite but has 16 negative pivots"):
+        kind().factorize(shifted(chain(20), 1.3), "spd")
+
+
+def test_the_order_is_used(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    if ordering.metis_ordering(FULL) is None:
+        pytest.skip("no METIS library; get it with: sudo apt-get install libmetis5")
+
+    def entries() -> int:
+        with kind().factorize(FULL, "spd") as factor:
+            return factor.stats.factor_entries
+
+    good = entries()
+    monkeypatch.setattr(mumps, "metis_ordering", lambda A: np.arange(A.n))
+    band = entries()
+    assert good < 0.7 * band
+    monkeypatch.setattr(mumps, "metis_ordering", lambda A: None)
+    assert entries() < 0.9 * band
+
+
+@pytest.mark.parametrize("hopeless", [False, True])
+def test_workspace_is_raised_when_it_was_too_small(
+    kind: Kind, monkeypatch: pytest.MonkeyPatch, hopeless: bool
+) -> None:
+    asked: list[int] = []
+    codes: list[int] = []
+    run = mumps_instance.Instance.run
+
+    def spy(instance: mumps_instance.Instance, job: int, *rest: Any) -> int:
+        if job == mumps_instance.FACTORIZE:
+            asked.append(int(instance._data.icntl[13]))
+            if hopeless or len(asked) == 1:
+                instance.control(14, -60)
+        code = run(instance, job, *rest)
+        codes.extend([code] if job == mumps_instance.FACTORIZE else [])
+        return code
+
+    monkeypatch.setattr(mumps_instance.Instance, "run", spy)
+    A, b = brick(8), random(1536)
+    if hopeless:
+        with pytest.raises(SolverError, match=r"factorisation: INFOG\(1\) = -[89], INFOG\(2\) = \d+: .*too small"):
+            kind().factorize(A)
+        assert asked == [20, 40, 80, 160]
+        return
+    with kind().factorize(A) as factor:
+        assert backward_error(A, factor.solve(b), b) < 1e-14
+    assert asked == [20, 40] and codes[0] in (-8, -9) and codes[1] == 0
+
+
+def test_memory_is_given_back(kind: Kind) -> None:
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("the resident memory is read from /proc")
+    A, sizes = brick(6), []
+    for _ in range(3):
+        for _ in range(60):
+            kind().factorize(A).close()
+        gc.collect()
+        sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096)
+    assert sizes[2] - sizes[0] < 3e6
+
+
+def test_threads_factorise_and_solve_at_the_same_time(kind: Kind) -> None:
+    """Several analyses alive at once, each used by the thread that made it."""
+    gate = threading.Barrier(4)
+
+    def error(number: int) -> float:
+        A, b = shifted(brick(6), 13.7 * (number % 2)), random(648)
+        with kind().analyse(A) as analysis:
+            gate.wait(30)
+            return max(backward_error(A, analysis.factorize(A).solve(b), b) for _ in range(3))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert max(pool.map(error, range(8))) < 1e-13
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e12])
+def test_null_space_of_a_free_chain_is_its_rigid_motions(kind: Kind, scale: float) -> None:
+    """The size of a pivot that counts as zero follows the units."""
+    A = scale * chain(30, held=False)
+    with kind(null_pivots=1e-8).analyse(A) as analysis:
+        factor: Any = analysis._factorize(Lower.of(A))
+        Z, rows = factor.null_space()
+    assert Z.shape == (90, 3) and len(set(rows % 3)) == 3
+    rigid = np.tile(np.eye(3), (30, 1))
+    coefficients = np.linalg.lstsq(rigid, Z, rcond=None)[0]
+    assert np.linalg.matrix_rank(coefficients) == 3
+    np.testing.assert_allclose(rigid @ coefficients, Z, rtol=0, atol=1e-8 * np.abs(Z).max())
+
+
+def test_null_space_of_a_regular_matrix_is_empty(kind: Kind) -> None:
+    with kind(null_pivots=1e-8).factorize(chain(30)) as factor:
+        Z, rows = factor.null_space()
+    assert Z.shape == (90, 0) and not len(rows)
+
+
+@pytest.mark.parametrize("nodes", [5, 60])
+@pytest.mark.parametrize("structure", ["symmetric", "complex-symmetric"])
+def test_schur_complement_is_that_of_numpy(kind: Kind, nodes: int, structure: str) -> None:
+    """Few rows are ordered by MUMPS itself, many by METIS with those of the complement behind all others."""
+    if reason := kind.lacks("double", structure):
+        pytest.skip(reason)
+    A = damped(chain(nodes), 0.7) if structure == "complex-symmetric" else shifted(chain(nodes), 0.33)
+    rows = np.array([7, 0, 3 * nodes - 1, 4])
+    rest, dense = np.setdiff1d(np.arange(3 * nodes), rows), A.toarray()
+    inner = np.linalg.solve(dense[np.ix_(rest, rest)], dense[np.ix_(rest, rows)])
+    S = kind().schur_complement(A, rows)
+    np.testing.assert_allclose(S, dense[np.ix_(rows, rows)] - dense[np.ix_(rows, rest)] @ inner, rtol=0, atol=1e-11)
+    for wrong in ([], [1, 1], [-1], [3 * nodes]):
+        with pytest.raises(InputError, match="rows of a Schur complement"):
+            kind().schur_complement(A, np.array(wrong))
+
+
+def test_inertia_keeps_no_factor(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    A, controls = shifted(brick(5), 13.7), []
+    control = mumps_instance.Instance.control
+    monkeypatch.setattr(mumps_instance.Instance, "control",
+                        lambda self, number, value: (controls.append((number, value)), control(self, number, value)))
+    count = np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
+    assert kind(out_of_core=True).negative_eigenvalues(A) == count and (31, 1) in controls and (22, 1) not in controls
+    with kind(discard=True).analyse(A) as analysis, pytest.raises(SolverError, match="solution"):
+        analysis._factorize(Lower.of(A)).solve(np.ones(375))
+
+
+@pytest.mark.parametrize("structure", ["spd", "symmetric"])
+def test_budget_decides_where_the_factor_lies(kind: Kind, tmp_path: Path, structure: str) -> None:
+    B = random(3000, 3)
+    with kind().analyse(FULL, structure) as analysis:
+        in_core = analysis.forecast.memory
+        assert not analysis.forecast.out_of_core and analysis.forecast.kept >= 8 * analysis.forecast.factor_entries
+    with kind(memory=in_core, scratch=tmp_path).factorize(FULL, structure) as factor:
+        assert not factor.stats.out_of_core and not list(tmp_path.iterdir())
+    with pytest.raises(BudgetError, match="needed even with the factors on disk") as caught:
+        kind(memory=1000, scratch=tmp_path / "new").factorize(FULL, structure)
+    on_disk = caught.value.needed
+    assert on_disk < 0.7 * in_core and not (tmp_path / "new").exists()
+    for budget in (on_disk, int(0.9 * in_core)):
+        with kind(memory=budget, scratch=tmp_path / "new").factorize(FULL, structure) as factor:
+            assert factor.stats.out_of_core and factor.stats.memory_bytes == 0
+            assert _bytes_in(tmp_path / "new") >= 0.9 * factor.stats.disk_bytes > 1e6
+            assert backward_error(brick(10), factor.solve(B), B) < 1e-13
+        assert not list((tmp_path / "new").iterdir())
+    with pytest.raises(BudgetError):
+        kind(memory=on_disk, out_of_core=False).factorize(FULL, structure)
+
+
+def test_a_second_factor_takes_the_place_of_the_first_on_disk(kind: Kind, tmp_path: Path) -> None:
+    sizes, B = [], sparse_loads(1536, 5)
+    with kind(out_of_core=True, scratch=tmp_path).analyse(brick(8)) as analysis:
+        for shift in (0.0, 13.7, 2.2):
+            A = shifted(brick(8), shift)
+            factor = analysis.factorize(A)
+            for _ in range(2):
+                assert backward_error(A, factor.solve(B), B.toarray()) < 1e-12
+                assert backward_error(A, factor.solve(B.toarray()), B.toarray()) < 1e-12
+            sizes.append(_bytes_in(tmp_path))
+    assert sizes[2] <= 1.1 * sizes[0] and not list(tmp_path.iterdir())
+
+
+def test_single_precision_takes_half_the_disk(tmp_path: Path) -> None:
+    _needs("single", "spd")
+    A, b, disk = brick(10), random(3000), {}
+    for precision in mumps.PRECISIONS:
+        with Mumps(precision=precision, out_of_core=True, scratch=tmp_path).analyse(A, "spd") as analysis:
+            factor = analysis._factorize(FULL)
+            disk[precision] = factor.stats.disk_bytes, _bytes_in(tmp_path)
+            assert factor.stats.precision == precision
+            error = np.linalg.norm(A @ factor.solve(b) - b) / np.linalg.norm(b)
+            assert 1e-7 < error < 1e-4 if precision == "single" else error < 1e-12
+    assert disk["single"][0] <= 0.51 * disk["double"][0] and disk["single"][1] <= 0.6 * disk["double"][1]
+    with pytest.raises(InputError, match="expected one of double, single"):
+        Mumps(precision="half")
+
+
+def test_low_rank_needs_a_library_that_can(kind: Kind) -> None:
+    library = kind.library("float64")
+    assert isinstance(library, mumps_library.Library)
+    if not library.low_rank:
+        with pytest.raises(InputError, match=r"low_rank = 0\.0001 .* crashes"):
+            kind(low_rank=1e-4).factorize(FULL, "spd")
+        return
+    with kind(low_rank=1e-4).analyse(FULL, "spd") as analysis:
+        x = analysis._factorize(FULL).solve(random(3000))
+        assert analysis.instance._data.icntl[34] == 2 and analysis.instance._data.cntl[6] == 1e-4
+    assert backward_error(brick(10), x, random(3000)) < 1e-3
+
+
+@pytest.fixture
+def on_disk(kind: Kind, tmp_path: Path) -> Iterator[Any]:
+    yield kind(out_of_core=True, scratch=tmp_path / "scratch")
+    assert not list((tmp_path / "scratch").iterdir())
+
+
+def test_scratch_is_empty_after_an_exception(on_disk: Any) -> None:
+    with pytest.raises(ZeroDivisionError), on_disk.factorize(brick(8), "spd"):
+        assert len(list(on_disk.scratch.iterdir())) == 1
+        raise ZeroDivisionError
+    with pytest.raises(SingularMatrixError):
+        on_disk.factorize(chain(40, held=False), "spd")
+
+
+@pytest.mark.parametrize("job", [mumps_instance.ANALYSE, mumps_instance.FACTORIZE])
+def test_an_interrupt_of_the_wait_leaves_nothing_behind(
+    on_disk: Any, monkeypatch: pytest.MonkeyPatch, job: int
+) -> None:
+    """The call goes on alone, then MUMPS frees what it holds; the folder is gone at once."""
+    ended, freed = threading.Event(), threading.Event()
+    call = mumps_library.Library.call
+
+    def slow(library: mumps_library.Library, data: Any, now: int) -> None:
+        if now == job:
+            assert ended.wait(30)
+        call(library, data, now)
+        if now == mumps_instance.END:
+            freed.set()
+
+    class Impatient:
+        def stage(self, name: str) -> None: ...
+
+        def update(self, text: str) -> None:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(mumps_library.Library, "call", slow)
+    monkeypatch.setattr(interruptible, "_TICK", 0.01)
+    # Without the collector, which would hide a folder that nobody closed.
+    gc.disable()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            type(on_disk)(out_of_core=True, scratch=on_disk.scratch, progress=Impatient()).factorize(brick(6), "spd")
+        assert not list(on_disk.scratch.iterdir()) and not freed.is_set()
+        ended.set()
+        assert freed.wait(30)
+    finally:
+        gc.enable()
+
+
+def test_a_disk_that_is_too_small_is_reported_before(on_disk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mumps, "free_bytes", lambda folder: 1_000_000)
+    with pytest.raises(SolverError, match=r"scratch folder has 0\.0 GB left.* the factor needs"):
+        on_disk.factorize(brick(8), "spd")
+
+
+def test_unusable_scratch_folders_are_reported(kind: Kind, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"scratch folder .* cannot be made"):
+        kind(out_of_core=True, scratch=tmp_path / "file" / "below").factorize(brick(4), "spd")
+    deep = tmp_path.joinpath(*["a" * 200] * 6)
+    with pytest.raises(InputError, match=r"a path of 1[0-9]+ bytes.*give a shorter one"):
+        kind(out_of_core=True, scratch=deep).factorize(brick(4), "spd")
+    assert not list(deep.iterdir())
+
+

@@ -1,0 +1,166 @@
+"""The MUMPS libraries: structures read from headers, and what is refused before it can corrupt memory."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from morembs.errors import InputError
+from morembs.linalg.sparse import mumps_library
+from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
+from morembs.linalg.sparse.symmetric import Lower
+from tests.support.matrices import brick, random
+
+HEADER = """
+#define MUMPS_VERSION "5.9.9" /* a comment */
+#define MUMPS_VERSION_MAX_LEN 30
+typedef struct {
+    MUMPS_INT sym, par, job; /* a; b */
+    MUMPS_INT comm_fortran, icntl[60];  // not; this
+    DMUMPS_REAL cntl[15], rinfog[40];
+    MUMPS_INT n, nrhs, lrhs, nz_rhs, infog[80];
+    MUMPS_INT size_schur, schur_lld, nprow, npcol, mblock, nblock;
+    MUMPS_INT8 nnz;
+    MUMPS_INT *irn, *jcn, *perm_in, *irhs_sparse, *irhs_ptr, *pivnul_list, *listvar_schur;
+    DMUMPS_COMPLEX *a, * rhs, *rhs_sparse, *schur;
+    char version_number[MUMPS_VERSION_MAX_LEN + 1 + 1];
+    char ooc_tmpdir[256], ooc_prefix[64];
+} DMUMPS_STRUC_C;
+"""
+LOADERS = {"mumps": mumps_library.system_library, "mumps-embedded": mumps_library.embedded_library}
+
+
+@pytest.mark.parametrize(("letter", "real"), [("s", ctypes.c_float), ("d", ctypes.c_double),
+                                              ("c", ctypes.c_float), ("z", ctypes.c_double)])  # fmt: skip
+def test_structure_is_read_from_the_header(letter: str, real: type) -> None:
+    version, fields = mumps_library.parse_header(HEADER.replace("DMUMPS", f"{letter.upper()}MUMPS"), letter)
+    kinds = dict(fields)
+    assert version == "5.9.9"
+    assert [name for name, _ in fields][:4] == ["sym", "par", "job", "comm_fortran"]
+    assert kinds["cntl"]._type_ is real and kinds["cntl"]._length_ == 15
+    assert kinds["icntl"]._type_ is ctypes.c_int32 and kinds["icntl"]._length_ == 60
+    assert kinds["nnz"] is ctypes.c_int64 and kinds["n"] is ctypes.c_int32
+    assert kinds["version_number"]._type_ is ctypes.c_char and kinds["version_number"]._length_ == 32
+    assert kinds["rhs"] is kinds["irn"] is kinds["pivnul_list"] is ctypes.c_void_p
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("MUMPS_INT8 nnz", "quad nnz", "quad nnz"),
+        ("MUMPS_INT *irn", "MUMPS_INT **irn", "not understood"),
+        ("ooc_prefix[64]", "ooc_prefix[SIZE]", "SIZE"),
+        ("char ooc_tmpdir[256], ", "char ", "lacks ooc_tmpdir"),
+        ("DMUMPS_STRUC_C", "OTHER", "no DMUMPS_STRUC_C"),
+        ('#define MUMPS_VERSION "5.9.9"', "", "no MUMPS_VERSION"),
+        ("nnz;", "nnz;\n#ifdef NEW\n MUMPS_INT more;\n#endif", "not understood"),
+    ],
+)
+def test_unknown_headers_are_refused(old: str, new: str, reason: str) -> None:
+    assert old in HEADER
+    with pytest.raises(mumps_library.UnusableError, match=reason):
+        mumps_library.parse_header(HEADER.replace(old, new))
+
+
+def test_header_of_other_arithmetic_is_refused() -> None:
+    with pytest.raises(mumps_library.UnusableError, match="no ZMUMPS_STRUC_C"):
+        mumps_library.parse_header(HEADER, "z")
+
+
+@pytest.mark.parametrize("name", list(LOADERS))
+def test_header_of_another_version_is_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if isinstance(found := LOADERS[name]("float64"), str):
+        pytest.skip(found)
+    structure = mumps_library._structure
+    monkeypatch.setattr(mumps_library, "_structure", lambda *given: ("5.0.0", structure(*given)[1]))
+    reason = LOADERS[name].__wrapped__()
+    assert isinstance(reason, str) and f"version 5.0.0, the library {found.version}" in reason
+
+
+@pytest.mark.parametrize("file", ["mumps_int_def.h", "mumps_c_types.h"])
+def test_64_bit_integers_are_refused(tmp_path: Path, file: str) -> None:
+    (tmp_path / "dmumps_c.h").write_text(HEADER)
+    (tmp_path / file).write_text("/*\n#define MUMPS_INTSIZE64\n*/\n#define MUMPS_INTSIZE32\n")
+    version, structure = mumps_library._structure(tmp_path / "dmumps_c.h", "d")
+    assert version == "5.9.9" and structure.ooc_tmpdir.size == 256
+    (tmp_path / file).write_text("  # define MUMPS_INTSIZE64\n")
+    with pytest.raises(mumps_library.UnusableError, match="64-bit"):
+        mumps_library._structure(tmp_path / "dmumps_c.h", "d")
+
+
+def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(mumps_library, "_own_build", lambda: None)
+    monkeypatch.setattr(mumps_library.ctypes.util, "find_library", lambda name: None)
+    reason = mumps_library.system_library.__wrapped__("complex64")
+    assert "libcmumps_seq) was found" in reason and "apt-get install libmumps-seq-dev" in reason
+    monkeypatch.setattr(mumps_library.ctypes.util, "find_library", lambda name: "libc.so.6")
+    monkeypatch.setattr(mumps_library, "Path", lambda text: tmp_path / text.strip("/"))
+    assert "dmumps_c.h was not found" in mumps_library.system_library.__wrapped__()
+    (tmp_path / "usr" / "include").mkdir(parents=True)
+    (tmp_path / "usr" / "include" / "dmumps_c.h").write_text(HEADER)
+    assert "cannot be loaded" in mumps_library.system_library.__wrapped__()
+    monkeypatch.setattr(mumps_library, "casadi_folder", lambda: None)
+    assert "pip install casadi" in mumps_library.embedded_library.__wrapped__()
+    monkeypatch.setattr(mumps_library, "casadi_folder", lambda: tmp_path)
+    (tmp_path / "libcoinmumps.so.3").write_text("")
+    assert "no header dmumps_c.h" in mumps_library.embedded_library.__wrapped__()
+
+
+def test_the_library_that_casadi_loads_itself_is_taken(tmp_path: Path) -> None:
+    for name in ("libcoinmumps.so", "libcoinmumps.so.3", "libcoinmumps.a", "libcoinmumps.so.3.txt"):
+        (tmp_path / name).write_text("")
+    found = mumps_library.casadi_file(tmp_path)
+    assert found is not None and found.name == "libcoinmumps.so.3"
+
+
+def test_arithmetic_that_a_library_lacks_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "no float32 arithmetic" in mumps_library.embedded_library("float32")
+    if EmbeddedMumps.unavailable():
+        pytest.skip(EmbeddedMumps.unavailable())
+    with pytest.raises(InputError, match=r"cannot take complex-symmetric matrices here.*complex128"):
+        EmbeddedMumps().analyse((1 + 1j) * brick(2), "complex-symmetric")
+    with pytest.raises(InputError, match="cannot run here"):
+        monkeypatch.setattr(Mumps, "library", staticmethod(lambda dtype: "gone"))
+        Mumps().factorize(brick(2))
+
+
+def test_one_call_runs_at_a_time() -> None:
+    """MUMPS keeps state in global variables; a call made inside another one, by the garbage collector, goes on."""
+    running: list[int] = []
+    most: list[int] = []
+
+    class Data(ctypes.Structure):
+        _fields_ = (("job", ctypes.c_int32),)
+
+    def work(reference: object) -> None:
+        running.append(1)
+        most.append(len(running))
+        time.sleep(0.002)
+        running.pop()
+        if len(most) == 3:
+            library.call(Data(), 1)
+
+    library = mumps_library.Library("", "", Data, work)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda job: library.call(Data(), job), range(20)))
+    assert len(most) == 21 and max(most) == 1
+
+
+@pytest.mark.parametrize("dtype", list(mumps_library.ARITHMETIC))
+def test_every_arithmetic_solves_to_its_own_accuracy(dtype: str) -> None:
+    structure = "complex-symmetric" if dtype.startswith("complex") else "symmetric"
+    precision = "single" if dtype in ("float32", "complex64") else "double"
+    if reason := Mumps.lacks(precision, structure):
+        pytest.skip(reason)
+    A = brick(4) * ((1 + 0.5j) if structure == "complex-symmetric" else 1.0)
+    b = random(192) * ((1 - 2j) if structure == "complex-symmetric" else 1.0)
+    with Mumps(precision=precision).analyse(A, structure) as analysis:
+        assert analysis.instance.dtype == dtype
+        x = analysis._factorize(Lower.of(A)).solve(b)
+    error = np.linalg.norm(A @ x - b) / np.linalg.norm(b)
+    assert x.dtype == b.dtype and (error < 1e-13 if precision == "double" else 1e-9 < error < 1e-4)

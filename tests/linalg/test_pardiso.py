@@ -1,0 +1,224 @@
+"""What PARDISO has to do, where MKL is installed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from morembs.errors import BudgetError, InputError, SingularMatrixError
+from morembs.linalg.sparse import pardiso, pardiso_library
+from morembs.linalg.sparse.mumps import Mumps
+from morembs.linalg.sparse.pardiso import Pardiso
+from morembs.linalg.sparse.symmetric import Lower
+
+COUPLING = np.array([[2.0, 0.3, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 2.0]])
+
+
+@pytest.fixture
+def solver() -> Pardiso:
+    if reason := Pardiso.unavailable():
+        pytest.skip(reason)
+    return Pardiso()
+
+
+def _chain(nodes: int, ends: float = 2.0) -> sp.csr_array:
+    """Springs in a row, three coupled displacements at each node; free ends where ``ends`` is 1."""
+    main = np.full(nodes, 2.0)
+    main[[0, -1]] = ends
+    L = sp.diags_array([-np.ones(nodes - 1), main, -np.ones(nodes - 1)], offsets=[-1, 0, 1])
+    return sp.csr_array(sp.kron(L, COUPLING))
+
+
+def _brick(nodes: int) -> sp.csr_array:
+    """27-point stencil on a cube of ``nodes`` to the power 3, three displacements each; positive definite."""
+    row = sp.diags_array([np.ones(nodes - 1), np.ones(nodes), np.ones(nodes - 1)], offsets=[-1, 0, 1])
+    P = sp.csr_array(sp.kron(sp.kron(row, row), row)) - sp.eye_array(nodes**3)
+    L = sp.diags_array(np.asarray(P.sum(axis=1)).ravel() + 0.01) - P
+    return sp.csr_array(sp.kron(L, COUPLING))
+
+
+def _shifted(A: sp.csr_array, shift: complex) -> sp.csr_array:
+    return sp.csr_array(A - shift * sp.eye_array(A.shape[0]))
+
+
+def _random(*shape: int) -> np.ndarray:
+    return np.random.default_rng(3).standard_normal(shape)
+
+
+def _backward_error(A: sp.csr_array, X: np.ndarray, B: np.ndarray) -> float:
+    return float(np.linalg.norm(A @ X - B) / (abs(A).max() * np.linalg.norm(X) + np.linalg.norm(B)))
+
+
+@pytest.mark.parametrize("structure", ["spd", "symmetric"])
+def test_200_columns_of_a_positive_definite_matrix(solver: Pardiso, structure: str) -> None:
+    A, B = _brick(6), _random(648, 200)
+    with solver.factorize(A, structure) as factor:
+        X = factor.solve(B)
+        assert factor.negative_pivots() == 0
+    np.testing.assert_allclose(X, np.linalg.solve(A.toarray(), B), rtol=0, atol=1e-11 * np.abs(X).max())
+
+
+def test_complex_symmetric(solver: Pardiso) -> None:
+    A, B = _shifted(_brick(5), 13.7 - 2.0j), _random(375, 130) + 1j * _random(375, 130)[::-1]
+    with solver.factorize(A, "complex-symmetric") as factor:
+        X = factor.solve(B)
+    assert X.dtype == np.complex128
+    assert _backward_error(A, X, B) < 1e-15
+
+
+def test_one_analysis_serves_three_shifts(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+    A, B = _brick(6), _random(648, 5)
+    values = np.linalg.eigvalsh(A.toarray())
+    analyses: list[int] = []
+    run = pardiso._Handle.run
+
+    def spy(handle: pardiso._Handle, phase: int, *args: object, **kwargs: object) -> int:
+        analyses.extend([phase] if phase == 11 else [])
+        return run(handle, phase, *args, **kwargs)
+
+    monkeypatch.setattr(pardiso._Handle, "run", spy)
+    with solver.analyse(_shifted(A, 1.0)) as analysis:
+        for shift in (0.5, 7.3, 21.9):
+            factor = analysis.factorize(_shifted(A, shift))
+            assert factor.negative_pivots() == np.count_nonzero(values < shift)
+            X = factor.solve(B)
+            assert _backward_error(_shifted(A, shift), X, B) < 1e-14
+    assert analyses == [11]
+
+
+@pytest.mark.parametrize("gap", [0, 1, 7, 40, 89, 90])
+def test_inertia_in_several_gaps(solver: Pardiso, gap: int) -> None:
+    A = sp.csr_array(_chain(30) + sp.diags_array(np.linspace(0.0, 1.0, 90)))
+    values = np.linalg.eigvalsh(A.toarray())
+    limits = np.concatenate([[values[0] - 1.0], values, [values[-1] + 1.0]])
+    with solver.factorize(_shifted(A, 0.5 * (limits[gap] + limits[gap + 1]))) as factor:
+        assert factor.negative_pivots() == gap
+
+
+def test_zero_diagonal_needs_matching_and_keeps_the_inertia(solver: Pardiso) -> None:
+    """Every displacement held by a multiplier; then a matrix of the same pattern that needs no such help."""
+    ones = sp.eye_array(120)
+    A = sp.csr_array(sp.block_array([[_chain(40), ones], [ones, None]]))
+    A.setdiag(A.diagonal())
+    easy = A.copy()
+    easy.setdiag(A.diagonal() + 5.0)
+    b = _random(240, 3)
+    with solver.analyse(A) as analysis:
+        for matrix, negative in ((A, 120), (easy, 0)):
+            factor = analysis.factorize(matrix)
+            assert factor._handle.matching == (matrix is A)
+            assert _backward_error(matrix, factor.solve(b), b) < 1e-14
+            assert factor.negative_pivots() == np.count_nonzero(np.linalg.eigvalsh(matrix.toarray()) < 0)
+            assert factor.negative_pivots() == negative
+
+
+def test_everything_is_freed(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+    A = sp.csr_array(sp.block_array([[_chain(40), sp.eye_array(120)], [sp.eye_array(120), None]]))
+    phases: list[int] = []
+    call = pardiso._Handle._call
+
+    def spy(handle: pardiso._Handle, phase: int, *args: object) -> int:
+        phases.append(phase)
+        return call(handle, phase, *args)
+
+    monkeypatch.setattr(pardiso._Handle, "_call", spy)
+    with solver.analyse(A) as analysis:
+        for _ in range(2):
+            assert analysis.factorize(A)._handle.matching
+    assert phases.count(11) == phases.count(-1) == 3
+
+
+def test_solutions_beside_an_eigenvalue_are_refined(solver: Pardiso) -> None:
+    A, b = _brick(5), _random(375, 130)
+    values = np.linalg.eigvalsh(A.toarray())
+    A = _shifted(A, values[np.argmin(abs(values - 13.7))] * (1 + 1e-9))
+    with solver.factorize(A) as factor:
+        assert _backward_error(A, factor.solve(b), b) < 1e-14
+
+
+@pytest.mark.parametrize("structure", ["spd", "symmetric"])
+@pytest.mark.parametrize("nodes", [7, 40, 200])
+def test_free_chain_is_singular(solver: Pardiso, structure: str, nodes: int) -> None:
+    with pytest.raises(SingularMatrixError):
+        solver.factorize(_chain(nodes, ends=1.0), structure)
+
+
+def test_analysis_outlives_a_singular_matrix_and_a_closed_factor(solver: Pardiso) -> None:
+    A, b = _brick(5), _random(375)
+    with solver.analyse(A, "spd") as analysis:
+        with pytest.raises(SingularMatrixError, match="positive definite"):
+            analysis.factorize(_shifted(A, 13.7))
+        analysis.factorize(A).close()
+        assert np.abs(A @ analysis.factorize(A).solve(b) - b).max() < 1e-11
+
+
+def test_budget_message_says_what_is_needed(solver: Pardiso) -> None:
+    A = _brick(10)
+    with pytest.raises(BudgetError, match=r"0\.0 MB are left .* are needed by PARDISO") as caught:
+        solver.with_memory(1000).factorize(A, "spd")
+    with solver.with_memory(caught.value.needed).factorize(A, "spd") as factor:
+        assert caught.value.needed < 3 * factor.stats.memory_bytes
+        assert caught.value.needed >= factor.stats.memory_bytes >= 8 * factor.stats.factor_entries > 8 * A.nnz / 2
+
+
+def test_64_bit_integers_where_32_are_too_few(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+    A, b = _brick(6), _random(648)
+    with solver.factorize(A, "spd") as factor:
+        assert factor._handle.iparm.dtype == np.int32
+        entries, x = factor.stats.factor_entries, factor.solve(b)
+    monkeypatch.setattr(pardiso, "_MOST_ENTRIES", entries - 1)
+    with solver.factorize(A, "spd") as factor:
+        assert factor._handle.iparm.dtype == np.int64
+        assert factor.stats.factor_entries == entries
+        np.testing.assert_allclose(factor.solve(b), x, rtol=0, atol=1e-12 * np.abs(x).max())
+
+
+def test_given_order_is_used(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An order read the wrong way round (place of a row for row of a place) fills the factor."""
+    A = _brick(9)
+    if (order := pardiso.metis_ordering(Lower.of(A))) is None:
+        pytest.skip("no METIS library; get it with: sudo apt-get install libmetis5")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    with solver.analyse(A, "spd") as analysis:
+        good = analysis.forecast.factor_entries
+    monkeypatch.setattr(pardiso, "metis_ordering", lambda A: place)
+    with solver.analyse(A, "spd") as analysis:
+        assert good < 0.7 * analysis.forecast.factor_entries
+
+
+def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: None)
+    reason = pardiso_library.mkl_library.__wrapped__()
+    assert "not found" in reason and "pip install 'morembs[mkl]'" in reason
+    monkeypatch.setattr(pardiso, "mkl_library", lambda: reason)
+    with pytest.raises(InputError, match="cannot run here"):
+        Pardiso().factorize(_chain(5))
+    monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: __file__)
+    assert "cannot be used" in pardiso_library.mkl_library.__wrapped__()
+
+
+def test_mumps_loaded_later_keeps_its_own_blas(solver: Pardiso) -> None:
+    """MKL makes its symbols global; its complex functions return their values in another way than those of
+    gfortran, so a library compiled for the one must not get the other."""
+    if reason := Mumps.lacks("double", "complex-symmetric"):
+        pytest.skip(reason)
+    code = """if True:
+        import numpy as np, scipy.sparse as sp
+        from morembs.linalg.sparse.mumps import Mumps
+        from morembs.linalg.sparse.pardiso import Pardiso
+        A = sp.csr_array(sp.diags_array(np.linspace(1.0, 2.0, 90)))
+        Pardiso().factorize(A, "spd").close()
+        Mumps().factorize(A, "spd").close()
+        Mumps().factorize(A + 1j * A, "complex-symmetric").close()
+    """
+    bindings = {**os.environ, "LD_DEBUG": "bindings"}
+    run = subprocess.run([sys.executable, "-c", code], check=True, env=bindings, capture_output=True, text=True)
+    taken = [line for line in run.stderr.splitlines() if re.search(r"file \S*mumps\S* .* to \S*mkl", line)]
+    assert "mumps" in run.stderr and not taken, taken[:5]

@@ -1,0 +1,99 @@
+"""Spectrum slicing against a dense eigensolver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.errors import SolverError
+from morembs.interface import make_interface
+from morembs.linalg import eigen
+from morembs.linalg.eigen import lowest_modes
+from morembs.linalg.slicing import sliced_modes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
+from morembs.problem import Problem
+from tests.support.meshes import box
+
+
+def _problem(coupling: str | None) -> Problem:
+    # A square section: pairs of equal frequencies.
+    steel = isotropic(set="all", young=2e11, poisson=0.3, density=7800.0)
+    model = assemble(box("hex20", (7, 2, 2), (0.4, 0.05, 0.05)), [steel])
+    if coupling is None:
+        return Problem(model)
+    end = np.flatnonzero(model.nodes.xyz[:, 0] == 0.0)
+    return Problem(model, [make_interface(model, name="end", nodes=end, coupling=coupling)])
+
+
+def _dense(problem: Problem, pencil: object) -> np.ndarray:
+    C = pencil.C.toarray() if sp.issparse(pencil.C) else pencil.C
+    Q = sl.null_space(C.T)
+    return sl.eigh(Q.T @ problem.K.toarray() @ Q, Q.T @ problem.M.toarray() @ Q, eigvals_only=True)
+
+
+@pytest.mark.parametrize("coupling", [None, "rigid", "average"])
+def test_slices_hold_every_mode_of_the_band(coupling: str | None) -> None:
+    with _problem(coupling) as problem:
+        pencil = problem.elastic if coupling is None else problem.internal
+        exact = _dense(problem, pencil)
+        count = _gap(exact, 150)
+        below = 0.5 * (exact[count - 1] + exact[count])
+        first = lowest_modes(pencil, problem.M, count=10)
+        values, vectors = sliced_modes(
+            pencil, problem.M, first.eigenvalues, first.vectors, count=count, below=below, per_slice=30
+        )
+        np.testing.assert_allclose(values, exact[:count], rtol=1e-8)
+        assert np.abs(vectors.T @ (problem.M @ vectors) - np.eye(count)).max() < 1e-7
+        residual = problem.K @ vectors - (problem.M @ vectors) * values
+        C = pencil.C.toarray() if sp.issparse(pencil.C) else pencil.C
+        residual -= C @ np.linalg.lstsq(C, residual, rcond=None)[0]
+        assert np.abs(residual).max() < 1e-6 * np.abs(problem.K @ vectors).max()
+
+
+def _gap(exact: np.ndarray, start: int) -> int:
+    """The first count from ``start`` on with a gap behind it; the middle of a pair has no count."""
+    return next(k for k in range(start, start + 10) if exact[k] > 1.001 * exact[k - 1])
+
+
+def test_a_wrong_count_is_refused() -> None:
+    """One mode more than there are: the last slice finds that it is missing."""
+    with _problem("rigid") as problem:
+        exact = _dense(problem, problem.internal)
+        first = lowest_modes(problem.internal, problem.M, count=10)
+        k = _gap(exact, 60)
+        with pytest.raises(SolverError, match="move the limit"):
+            sliced_modes(
+                problem.internal, problem.M, first.eigenvalues, first.vectors, count=k + 1,
+                below=0.5 * (exact[k - 1] + exact[k]), per_slice=30,
+            )  # fmt: skip
+
+
+def test_a_missing_first_mode_is_found_again() -> None:
+    """Modes to begin with that lack one: the count of the next slice shows it, and the slice finds it or refuses."""
+    with _problem("rigid") as problem:
+        exact = _dense(problem, problem.internal)
+        first = lowest_modes(problem.internal, problem.M, count=10)
+        keep, k = np.arange(10) != 6, _gap(exact, 40)
+        try:
+            values, _ = sliced_modes(
+                problem.internal, problem.M, first.eigenvalues[keep], first.vectors[:, keep], count=k,
+                below=0.5 * (exact[k - 1] + exact[k]), per_slice=30,
+            )  # fmt: skip
+        except SolverError:
+            return
+        np.testing.assert_allclose(values, exact[:k], rtol=1e-8)
+
+
+def test_wide_bands_are_sliced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eigen, "SLICED", 60)
+    monkeypatch.setattr(eigen, "SLICE", 30)
+    monkeypatch.setattr(eigen, "DENSE", 100)
+    monkeypatch.setattr(eigen, "DENSE_PART", 100)
+    with _problem("rigid") as problem:
+        exact = _dense(problem, problem.internal)
+        k = _gap(exact, 100)
+        modes = lowest_modes(problem.internal, problem.M, below=0.5 * (exact[k - 1] + exact[k]))
+        np.testing.assert_allclose(modes.eigenvalues, exact[:k], rtol=1e-8)

@@ -1,0 +1,459 @@
+"""What is special to CHOLMOD and UMFPACK; the contract of all solvers is tested elsewhere."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.linalg.sparse import cholmod_library, cholmod_session, umfpack
+from morembs.linalg.sparse.cholmod import Cholmod
+from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.umfpack import Umfpack
+from tests.support import meshes
+
+BOTH = (Cholmod, Umfpack)
+
+
+@pytest.fixture(autouse=True)
+def _needs_both() -> None:
+    reason = Cholmod.unavailable() or Umfpack.unavailable()
+    if reason:
+        pytest.skip(reason)
+
+
+@pytest.fixture(scope="module")
+def cube() -> tuple[sp.csr_array, sp.csr_array]:
+    """Stiffness and mass of a cube of tet10 that is clamped on one face; the two have one pattern."""
+    model = meshes.steel(meshes.box("tet10", (4, 4, 4), (1.0, 1.0, 1.0)))
+    free = np.ones((model.K.shape[0] // 3, 3), dtype=bool)
+    free[meshes.where(model, 0, 0.0)] = False
+    rows = np.flatnonzero(free)
+    K, M = (sp.csr_array(sp.csr_array(A)[rows][:, rows]) for A in (model.K, model.M))
+    K.sort_indices()
+    # Stored zeros give both the same pattern.
+    column = np.repeat(np.arange(K.shape[0]), np.diff(K.indptr)) * K.shape[0] + K.indices
+    held = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr)) * M.shape[0] + M.indices
+    values = np.zeros(K.nnz)
+    values[np.searchsorted(column, held)] = M.data
+    return K, sp.csr_array((values, K.indices, K.indptr), shape=K.shape)
+
+
+def _sum(K: sp.csr_array, factor: float, M: sp.csr_array) -> sp.csr_array:
+    """K + factor M, with the stored zeros."""
+    return sp.csr_array((K.data + factor * M.data, K.indices, K.indptr), shape=K.shape)
+
+
+def _random(*shape: int) -> np.ndarray:
+    return np.random.default_rng(3).standard_normal(shape)
+
+
+def _error(A: sp.csr_array, X: np.ndarray, B: np.ndarray) -> float:
+    """Largest componentwise backward error."""
+    return float((np.abs(B - A @ X) / (abs(A) @ np.abs(X) + np.abs(B))).max())
+
+
+def test_cholmod_refuses_what_need_not_be_positive_definite(cube: tuple[sp.csr_array, ...]) -> None:
+    with pytest.raises(InputError, match="'cholmod' takes spd matrices; the matrix is symmetric"):
+        Cholmod().factorize(cube[0], "symmetric")
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_budget_that_is_too_small(kind: type[LinearSolver], cube: tuple[sp.csr_array, ...]) -> None:
+    K = cube[0]
+    with kind().analyse(K, "spd") as analysis:
+        needed = analysis.forecast.memory
+    with kind(memory=needed).analyse(K, "spd"):
+        pass
+    words = rf"{(needed - 100_000) / 1e6:.1f} MB are left.* {needed / 1e6:.1f} MB are needed.*more memory.*\"mumps\""
+    with pytest.raises(BudgetError, match=words) as caught:
+        kind(memory=needed - 100_000).analyse(K, "spd")
+    assert caught.value.needed == needed
+
+
+def test_indefinite_matrix_is_told_and_the_analysis_survives(cube: tuple[sp.csr_array, ...]) -> None:
+    K, M = cube
+    with Cholmod().analyse(K, "spd") as analysis:
+        symbolic = analysis.session.common.memory_inuse
+        with pytest.raises(SingularMatrixError, match=r"positive definite but its pivot \d+ of \d+ is not positive"):
+            analysis.factorize(_sum(K, -1e9, M))
+        assert analysis.session.common.memory_inuse == symbolic
+        b = _random(K.shape[0])
+        assert _error(K, analysis.factorize(K).solve(b), b) < 1e-12
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_one_analysis_serves_several_matrices(kind: type[LinearSolver], cube: tuple[sp.csr_array, ...]) -> None:
+    K, M = cube
+    b = _random(K.shape[0], 3)
+    with kind().analyse(K, "spd") as analysis:
+        for shift in (0.0, 1e6, 1e9):
+            A = _sum(K, shift, M)
+            factor = analysis.factorize(A)
+            assert _error(A, factor.solve(b), b) < 1e-12
+        assert factor.negative_pivots() == 0
+
+
+def test_umfpack_takes_stored_zeros_of_one_matrix_and_values_of_the_next(cube: tuple[sp.csr_array, ...]) -> None:
+    first, second = sp.csr_array(cube[0]), sp.csr_array(cube[0])
+    first.data = np.where(np.abs(first.data) < 1e-3 * np.abs(first.data).max(), 0.0, first.data)
+    b = _random(first.shape[0])
+    with Umfpack().analyse(first) as analysis:
+        assert _error(second, analysis.factorize(second).solve(b), b) < 1e-12
+
+
+def test_cholmod_forecast_is_what_the_factor_takes(cube: tuple[sp.csr_array, ...]) -> None:
+    K = cube[0]
+    with Cholmod().analyse(K, "spd") as analysis:
+        plan, common = analysis.forecast, analysis.session.common
+        symbolic = common.memory_inuse
+        factor = analysis.factorize(K)
+        assert factor.stats.factor_entries == plan.factor_entries
+        assert 8 * plan.factor_entries == factor.stats.memory_bytes
+        assert plan.factor_entries >= common.lnz
+        # Integers of our own copy of the triangle come on top of what CHOLMOD counts.
+        assert plan.memory == pytest.approx(common.memory_usage + 8 * (analysis.lower_nnz + K.shape[0]), rel=0.02)
+        assert plan.kept == common.memory_inuse
+        factor.close()
+        assert common.memory_inuse == symbolic
+    assert common.memory_inuse == 0
+
+
+def test_umfpack_forecast(cube: tuple[sp.csr_array, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the fill from CHOLMOD nearly exact, without it the bound of UMFPACK."""
+    with Umfpack().analyse(cube[0], "spd") as analysis:
+        plan, stats = analysis.forecast, analysis.factorize(cube[0]).stats
+        assert plan.factor_entries == pytest.approx(stats.factor_entries, rel=0.01)
+        assert plan.flops == pytest.approx(stats.flops, rel=0.05)
+        assert stats.memory_bytes < plan.kept < plan.memory
+    monkeypatch.setattr(umfpack, "fill_of", lambda A, order: None)
+    with Umfpack().analyse(cube[0], "spd") as analysis:
+        results = analysis.session.results
+        assert analysis.forecast.memory > results[21] * results[3] > plan.memory
+        assert analysis.factorize(cube[0]).stats.factor_entries == pytest.approx(stats.factor_entries, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_many_right_hand_sides(kind: type[LinearSolver], cube: tuple[sp.csr_array, ...]) -> None:
+    """More than a block of them, and the last block is smaller."""
+    K, B = cube[0], _random(cube[0].shape[0], 200)
+    with kind().factorize(K, "spd") as factor:
+        assert _error(K, factor.solve(B), B) < 1e-12
+        assert _error(K, factor.solve(B[:, :1]), B[:, :1]) < 1e-12
+
+
+def test_right_hand_sides_leave_no_memory_behind(cube: tuple[sp.csr_array, ...]) -> None:
+    with Cholmod().analyse(cube[0], "spd") as analysis:
+        factor, common = analysis.factorize(cube[0]), analysis.session.common
+        before = common.memory_inuse
+        factor.solve(_random(cube[0].shape[0], 5))
+        assert common.memory_inuse == before
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_threads_may_solve_with_one_factor(kind: type[LinearSolver], cube: tuple[sp.csr_array, ...]) -> None:
+    K, B = cube[0], _random(cube[0].shape[0], 20)
+    with kind().factorize(K, "spd") as factor, ThreadPoolExecutor(4) as pool:
+        for X in pool.map(factor.solve, [B] * 24):
+            assert _error(K, X, B) < 1e-12
+
+
+def test_umfpack_gives_memory_back(cube: tuple[sp.csr_array, ...]) -> None:
+    """CHOLMOD counts its memory itself, which is tested above."""
+    sizes = []
+    for _ in range(3):
+        for _ in range(6):
+            Umfpack().factorize(cube[0], "spd").close()
+        gc.collect()
+        sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096)
+    # Twelve factors of ten megabytes each.
+    assert sizes[2] - sizes[0] < 30e6
+
+
+def test_umfpack_frees_a_factor_that_is_closed_or_singular(cube: tuple[sp.csr_array, ...]) -> None:
+    with Umfpack().analyse(cube[0]) as analysis:
+        factor = analysis.factorize(cube[0])
+        assert analysis.session._numeric
+        factor.close()
+        assert not analysis.session._numeric
+    ones = sp.csr_array(np.ones((2, 2)))
+    with Umfpack().analyse(ones) as analysis:
+        with pytest.raises(SingularMatrixError, match="exactly singular"):
+            analysis.factorize(ones)
+        assert not analysis.session._numeric
+
+
+def test_cholmod_uses_the_order(cube: tuple[sp.csr_array, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    def entries() -> int:
+        with Cholmod().analyse(cube[0], "spd") as analysis:
+            return analysis.forecast.factor_entries
+
+    good = entries()
+    monkeypatch.setattr("morembs.linalg.sparse.cholmod.metis_ordering", lambda A: None)
+    assert entries() < 2 * good
+    monkeypatch.setattr("morembs.linalg.sparse.cholmod.metis_ordering", lambda A: np.arange(A.n))
+    assert entries() > 1.5 * good
+
+
+def test_umfpack_corrects_small_pivots() -> None:
+    """A pivot just above the tolerance costs three digits of the first solution."""
+    rng = np.random.default_rng(4)
+    dense = rng.standard_normal((200, 200))
+    A = sp.csr_array(dense + dense.T)
+    A.setdiag(0.01 * rng.standard_normal(200))
+    B = _random(200, 40)
+    with Umfpack().factorize(A) as factor:
+        plain = factor._session.solve(np.asfortranarray(B))
+        assert _error(A, plain, B) > 3e-14
+        assert _error(A, factor.solve(B), B) < 3e-15
+
+
+def test_umfpack_takes_complex_values(cube: tuple[sp.csr_array, ...]) -> None:
+    K, M = cube
+    A = sp.csr_array((1.0 + 0.02j) * K - 1e8 * M)
+    B = _random(K.shape[0], 35) + 1j * _random(K.shape[0], 35)
+    with Umfpack().factorize(A, "complex-symmetric") as factor:
+        X = factor.solve(B)
+        assert X.dtype == np.complex128
+        assert _error(A, X, B) < 1e-13
+        with pytest.raises(SolverError, match="inertia"):
+            factor.negative_pivots()
+
+
+def test_umfpack_gives_no_inertia_after_other_pivots() -> None:
+    A = sp.csr_array(sp.kron(sp.eye_array(40), np.array([[1e-9, 1.0], [1.0, 1e-9]])))
+    with Umfpack().factorize(A) as factor, pytest.raises(SolverError, match="inertia"):
+        factor.negative_pivots()
+
+
+HEADER = """
+#define CHOLMOD_MAIN_VERSION 9 /* a comment */
+#define CHOLMOD_SUB_VERSION 8
+#define CHOLMOD_SUBSUB_VERSION 7
+#define CHOLMOD_MAXMETHODS 9
+#define CHOLMOD_HOST_SUPERNODE_BUFFERS 8
+typedef struct cholmod_common_struct
+{
+    double zrelax [3], fl, lnz ;
+    size_t nrelax [3] ;
+    int supernodal, final_ll, quick_return_if_not_posdef, print, nmethods, postorder, itype, status ;
+    void (*error_handler) (int status, const char *file,
+        int line, const char *message) ;
+    struct cholmod_method_struct
+    {
+        double lnz ;
+        int ordering ;
+        size_t other_3 [4] ;
+    } method [CHOLMOD_MAXMETHODS + 1] ;
+    size_t memory_usage, memory_inuse ;
+#ifdef GPU_BLAS
+    #define CHOLMOD_CUBLAS_HANDLE cublasHandle_t
+#else
+    #define CHOLMOD_CUBLAS_HANDLE void *
+#endif
+    CHOLMOD_CUBLAS_HANDLE cublasHandle ;
+    CHOLMOD_CUDASTREAM    gpuStream[CHOLMOD_HOST_SUPERNODE_BUFFERS];
+} cholmod_common ;
+typedef struct cholmod_sparse_struct
+{
+    size_t nrow, ncol, nzmax ;
+    void *p, *i, *x ;
+    int stype, itype, xtype, dtype, sorted, packed ;
+} cholmod_sparse ;
+typedef struct cholmod_dense_struct { size_t nrow, ncol, nzmax, d ; void *x ; int xtype, dtype ; } cholmod_dense ;
+typedef struct cholmod_factor_struct
+{
+    size_t n, minor, nsuper, xsize, maxcsize ;
+    void *Perm ;
+    int is_super, xtype ;
+} cholmod_factor ;
+"""
+
+
+def test_structures_are_read_from_the_header() -> None:
+    version, structures = cholmod_library.parse_header(HEADER)
+    common = structures["common"]
+    assert version == "9.8.7"
+    assert common.method.size == 10 * (8 + 8 + 32)
+    assert common.error_handler.offset == 5 * 8 + 3 * 8 + 8 * 4
+    assert common.gpuStream.size == 8 * ctypes.sizeof(ctypes.c_void_p)
+    assert ctypes.sizeof(structures["dense"]) == 48
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("#define CHOLMOD_SUB_VERSION 8", "", "version"),
+        ("double zrelax", "quad zrelax", "quad zrelax"),
+        ("other_3 [4]", "other_3 [SIZE]", "SIZE"),
+        ("itype, status ;", "itype ;", "lacks status"),
+        ("} cholmod_factor ;", "} other ;", "no cholmod_factor"),
+        ("    #define CHOLMOD_CUBLAS_HANDLE cublasHandle_t", "    int more ; /* CUBLAS */", "conditional"),
+    ],
+)
+def test_unknown_headers_are_refused(old: str, new: str, reason: str) -> None:
+    assert old in HEADER
+    with pytest.raises(cholmod_library.UnusableError, match=reason):
+        cholmod_library.parse_header(HEADER.replace(old, new))
+
+
+def _installed() -> Path:
+    names = [Path(folder) / name for folder in cholmod_library._FOLDERS for name in cholmod_library._HEADERS]
+    return next(path for path in names if path.is_file() and "cholmod_common_struct" in path.read_text("latin-1"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("#define CHOLMOD_SUBSUB_VERSION ", "#define CHOLMOD_SUBSUB_VERSION 9", "the library"),
+        ("double grow1 ;", "", "differs"),
+        ("int prefer_zomplex ;", "int prefer_zomplex ; double one, two ;", "differs"),
+    ],
+)
+def test_header_of_another_version_is_refused(
+    old: str, new: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = _installed().read_text("latin-1")
+    assert old in text
+    (tmp_path / "cholmod_core.h").write_text(text.replace(old, new), "latin-1")
+    monkeypatch.setattr(cholmod_library, "_FOLDERS", (str(tmp_path),))
+    words = cholmod_library.cholmod_library.__wrapped__()
+    assert reason in words and "apt-get install libsuitesparse-dev" in words
+
+
+def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    for load in (cholmod_library.cholmod_library, umfpack.umfpack_library):
+        assert "apt-get install libsuitesparse-dev" in load.__wrapped__()
+
+
+def test_without_its_header_the_fill_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cholmod_session, "cholmod_library", lambda: "none")
+    with Umfpack().factorize(sp.csr_array([[2.0]])) as factor:
+        assert factor.solve(np.ones(1)) == pytest.approx(0.5)
+
+
+def test_loops_of_cholmod_run_in_one_thread() -> None:
+    library = cholmod_library.cholmod_library()
+    assert not isinstance(library, str)
+    if library.openmp is None:
+        pytest.skip("this CHOLMOD has no OpenMP, or its BLAS needs it")
+    get, _ = library.openmp
+    before = get()
+    with library.serial_loops():
+        assert get() == 0
+    assert get() == before > 0
+
+
+@pytest.fixture
+def interrupt() -> Iterator[Callable[[float], None]]:
+    """Sends this process the signal of Ctrl-C after some seconds."""
+    # A process that was started in the background ignores the signal.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield lambda after: threading.Timer(after, os.kill, (os.getpid(), signal.SIGINT)).start()
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(interrupt: Callable[[float], None]) -> None:
+    calls, freed, ended = LongCalls(), threading.Event(), threading.Event()
+
+    def long() -> None:
+        ended.wait(10.0)
+
+    interrupt(0.2)
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        calls.call(long, free=freed.set)
+    assert time.perf_counter() - start < 3.0
+    assert calls.abandoned and not freed.is_set()
+    ended.set()
+    assert freed.wait(5.0)
+
+
+def test_calls_give_results_errors_and_news() -> None:
+    told: list[str] = []
+
+    class Listener:
+        def stage(self, name: str) -> None: ...
+
+        def update(self, text: str) -> None:
+            told.append(text)
+
+    def fail() -> None:
+        raise ValueError("wrong")
+
+    never: Callable[[], object] = lambda: told.append("freed")  # noqa: E731
+    calls = LongCalls()
+    assert calls.call(divmod, 7, 2, free=never) == (3, 1)
+    calls.call(time.sleep, 0.7, free=never, progress=Listener(), news="factorising")
+    with pytest.raises(ValueError, match="wrong"):
+        calls.call(fail, free=never)
+    assert told == ["factorising 1 s"] or told == ["factorising 0 s"]
+    assert not calls.abandoned
+
+
+def test_a_call_outside_the_main_thread_runs_there() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        own, used = pool.submit(
+            lambda: (threading.get_ident(), LongCalls().call(threading.get_ident, free=lambda: None))
+        ).result()
+    assert own == used
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_signal_ends_a_factorisation(
+    kind: type[LinearSolver], cube: tuple[sp.csr_array, ...], interrupt: Callable[[float], None]
+) -> None:
+    """The wait ends at once; the call, which cannot be stopped, frees everything when it has ended."""
+    analysis = kind().analyse(cube[0], "spd")
+    session = analysis.session
+    called: list[str] = []
+    inner = session._free
+
+    def free() -> None:
+        called.append("freed")
+        inner()
+
+    def slowly(call: Callable[..., object]) -> Callable[..., object]:
+        def slow(*args: object) -> object:
+            time.sleep(1.0)
+            called.append("ended")
+            return call(*args)
+
+        return slow
+
+    session._free = free
+    if kind is Cholmod:
+        session._call = slowly(session._call)
+    else:
+        function = session._function
+        session._function = lambda name: slowly(function(name)) if name == "numeric" else function(name)
+    interrupt(0.2)
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        analysis.factorize(cube[0])
+    assert time.perf_counter() - start < 0.9
+    with pytest.raises(SolverError, match="interrupted"):
+        analysis.factorize(cube[0])
+    analysis.close()
+    assert called == []
+    for _ in range(100):
+        time.sleep(0.1)
+        if "freed" in called:
+            break
+    assert called == ["ended", "freed"]
+    time.sleep(0.1)
+    held = session.common.memory_inuse if kind is Cholmod else (session._numeric or session._symbolic)
+    assert not held

@@ -1,0 +1,77 @@
+"""The pipelines with large deflections: figures that docs/gmp.md states, and each as a user runs it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PIPELINES = Path(__file__).parents[2] / "pipelines"
+sys.path.insert(0, str(PIPELINES))
+
+import both_simulators  # noqa: E402
+import flexible_pendulum as pendulum  # noqa: E402
+import flexible_slider_crank as crank  # noqa: E402
+import two_link_manipulator as arm  # noqa: E402
+
+MESH = (8, 16)
+
+
+@pytest.mark.parametrize(
+    ("E", "members", "modes", "limit"), [(3e6, 1, 3, 0.0075), (3e6, 2, 2, 0.0009), (1e6, 2, 2, 0.003)]
+)
+def test_reduced_pendulums_are_as_near_as_stated(E, members, modes, limit):
+    reference = pendulum.full(E, step=1e-3, elements=12)
+    errors = {}
+    for formulation in ("foreshortened", "membrane"):
+        case = pendulum.Case(E=E, members=members, modes=modes, formulation=formulation)
+        one = pendulum.reduced(case, step=1e-3, elements=12)
+        assert one.motion.warnings == () and one.drift < 3e-4
+        errors[formulation] = pendulum.rms(pendulum.error(one, reference))
+    assert errors["membrane"] < limit
+    # The tables are worth something over shapes with foreshortening, which need no nonlinear solves.
+    assert errors["membrane"] < 0.6 * errors["foreshortened"]
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return crank.full(elements=MESH)
+
+
+def test_the_parameterised_slider_crank_follows_and_linear_modes_do_not(bent):
+    assert np.abs(bent.deflection).max() > 0.1 * crank.ROD
+    errors = {name: crank.reduced(name, elements=MESH).errors(bent)[0] for name in crank.MODELS}
+    assert errors["GMP"] < 0.02
+    assert errors["linear, 10 modes"] > 10 * errors["GMP"] and errors["foreshortened"] > 1.5 * errors["GMP"]
+
+
+def test_at_a_hundred_times_the_stiffness_all_agree():
+    reference = crank.full(100.0, elements=MESH, end=0.5)
+    for name in crank.MODELS:
+        deflection, slider = crank.reduced(name, 100.0, elements=MESH, end=0.5).errors(reference)
+        assert deflection < 5e-3 and slider < 5e-3
+
+
+@pytest.mark.skipif(bool(both_simulators.exudyn_missing()), reason="Exudyn is not installed")
+def test_the_full_model_is_that_of_exudyn(bent):
+    deflection, slider = crank.exudyn(elements=MESH).errors(bent)
+    assert deflection < 5e-3 and slider < 1e-3
+
+
+def test_two_modes_along_the_motion_are_enough_for_the_manipulator():
+    reference = arm.full(end=1.0, step=2e-3, elements=6)
+    paths = {modes: arm.prepare(modes, end=1.0, step=2e-3, elements=6) for modes in (1, 2)}
+    errors = {modes: arm.reduced(path).error(reference) for modes, path in paths.items()}
+    locked = np.sqrt(paths[2].squares[-1, 0]) / (2 * np.pi)
+    assert locked == pytest.approx(3.06, rel=5e-3)
+    assert arm.residual_frequency(reference) == pytest.approx(locked, rel=1e-2)
+    assert arm.residual_frequency(arm.reduced(paths[2])) == pytest.approx(locked, rel=1e-2)
+    assert errors[2] < 0.02 and np.abs(reference.deflection).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["flexible_pendulum", "flexible_slider_crank", "two_link_manipulator"])
+def test_pipelines_run(name, tmp_path):
+    command = [sys.executable, PIPELINES / f"{name}.py", "--folder", tmp_path, "--quick"]
+    done = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True)
+    assert f"{name}.png" in done.stdout and (tmp_path / f"{name}.png").stat().st_size > 20_000

@@ -1,0 +1,407 @@
+"""Trajectories back at the nodes: V q, moving frames, stresses, what VTK reads, and what is refused."""
+
+import dataclasses
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+import vtk
+from vtk.util.numpy_support import vtk_to_numpy
+
+from morembs.body import elastic_body, make_part
+from morembs.body.file import read_body, write_body
+from morembs.body.stress_shapes import stress_recovery, write_recovery
+from morembs.body.vtkhdf_series import stored_recovery
+from morembs.errors import InputError, OutputError
+from morembs.interface import make_interface
+from morembs.model import Mesh, Nodes
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
+from morembs.model.stress_operator import von_mises
+from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
+from morembs.multibody.rotations import exponential
+from morembs.problem import Problem
+from morembs.recovery import recover as module
+from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
+from morembs.reducers import CraigBampton, Modal
+from tests.support.meshes import STEEL, box, steel, where
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def bar(tmp_path_factory):
+    """A body file of two bodies of one bar; the stress of the first is in it, "bare" has none."""
+    model = steel(box("hex8", (5, 2, 2), (0.5, 0.06, 0.04)))
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.5))]
+    with Problem(model, interfaces) as problem:
+        part = make_part(problem)
+        cb, bare = CraigBampton(modes=4).reduce(problem, "cb"), Modal(modes=3).reduce(problem, "bare")
+        path = write_body(
+            tmp_path_factory.mktemp("bar") / "bar.h5", [elastic_body(problem, one, part) for one in (cb, bare)]
+        )
+        its = stress_recovery(problem, cb, single=False)
+    with h5py.File(path, "r+") as file:
+        write_recovery(file.create_group("bodies/cb/recovery"), its)
+    rng = np.random.default_rng(3)
+    given = Trajectory(
+        times=np.array([0.0, 0.1, 0.25]), coordinates=1e-4 * rng.standard_normal((3, cb.order)),
+        loads=1e3 * rng.standard_normal((3, 12)),
+    )  # fmt: skip
+    return SimpleNamespace(path=path, source=read_body(path), its=its, given=given, model=model, cb=cb)
+
+
+def save(path, trajectory):
+    """NPZ file of a trajectory."""
+    found = {"time": trajectory.times, **{k: v for k, v in vars(trajectory).items() if v is not None and k != "times"}}
+    np.savez(path, **found)
+    return path
+
+
+def steps_of(path):
+    """Times and point data of each step, as vtkHDFReader gives them."""
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    times = reader.GetOutputInformation(0).Get(vtk.vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+    # VTK takes a single step for a mesh without time.
+    times = (0.0,) if times is None else times
+    assert len(times) == reader.GetNumberOfSteps()
+    found = []
+    for time in times:
+        reader.UpdateTimeStep(time)
+        grid = vtk.vtkUnstructuredGrid.SafeDownCast(reader.GetOutputDataObject(0)) or reader.GetOutput()
+        data = grid.GetPointData()
+        arrays = {data.GetArrayName(i): vtk_to_numpy(data.GetArray(i)).copy() for i in range(data.GetNumberOfArrays())}
+        points = vtk_to_numpy(grid.GetPoints().GetData()).copy()
+        found.append((points, grid.GetNumberOfCells(), grid.GetCellType(0), arrays))
+    return np.array(times), found
+
+
+def close(found, wanted):
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+
+
+def turn(angle, axis):
+    a = np.asarray(axis) / np.linalg.norm(axis)
+    W = np.cross(np.eye(3), a) * -1
+    return np.eye(3) + np.sin(angle) * W + (1 - np.cos(angle)) * W @ W
+
+
+def test_expansion_is_basis_times_coordinates(bar, monkeypatch):
+    body = bar.source.bodies["cb"]
+    q = bar.given.coordinates
+    found = expand(bar.source, body, bar.given, recovery=bar.its)
+    exact = (body.basis() @ q.T).T.reshape(3, -1, 3)
+    assert np.abs(found.displacement - exact).max() < 1e-13 * np.abs(exact).max()
+    assert found.motion is None
+    stress = (bar.its.stress @ q.T + bar.its.correction @ bar.given.loads.T).T.reshape(3, -1, 6)
+    assert np.abs(found.stress - stress).max() < 1e-9 * np.abs(stress).max()
+    # A basis too large to keep is read in blocks of columns, with the same result.
+    monkeypatch.setattr(module, "KEPT_BYTES", 8 * 3 * len(bar.source.node_ids) * 5)
+    assert np.abs(expand(bar.source, body, bar.given).displacement - exact).max() < 1e-13 * np.abs(exact).max()
+
+
+def test_a_moving_frame_carries_the_body(bar):
+    """A rigid turn by the frame, and elastic coordinates that stand for the same deformation as reduced ones."""
+    body, x = bar.source.bodies["cb"], bar.source.coordinates
+    floating = body.floating.about([0.1, -0.2, 0.3])
+    body = dataclasses.replace(body, floating=floating)
+    A = np.array([turn(0.3, [1, 2, 3]), turn(2.0, [0, 1, -1])])
+    p = np.array([[1.0, 2.0, 3.0], [-4.0, 0.5, 0.0]])
+    q = 1e-4 * np.random.default_rng(4).standard_normal((2, floating.elastic.shape[1]))
+    given = Trajectory(times=np.array([0.0, 1.0]), coordinates=q, position=p, rotation=A)
+    for scale in (1.0, 30.0):
+        found = expand(bar.source, body, given, recovery=bar.its, scale=scale)
+        for k in range(2):
+            u = (body.basis() @ (floating.elastic @ q[k])).reshape(-1, 3)
+            wanted = p[k] + (x - floating.origin + scale * u) @ A[k].T
+            np.testing.assert_allclose(found.motion[k] + x, wanted, rtol=0, atol=1e-13)
+            np.testing.assert_allclose(found.displacement[k], u, rtol=0, atol=1e-15)
+    same = expand(bar.source, body, Trajectory(times=given.times, coordinates=q @ floating.elastic.T), recovery=bar.its)
+    np.testing.assert_allclose(found.stress, same.stress, rtol=0, atol=1e-9 * np.abs(same.stress).max())
+    # Position alone, rotation alone: the other stays as it is in the file.
+    still = expand(bar.source, body, Trajectory(times=given.times, coordinates=0 * q, position=p))
+    np.testing.assert_allclose(still.motion, np.broadcast_to((p - floating.origin)[:, None], still.motion.shape))
+    turned = expand(bar.source, body, Trajectory(times=given.times, coordinates=0 * q, rotation=A))
+    arms = x - floating.origin
+    np.testing.assert_allclose(turned.motion[1], arms @ A[1].T - arms, rtol=0, atol=1e-14)
+
+
+def test_scale_magnifies_the_deformation_but_not_the_rigid_part(bar):
+    """Reduced coordinates of a free body: a small rigid turn beside one elastic shape."""
+    for name in ("cb", "bare"):
+        body = bar.source.bodies[name]
+        floating = body.floating
+        rigid = floating.rigid @ np.array([0.1, 0.2, 0.3, 1e-3, 2e-3, -1e-3])
+        shape = floating.elastic @ np.full(floating.elastic.shape[1], 1e-5)
+        given = Trajectory(times=np.zeros(1), coordinates=(rigid + shape)[None])
+        found = expand(bar.source, body, given, scale=50.0)
+        wanted = (body.basis() @ (rigid + 50 * shape)).reshape(-1, 3)
+        assert np.abs(found.motion[0] - wanted).max() < 1e-9 * np.abs(wanted).max(), name
+
+
+@pytest.mark.parametrize("framed", [False, True])
+def test_vtk_reads_the_series(bar, tmp_path, framed):
+    body = bar.source.bodies["cb"]
+    given = bar.given
+    if framed:
+        given = Trajectory(
+            times=given.times, coordinates=given.coordinates[:, : body.floating.elastic.shape[1]],
+            rotation=np.array([turn(a, [1, 1, 0]) for a in (0.0, 1.0, 2.0)]), position=np.eye(3), loads=given.loads,
+        )  # fmt: skip
+    result = recover(bar.path, save(tmp_path / "t.npz", given), tmp_path / "out.vtkhdf", body="cb")
+    wanted = expand(bar.source, body, given, recovery=bar.its)
+    times, steps = steps_of(tmp_path / "out.vtkhdf")
+    np.testing.assert_array_equal(times, given.times)
+    inner = np.setdiff1d(bar.source.node_ids, bar.its.points)
+    skin = np.flatnonzero(~np.isin(bar.source.node_ids, inner))
+    assert len(steps) == 3 and len(inner)
+    for k, (points, cells, kind, data) in enumerate(steps):
+        np.testing.assert_array_equal(points, bar.source.coordinates)
+        assert (cells, kind) == (20, 12)
+        assert sorted(data) == ["displacement", *(["motion"] if framed else []), "stress", "von_mises"]
+        close(data["displacement"], wanted.displacement[k])
+        if framed:
+            close(data["motion"], wanted.motion[k])
+        assert np.array_equal(np.isnan(data["von_mises"]), np.isin(bar.source.node_ids, inner))
+        close(data["stress"][skin], wanted.stress[k])
+        close(data["von_mises"][skin], von_mises(wanted.stress[k]))
+    size = von_mises(wanted.stress)
+    step, point = np.unravel_index(np.argmax(size), size.shape)
+    assert result.peak == (pytest.approx(size.max()), bar.its.points[point], given.times[step])
+    assert (result.steps, result.nodes, result.body) == (3, len(bar.source.node_ids), "cb")
+    assert any(f"{len(inner)} of" in note for note in result.notes)
+
+
+def test_blocks_of_steps_and_every_nth_step(bar, tmp_path, monkeypatch):
+    many = Trajectory(times=np.arange(7.0), coordinates=np.sin(np.outer(np.arange(7.0), np.ones(bar.cb.order))))
+    monkeypatch.setattr(module, "BLOCK_BYTES", 1)
+    recover(bar.path, many, tmp_path / "out.vtkhdf", body="cb", stress=False, every=3, scale=2.0)
+    times, steps = steps_of(tmp_path / "out.vtkhdf")
+    assert times.tolist() == [0.0, 3.0, 6.0]
+    wanted = expand(bar.source, bar.source.bodies["cb"], many.part(slice(None, None, 3)), scale=2.0)
+    for k, (*_, data) in enumerate(steps):
+        assert sorted(data) == ["displacement", "motion"]
+        close(data["displacement"], wanted.displacement[k])
+        close(data["motion"], wanted.motion[k])
+
+
+def test_notes_say_when_loads_and_correction_do_not_meet(bar, tmp_path):
+    without = Trajectory(times=bar.given.times, coordinates=bar.given.coordinates)
+    result = recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb")
+    assert any("lacks its mode-acceleration" in note for note in result.notes)
+    assert recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb", stress=False).notes == ()
+
+
+def test_stress_of_a_simulated_body_under_load_is_that_of_beam_theory(tmp_path):
+    """Three free modes know little of a cantilever; the loads that the simulator gives make its stress right."""
+    L, b, h, P, turn = 0.5, 0.04, 0.03, 200.0, exponential(np.array([0.5, 1.1, -0.4]))
+    model = steel(box("hex20", (10, 2, 2), (L, b, h)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
+             for n, x in (("left", 0.0), ("right", L))]  # fmt: skip
+    with Problem(model, faces) as problem:
+        reduced = Modal(modes=3).reduce(problem, "bar")
+        made = elastic_body(problem, reduced, make_part(problem))
+        made = dataclasses.replace(made, recovery=stress_recovery(problem, reduced, single=False))
+        source = read_body(write_body(tmp_path / "bar.h5", [made]))
+    frame = source.bodies["bar"].floating
+    damped = dataclasses.replace(frame, De=2 * np.diag(np.sqrt(np.diag(frame.Ke) * np.diag(frame.integrals.Me))))
+    system = System()
+    body = system.add(FlexibleBody(damped, rotation=turn, name="bar"))
+    at = body.marker("left").place(body.start()[0])
+    system.add(FixedJoint(ground.marker_at(at.position), body.marker("left")))
+    system.add(PointLoad(body.marker("right"), force=turn @ (0, 0, P)))
+    motion = simulate(system, end=0.1, step=1e-3, rho=0.5).trajectory(body, interfaces=["left", "right"])
+    last = {name: value[-1:] for name, value in motion.items()}
+    assert np.allclose(last["loads"][0], [0, 0, -P, 0, P * L, 0, 0, 0, P, 0, 0, 0], atol=2e-3 * P)
+    top = (np.abs(model.nodes.xyz[:, 0] - L / 2) < 1e-9) & (model.nodes.xyz[:, 2] > 0.99 * model.nodes.xyz[:, 2].max())
+    labels = model.nodes.ids[top]
+    its = stored_recovery(tmp_path / "bar.h5", "bar")
+    exact = -P * (L / 2) * (h / 2) / (b * h**3 / 12)
+    for loads, error in ((last["loads"], 0.01), (None, None)):
+        stress = expand(source, source.bodies["bar"], Trajectory(**{**last, "loads": loads}), recovery=its).stress
+        found = stress[0, np.isin(its.points, labels), 0]
+        if error is None:
+            assert np.abs(found / exact - 1).min() > 0.05
+        else:
+            assert np.abs(found / exact - 1).max() < error
+
+
+def test_elastic_coordinates_alone_are_noted(tmp_path):
+    model = steel(box("hex8", (3, 1, 1), (0.3, 0.05, 0.04)))
+    with Problem(model) as problem:
+        reduced = Modal(modes=2).reduce(problem, "bar")
+        path = write_body(tmp_path / "bar.h5", [elastic_body(problem, reduced, make_part(problem))])
+    still = {"times": np.zeros(1), "position": np.zeros((1, 3)), "rotation": np.eye(3)[None]}
+    for given, count, words in (
+        (("times",), 2, "no position and rotation of the frame was given: motions are those seen from"),
+        (("times", "position"), 2, "no rotation of the frame was given: the rotation of the frame is fixed"),
+        (("times", "position", "rotation"), 2, ""),
+        (("times",), 8, ""),
+    ):
+        motion = Trajectory(coordinates=np.zeros((1, count)), **{name: still[name] for name in given})
+        notes = recover(path, motion, tmp_path / "out.vtkhdf", stress=False).notes
+        assert words in "".join(notes) and bool(notes) == bool(words)
+    np.savez(tmp_path / "t.npz", zeit=np.zeros(1), coordinates=np.zeros((1, 8)))
+    with pytest.raises(InputError, match="known: coordinates, loads, position, rotation, times"):
+        recover(path, tmp_path / "t.npz", tmp_path / "out.vtkhdf", stress=False)
+
+
+def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
+    """Bending of two materials: at their common nodes the file shows the stress of the stiff one."""
+    mesh = box("hex20", (4, 1, 2), (0.4, 0.05, 0.1))
+    low = mesh.nodes.xyz[mesh.blocks[0].nodes].mean(axis=1)[:, 2] < 0.05
+    ids = np.random.default_rng(1).permutation(len(mesh.nodes)) + 5
+    mesh = Mesh(nodes=Nodes(ids=ids, xyz=mesh.nodes.xyz), blocks=mesh.blocks,
+                element_sets={"soft": (np.flatnonzero(low),), "hard": (np.flatnonzero(~low),)})  # fmt: skip
+    model = assemble(mesh, [isotropic(set="soft", young=1e9, poisson=0.3, density=1e3), isotropic(set="hard", **STEEL)])
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
+    with Problem(model, interfaces) as problem:
+        reduced = CraigBampton(modes=0).reduce(problem)
+        path = write_body(tmp_path / "two.h5", [elastic_body(problem, reduced, make_part(problem, "skin"))])
+        its = stress_recovery(problem, reduced, nodes="all")
+    with h5py.File(path, "r+") as file:
+        write_recovery(file.create_group(f"bodies/{reduced.name}/recovery"), its)
+    assert stored_recovery(path, reduced.name).stress.dtype == np.float32
+    q = np.zeros((1, 12))
+    q[0, [6, 10]] = 1e-4, 1e-3
+    recover(path, Trajectory(times=np.zeros(1), coordinates=q), tmp_path / "out.vtkhdf")
+    (_, _, _, data), = steps_of(tmp_path / "out.vtkhdf")[1]
+    size = von_mises(its.at(q)[0])
+    labels = read_body(path).node_ids
+    worst = np.array([size[its.points == label].max() for label in labels])
+    seam = [(its.points == label).sum() > 1 for label in labels]
+    assert sum(seam) > 10 and (np.array([np.ptp(size[its.points == n]) for n in labels[seam]]) > 1e5).all()
+    close(data["von_mises"], worst)
+    close(von_mises(data["stress"]), worst)
+
+
+def test_every_format_gives_the_same_trajectory(bar, tmp_path):
+    A = np.array([turn(0.1, [1, 0, 0]), turn(0.2, [0, 1, 1]), turn(0.3, [1, 2, 3])])
+    given = Trajectory(times=bar.given.times, coordinates=bar.given.coordinates, position=np.eye(3), rotation=A,
+                       loads=bar.given.loads)  # fmt: skip
+    save(tmp_path / "t.npz", given)
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        for name, value in vars(given).items():
+            file[name.replace("times", "time")] = value
+    k, m = given.coordinates.shape[1], given.loads.shape[1]
+    names = ["t", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), *(f"q{i}" for i in range(k, 0, -1)),
+             "x", "y", "z", *(f"F{i}" for i in range(1, m + 1))]  # fmt: skip
+    table = np.column_stack([given.times, A.reshape(3, 9), given.coordinates[:, ::-1], given.position, given.loads])
+    for name, comma, head in (("t.csv", ",", ""), ("t2.csv", ";", ""), ("t.txt", " ", "# "), ("t.dat", "\t", "")):
+        lines = [comma.join(repr(float(v)) for v in row) for row in table]
+        (tmp_path / name).write_text("\n".join([head + comma.join(names), *lines, ""]))
+    for name in ("t.npz", "t.h5", "t.csv", "t2.csv", "t.txt", "t.dat"):
+        found = read_trajectory(tmp_path / name)
+        for field, value in vars(given).items():
+            np.testing.assert_array_equal(getattr(found, field), value, err_msg=f"{name} {field}")
+
+
+def bad_trajectories():
+    t, q = np.arange(3.0), np.ones((3, 16))
+    nan = q.copy()
+    nan[1, 4] = np.nan
+    return {
+        "has 5 coordinates; body 'cb' has 16": {"coordinates": q[:, :5]},
+        "not finite at step 2 of 3": {"coordinates": nan},
+        "times must ascend, but step 3": {"time": np.array([0.0, 1.0, 1.0])},
+        r"coordinates has the shape \(2, 16\)": {"coordinates": q[:2]},
+        "the trajectory has no steps": {"time": t[:0], "coordinates": q[:0]},
+        "has 3 loads; body 'cb' has 12": {"loads": q[:, :3]},
+        "moves a frame": {"position": np.zeros((3, 3))},
+        "no rotation": {"rotation": np.full((3, 3, 3), 0.5)},
+        "did you mean 'loads'": {"load": q},
+        "cannot be taken as numbers": {"coordinates": np.full((3, 16), "a")},
+        "infinite|not finite": {"time": np.array([0.0, 1.0, np.inf])},
+        "an array of real": {"coordinates": q * 1j},
+    }
+
+
+@pytest.mark.parametrize("message", bad_trajectories())
+def test_a_bad_trajectory_is_one_message_and_the_old_file_stays(bar, tmp_path, message):
+    out = tmp_path / "out.vtkhdf"
+    out.write_text("old")
+    np.savez(tmp_path / "t.npz", **{"time": np.arange(3.0), "coordinates": np.ones((3, 16)),
+                                    **bad_trajectories()[message]})  # fmt: skip
+    with pytest.raises(InputError, match=message):
+        recover(bar.path, tmp_path / "t.npz", out, body="cb")
+    assert out.read_text() == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["out.vtkhdf", "t.npz"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("t.csv", "0,1,2\n", "expected the names of its columns"),
+        ("t.csv", "", "expected the names of its columns"),
+        ("t.csv", "t,q1,q3\n0,1,2\n", "q2 0 times"),
+        ("t.csv", "t,q1,q1\n0,1,2\n", "q1 2 times"),
+        ("t.csv", "t,q1,q2\n0,1,2\n1,2\n", "columns changed from 3 to 2"),
+        ("t.csv", "t,q1,q2\n0,1\n1,2\n", "names 3 columns in its first line, but its rows have 2"),
+        ("t.csv", "t,q1\n0,one\n", "could not convert"),
+        ("t.csv", "t,q1,v1\n0,1,2\n", "has a column 'v1'"),
+        ("t.csv", "t,q1,x,y\n0,1,2,3\n", "position but not z"),
+        ("t.csv", "t,q1\n", "no steps"),
+        ("t.npz", "no zip", "cannot be read as an .npz"),
+        ("t.h5", "no hdf", "cannot be read as HDF5"),
+        ("t.mat", "", "a trajectory is an .npz file"),
+    ],
+)
+def test_a_bad_trajectory_file_is_one_message(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_trajectory(tmp_path / name)
+
+
+def test_what_recover_refuses(bar, tmp_path):
+    out = tmp_path / "out.vtkhdf"
+    save(tmp_path / "t.npz", bar.given)
+    for change, message in (
+        ({}, "holds 2 bodies; name one of cb, bare"),
+        ({"body": "bared"}, "did you mean 'bare'"),
+        ({"body": "bare"}, "has 9|16 coordinates"),
+        ({"body": "cb", "every": 0}, "every = 0"),
+        ({"body": "cb", "scale": np.nan}, "scale = nan"),
+    ):
+        with pytest.raises(InputError, match=message):
+            recover(bar.path, tmp_path / "t.npz", out, **change)
+    nine = Trajectory(times=np.zeros(1), coordinates=np.zeros((1, 9)))
+    with pytest.raises(InputError, match="no stress recovery"):
+        recover(bar.path, nine, out, body="bare")
+    assert isinstance(recover(bar.path, nine, out, body="bare", stress=False), Recovered)
+    with pytest.raises(InputError, match="no such file"):
+        recover(bar.path, tmp_path / "none.npz", out, body="cb")
+    with pytest.raises(InputError, match=r"ends with \.vtkhdf"):
+        recover(bar.path, tmp_path / "t.npz", tmp_path / "out.vtk", body="cb")
+    with pytest.raises(OutputError, match="does not exist"):
+        recover(bar.path, tmp_path / "t.npz", tmp_path / "no" / "out.vtkhdf", body="cb")
+    same = tmp_path / "t.hdf"
+    same.write_text("")
+    with pytest.raises(InputError, match="would overwrite"):
+        recover(bar.path, same, same, body="cb")
+
+
+def test_a_full_disk_is_one_message_and_the_old_file_stays(bar, tmp_path):
+    """The limit of the file size of a process stands for the end of the disk."""
+    out = tmp_path / "out.vtkhdf"
+    out.write_text("old")
+    long = Trajectory(times=np.arange(400.0), coordinates=np.zeros((400, bar.cb.order)))
+    save(tmp_path / "t.npz", long)
+    code = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "from morembs.recovery.recover import recover\nfrom morembs.errors import OutputError\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
+        f"try:\n    recover({str(bar.path)!r}, 't.npz', 'out.vtkhdf', body='cb')\n"
+        "except OutputError as error:\n    print(error)\n"
+    )
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+                          env={"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"})  # fmt: skip
+    assert done.returncode == 0 and not done.stderr
+    assert "File too large" in done.stdout and "step" in done.stdout and "unchanged" in done.stdout
+    assert out.read_text() == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["out.vtkhdf", "t.npz"]

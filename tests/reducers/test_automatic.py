@@ -1,0 +1,278 @@
+"""Method "auto" against direct solutions, its order against another way to choose a basis, and whole jobs with it."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+from rich.console import Console
+from typer.testing import CliRunner
+
+from morembs.body.file import read_body
+from morembs.certificate.certify import certify
+from morembs.cli import app
+from morembs.cli.report import print_result, result_json
+from morembs.errors import InputError, MorembsError
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
+from morembs.problem import Damping, Problem
+from morembs.reducers import Automatic
+from morembs.responses.band import band_frequencies
+from tests.certificate.test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
+
+BAND = {"beam average": [50.0, 3000.0], "square beam": [100.0, 5000.0], "angle": [0.0, 9000.0]}
+
+
+def full(problem, band, points=6):
+    """Frequencies in rad/s that the method does not look at itself, and H there."""
+    omega = 2 * np.pi * band_frequencies(problem, band, points=points)
+    omega = np.unique(np.concatenate([omega, 0.5 * (omega[1:] + omega[:-1])]))
+    modes = problem.elastic_modes(below=float(omega[-1] ** 2) * 1.6).eigenvalues
+    # Beside an undamped resonance a relative error means nothing.
+    near = (np.abs(omega[:, None] / np.sqrt(modes) - 1) < 0.9e-3).any(axis=1)
+    omega = omega[~near]
+    return omega, Truth(problem)(omega), np.outer(problem.motion_scale, problem.motion_scale), modes
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("name", BAND)
+def test_the_tolerance_holds(name, damping):
+    model, interfaces = BODIES[name]()
+    with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
+        omega, H, scale, modes = full(problem, BAND[name])
+        floor = round_off(problem, omega, modes)
+        orders = []
+        for tolerance in (1e-2, 1e-4, 1e-6):
+            body = Automatic(band_hz=BAND[name], tolerance=tolerance).reduce(problem)
+            error = errors_of(body, omega, H, scale)
+            show(name, damping, f"{tolerance:.0e}: {body.order - 6}", body.recipe["orders"], f"error {error.max():.1e}")
+            assert (error <= tolerance * 1.01 + floor).all()
+            assert body.rigid_count == 6 and body.recipe["family"] in body.recipe["orders"]
+            assert body.recipe["orders"][body.recipe["family"]] == body.order - 6
+            orders.append(body.order)
+        assert orders == sorted(orders) and orders[0] < orders[-1]
+
+
+def galerkin(problem, V, omega, scale):
+    """Scaled transfer matrices of the projection on ``V``."""
+    K, M = (V.T @ (A @ V) for A in (problem.K, problem.M))
+    B, d = problem.B.T @ V, problem.damping
+    return np.array([B @ np.linalg.solve((1 + 1j * w * d.beta) * K + (1j * w * d.alpha - w**2) * M, B.T.astype(complex))
+                     for w in omega]) * scale  # fmt: skip
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("weighting", ["even", "relative"])
+def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
+    """Principal vectors of dense responses need more than four fifths of the order for the same tolerance."""
+    model, interfaces = ends("average", n=(6, 1, 1))
+    with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
+        band, tolerance = [50.0, 3000.0], 1e-4
+        body = Automatic(band_hz=band, tolerance=tolerance).reduce(problem)
+        omega = 2 * np.pi * band_frequencies(problem, band, points=30)
+        truth = Truth(problem)
+        states = [truth.states(w).astype(complex) * problem.motion_scale for w in omega]
+        H = np.array([problem.B.T @ x * problem.motion_scale[:, None] for x in states])
+        scale = np.outer(problem.motion_scale, problem.motion_scale)
+        weight = np.sqrt(np.gradient(omega)) / (norms(H) if weighting == "relative" else 1.0)
+        S = np.hstack([w * part for w, x in zip(weight, states, strict=True) for part in (x.real, x.imag)])
+        X = problem.K.toarray() + omega.mean() ** 2 * problem.M.toarray()
+        L = np.linalg.cholesky(X)
+        U = sl.svd(L.T @ S, full_matrices=False)[0]
+        fewer = int(0.8 * (body.order - 6))
+        V = sl.solve_triangular(L.T, U[:, :fewer])
+        error = norms(galerkin(problem, V, omega, scale) - H) / norms(H)
+        show(f"{damping} {weighting}: auto {body.order - 6}, {fewer} snapshots' vectors: error {error.max():.1e}")
+        assert error.max() > tolerance
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "average"])
+def test_static_responses_are_exact_if_asked_for(coupling):
+    model, interfaces = ends(coupling)
+    with Problem(model, interfaces) as problem:
+        hz = np.array([50.0, 2000.0])
+        plain, exact = (Automatic(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
+                        for s in (False, True))  # fmt: skip
+        loose, tight = (its.static_error for its in certify(problem, [plain, exact], hz))
+        show(coupling, f"static error {loose:.1e} {tight:.1e}, orders {plain.order} {exact.order}")
+        assert tight < 1e-9 < loose
+        assert exact.order >= plain.order
+
+
+def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
+    """Deformation under centrifugal load: a dense static solution stays in the span."""
+    model, interfaces = ends("average")
+    with Problem(model, interfaces) as problem:
+        K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
+        x = model.nodes.xyz[model.dofs.node] - problem.coupling.pole
+        load = M @ np.where(model.dofs.component == 0, x[:, 0], 0.0)
+        load -= M @ (Z @ (Z.T @ load))
+        shift = K + (M @ Z) @ (M @ Z).T * 1e6
+        u = np.linalg.solve(shift, load)
+        left = []
+        for follow in (False, True):
+            V = Automatic(band_hz=[0.0, 2000.0], tolerance=1e-3, inertia_loads=follow).reduce(problem).V
+            rest = u - V @ np.linalg.solve(V.T @ K @ V + (V.T @ M @ Z) @ (Z.T @ M @ V) * 1e6, V.T @ load)
+            left.append(np.sqrt((rest @ K @ rest) / (u @ K @ u)))
+        show("inertia loads left out, followed:", left)
+        assert left[1] < 0.05 and left[1] < left[0]
+
+
+def test_what_cannot_be_reached_is_said():
+    model, interfaces = ends("average")
+    said = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
+    with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=said):
+        Automatic(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
+
+
+@pytest.mark.parametrize(
+    "band", [[100.0], [3000.0, 50.0], [-1.0, 50.0], [0.0, 0.0], [1.0, float("nan")], [1.0, 2.0, 3.0]]
+)
+def test_bad_bands(band):
+    with pytest.raises(InputError, match=r"band_hz = .* was given; expected \[LOW, HIGH\]"):
+        Automatic(band_hz=band, tolerance=1e-3)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, 7.0, float("nan")])
+def test_bad_tolerances(tolerance):
+    with pytest.raises(InputError, match=r"tolerance = .* was given; expected a relative error between 0 and 1"):
+        Automatic(band_hz=[0.0, 100.0], tolerance=tolerance)
+
+
+def test_auto_needs_interfaces():
+    with Problem(beam()) as problem, pytest.raises(InputError, match="interface"):
+        Automatic(band_hz=[0.0, 100.0], tolerance=1e-3).reduce(problem)
+
+
+def test_two_runs_are_equal_to_the_last_bit():
+    found = []
+    for _ in range(2):
+        model, interfaces = ends("average")
+        with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem:
+            body = Automatic(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
+            (its,) = certify(problem, [body], np.linspace(50.0, 3000.0, 9))
+            parts = [body.V, body.K, body.M, body.D, body.B, its.error, its.bound]
+            found.append([hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest() for part in parts])
+            found[-1].append(json.dumps(dict(body.recipe)))
+    assert found[0] == found[1]
+
+
+def test_a_band_below_the_first_mode_needs_few_vectors():
+    model = beam(n=(6, 1, 1))
+    with Problem(model, pair(model, "average")) as problem:
+        first = problem.elastic_modes(count=1).frequencies_hz[0]
+        band = [0.0, 0.3 * float(first)]
+        body = Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+        omega, H, scale, _ = full(problem, band)
+        assert errors_of(body, omega, H, scale).max() <= 1.01e-3 and body.order - 6 <= 12
+
+
+JOB = """
+[model]
+mesh = "{mesh}"
+units = "mm-t-s"
+[[material]]
+young = 2.1e5
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "root"
+nodes = "set:ROOT"
+[[interface]]
+name = "tip"
+nodes = "set:TIP"
+coupling = "average"
+[damping]
+{damping}
+[[reduce]]
+method = "auto"
+band_hz = [500.0, 30000.0]
+tolerance = 1e-3
+[[reduce]]
+method = "free-interface"
+modes = 6
+[[reduce]]
+method = "guyan"
+[output]
+path = "{name}.h5"
+{certify}
+"""
+RAYLEIGH, MODAL = "rayleigh = { alpha = 5.0, beta = 2e-8 }", "modal = 0.01"
+CERTIFY = "[certify]\nband_hz = [0.0, 40000.0]\npoints = 20\n"
+
+
+def write_job(folder, mesh, name="job", damping=RAYLEIGH, certify=CERTIFY):
+    path = folder / f"{name}.toml"
+    path.write_text(JOB.format(mesh=mesh / "wedge.msh", name=name, damping=damping, certify=certify))
+    return path
+
+
+def strict(text):
+    """JSON without the words that JSON does not have."""
+
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.mark.parametrize("damping", [RAYLEIGH, MODAL])
+@pytest.mark.parametrize("certify", [CERTIFY, "", CERTIFY + "bound = false\n"])
+def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, damping, certify):
+    result = run_job(load_job(write_job(tmp_path, small_meshes, damping=damping, certify=certify)))
+    stored = read_body(tmp_path / "job.h5")
+    assert [body.name for body in result.bodies] == ["auto", "free-interface", "guyan"]
+    for body in result.bodies:
+        its, kept = body.certificate, stored.bodies[body.name].certificate
+        assert its is not None and kept is not None
+        for name in ("frequencies_hz", "full", "reduced", "error", "bound", "block_error", "static_error", "mode_mac",
+                     "mode_frequencies_hz", "mode_deviation", "verified_below_hz", "reference_error",
+                     "absolute_error"):  # fmt: skip
+            if name in kept:
+                assert np.array_equal(np.asarray(kept[name]), np.asarray(getattr(its, name)), equal_nan=True), name
+        assert {"error", "bound", "bound_kind", "frequencies_hz"} <= kept.keys()
+        kind = kept["bound_kind"]
+        kind = kind.item() if hasattr(kind, "item") else kind
+        kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+        assert kind == its.bound_kind == ("none" if "false" in certify else "estimate" if damping == MODAL else "bound")
+    ends_ = result.bodies[0].certificate.frequencies_hz[[0, -1]]
+    assert ends_ == pytest.approx([0.0, 4e4] if certify else [500.0, 3e4])
+    auto = result.bodies[0].certificate
+    inside = (auto.frequencies_hz >= 500.0) & (auto.frequencies_hz <= 3e4)
+    assert auto.error[inside].max() <= 1.01e-3
+    document = strict(json.dumps(result_json(result), allow_nan=False))
+    assert document["bodies"]["auto"]["certificate"]["error"] == pytest.approx(auto.error.tolist())
+    console = Console(record=True, width=200)
+    print_result(console, result)
+    text = console.export_text()
+    assert "certificate: relative errors at" in text
+    assert "elastic coordinates, the smallest found that keeps 0.001" in text
+    assert ("estimate" in text) == (damping == MODAL and "false" not in certify)
+
+
+def test_certificates_on_the_command_line(small_meshes, tmp_path):
+    path = write_job(tmp_path, small_meshes)
+    found = CliRunner().invoke(app, ["reduce", "--json", str(path)])
+    assert found.exit_code == 0, found.output
+    document = strict(found.stdout)
+    assert "NaN" not in found.stdout and "Infinity" not in found.stdout
+    flat = json.dumps(document)
+    assert '"certificate"' in flat and '"bound_kind": "bound"' in flat
+    shown = CliRunner().invoke(app, ["reduce", str(path)])
+    assert shown.exit_code == 0 and "bound, max" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [("tolerance = 1e-3", "tolerance = 2.0", "relative error between 0 and 1"),
+     ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", "LOW < HIGH"),
+     ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", "LOW < HIGH"),
+     ("points = 20", "points = 1", "count from 2"),
+     ("tolerance = 1e-3", "", "needs the key tolerance")],
+)  # fmt: skip
+def test_faults_in_a_job_are_named(small_meshes, tmp_path, old, new, message):
+    path = write_job(tmp_path, small_meshes)
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        load_job(path)

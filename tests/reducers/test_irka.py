@@ -1,0 +1,137 @@
+"""Shifts that look for a small H2 error, against dense responses of the full model."""
+
+import numpy as np
+import pytest
+
+from morembs.certificate.response import full_response, reduced_response
+from morembs.errors import InputError
+from morembs.interface import make_interface
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.problem import Damping, Problem
+from morembs.reducers import irka
+from morembs.reducers.irka import Irka
+from morembs.reducers.krylov import Krylov
+from tests.support.meshes import box, steel, where
+
+BAND = [50.0, 6000.0]
+
+
+def tip(components=(1,), place=0.5):
+    """A beam with the sideways motion of its tip as the only interface."""
+    model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
+    return model, [make_interface(model, name="tip", nodes=where(model, 0, place), coupling="average",
+                                  components=components)]  # fmt: skip
+
+
+def h2_error(problem, r, omega):
+    """Relative, by the trapezoidal rule on a fine grid."""
+    H, h = full_response(problem, omega), reduced_response(r, omega)
+    S = np.outer(problem.motion_scale, problem.motion_scale)
+    sizes = [np.trapezoid(np.linalg.norm(S * x, axis=(1, 2)) ** 2, omega) for x in (h - H, H)]
+    return np.sqrt(sizes[0] / sizes[1])
+
+
+@pytest.fixture
+def last_is_kept(monkeypatch):
+    """Measured errors that fall with every step, so that the model where the shifts came to rest is the best."""
+    falling = iter(np.arange(1e6, 0, -1))
+    monkeypatch.setattr(irka._Band, "error", lambda self, X: next(falling))
+
+
+@pytest.mark.parametrize("damping", [Damping(alpha=200.0, beta=5e-6), Damping(modal=0.03)], ids=repr)
+@pytest.mark.parametrize("order", [2, 4, 5])
+def test_error_in_the_band_is_measured_and_no_larger_than_at_the_start(damping, order):
+    model, made = tip((1, 2, 5))
+    omega = 2 * np.pi * np.linspace(*BAND, 2000)
+    with Problem(model, made, damping=damping) as problem:
+        r = Irka(order=order, band_hz=BAND).reduce(problem)
+        found = h2_error(problem, r, omega)
+    assert r.order == 6 + order
+    assert r.recipe["h2_error"] <= r.recipe["first_h2_error"]
+    assert r.recipe["h2_error"] == pytest.approx(found, rel=0.02)
+
+
+def test_converged_shifts_are_mirrored_poles_where_the_transfer_function_is_tangent(last_is_kept):
+    """One load, proportional damping: H and dH/ds of the dense model at the shifts, which mirror poles of the model."""
+    damping = Damping(alpha=200.0, beta=5e-6)
+    model, made = tip()
+    with Problem(model, made, damping=damping) as problem:
+        r = Irka(order=4, band_hz=BAND, tolerance=1e-7).reduce(problem)
+        K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
+        B = problem.B.toarray() - M @ Z @ (Z.T @ problem.B.toarray())
+    assert r.recipe["converged"] and len(r.recipe["shifts"]) == 2
+    D = damping.alpha * (M - M @ Z @ Z.T @ M) + damping.beta * K
+    m, d, k, b = r.M[6:, 6:], r.D[6:, 6:], r.K[6:, 6:], r.B[6:]
+    poles = np.linalg.eigvals(np.block([[np.zeros_like(k), np.eye(4)], [-k, -d]]))
+
+    def both(M, D, K, B, s):
+        x = np.linalg.solve(s * s * M + s * D + K, B)
+        return (B.T @ x).item(), (-x.T @ (2 * s * M + D) @ x).item()
+
+    for re, im in r.recipe["shifts"]:
+        s = complex(re, im)
+        assert re > 0
+        full, mine = both(M, D, K, B, s), both(m, d, k, b, s)
+        assert abs(full[0] - mine[0]) < 1e-7 * abs(full[0])
+        assert abs(full[1] - mine[1]) < 1e-6 * abs(full[1])
+        assert np.abs(-poles - s).min() < 0.02 * abs(s)
+
+
+def test_few_coordinates_beat_shifts_chosen_by_hand():
+    damping = Damping(alpha=200.0, beta=5e-6)
+    model, made = tip((1,))
+    omega = 2 * np.pi * np.linspace(*BAND, 2000)
+    with Problem(model, made, damping=damping) as problem:
+        chosen = h2_error(problem, Irka(order=4, band_hz=BAND).reduce(problem), omega)
+        by_hand = h2_error(problem, Krylov(shifts_hz=[0.0, 2000.0, 4000.0, 6000.0]).reduce(problem), omega)
+    assert chosen < 0.5 * by_hand
+
+
+def test_undamped_models_are_moved_off_the_axis_and_told(last_is_kept):
+    model, made = tip()
+    with Problem(model, made) as problem:
+        r = Irka(order=4, band_hz=BAND).reduce(problem)
+        assert np.abs(r.D).max() == 0.0
+    delta = r.recipe["delta"]
+    assert delta == pytest.approx(0.005 * 2 * np.pi * BAND[1])
+    # A pole on the axis has its image across the line Re s = delta at 2 delta.
+    assert r.recipe["converged"]
+    assert [re for re, _ in r.recipe["shifts"]] == pytest.approx([2 * delta] * 2, rel=0.05)
+
+
+def test_the_best_model_is_kept_when_the_shifts_do_not_rest(monkeypatch):
+    model, made = tip((1, 2, 5))
+    seen = []
+    error = irka._Band.error
+
+    def noted(self, X):
+        seen.append(error(self, X))
+        return seen[-1]
+
+    monkeypatch.setattr(irka._Band, "error", noted)
+    with Problem(model, made, damping=Damping(modal=0.03)) as problem:
+        r = Irka(order=5, band_hz=BAND, max_steps=7, tolerance=1e-14).reduce(problem)
+    assert not r.recipe["converged"] and r.recipe["steps"] == 7
+    assert "best model met was kept" in r.recipe["not_converged"]
+    assert r.recipe["h2_error"] == min(seen) < max(seen)
+
+
+def test_no_shift_is_factorised(monkeypatch):
+    def refuse(*args):
+        raise RuntimeError("a shift was factorised")
+
+    monkeypatch.setattr(DynamicStiffness, "factorize", refuse)
+    model, made = tip()
+    with Problem(model, made, damping=Damping(modal=0.01)) as problem:
+        assert Irka(order=4, band_hz=BAND).reduce(problem).order == 10
+
+
+def test_options_that_make_no_sense_are_refused():
+    for options in ({"order": 0}, {"band_hz": [5.0]}, {"band_hz": [5.0, 4.0]}, {"max_steps": 0}, {"tolerance": 0.0}):
+        with pytest.raises(InputError, match=next(iter(options))):
+            Irka(**{"order": 4, "band_hz": BAND, **options})
+    model, made = tip()
+    with Problem(model, made) as problem, pytest.raises(InputError, match="lower the order"):
+        Irka(order=100, band_hz=BAND).reduce(problem)
+    with Problem(model) as problem, pytest.raises(InputError, match="interface"):
+        Irka(order=2, band_hz=BAND).reduce(problem)

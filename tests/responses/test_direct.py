@@ -1,0 +1,114 @@
+"""Responses by direct factorisation, and of models with a damping matrix of their own, against dense solutions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from morembs.certificate.certify import certify
+from morembs.certificate.response import full_response
+from morembs.errors import InputError, SingularMatrixError
+from morembs.interface import make_interface
+from morembs.problem import Damping, Problem
+from morembs.reducers import Automatic, FreeInterface
+from morembs.responses.band import band_frequencies
+from morembs.responses.direct import direct_response, elastic_states
+from tests.support.meshes import box, steel, where
+
+OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
+
+
+def beam(n=(8, 2, 2)):
+    return steel(box("hex8", n, (0.5, 0.05, 0.03)))
+
+
+def ends(model, coupling="average"):
+    planes = {"left": 0.0, "right": 0.5}
+    return [make_interface(model, name=k, nodes=where(model, 0, x), coupling=coupling) for k, x in planes.items()]
+
+
+def dampers(model, grounded):
+    """A damper of 300 Ns/m between two corners of the beam, or from one of them to the ground, across it."""
+    rows = [model.dofs.of_nodes(where(model, 0, x)[:1])[0][2] for x in (0.0, 0.5)]
+    v = sp.csr_array((np.array([1.0, 0.0 if grounded else -1.0]), (rows, [0, 0])), shape=(model.size, 1))
+    return sp.csr_array(300.0 * (v @ v.T))
+
+
+def dense_response(problem, omega, D):
+    """H (nf, m, m) of the body held to motions u with Z'M u = 0 by forces M Z."""
+    K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
+    MZ = M @ problem.rigid
+    r, found = MZ.shape[1], []
+    for w in omega:
+        A = np.block([[K + 1j * w * D - w**2 * M, MZ], [MZ.T, np.zeros((r, r))]])
+        # One unit for displacements and for the forces that hold the mean axes.
+        s = np.concatenate([1 / np.sqrt(np.diag(K)), np.full(r, np.sqrt(np.diag(K).max()))])
+        U = s[:, None] * np.linalg.solve(s[:, None] * A * s, s[:, None] * np.vstack([B, np.zeros((r, B.shape[1]))]))
+        found.append(B.T @ U[: len(K)])
+    return np.array(found)
+
+
+def off(H, true):
+    return (np.linalg.norm(H - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))).max()
+
+
+@pytest.mark.parametrize("damping", [Damping(), Damping(alpha=8.0, beta=3e-6)])
+@pytest.mark.parametrize("coupling", ["average", "rigid"])
+def test_direct_response_is_that_of_the_dense_matrices(damping, coupling):
+    model = beam()
+    with Problem(model, ends(model, coupling), damping=damping) as problem:
+        D = damping.alpha * problem.M.toarray() + damping.beta * problem.K.toarray()
+        true = dense_response(problem, OMEGA, D)
+        assert off(direct_response(problem, OMEGA), true) < 1e-9
+        assert off(full_response(problem, OMEGA), true) < 1e-7
+        # At zero it is the flexibility, without a factorisation of the singular K.
+        assert off(direct_response(problem, np.zeros(1)), dense_response(problem, np.array([1e-3]), D)) < 1e-6
+
+
+@pytest.mark.parametrize("grounded", [False, True])
+@pytest.mark.parametrize("n", [(8, 2, 2), (20, 2, 2)])
+def test_dampers_are_followed_by_the_direct_and_the_reference_response(grounded, n):
+    """A grounded damper couples rigid motion to the rest, which mean axes then have to be held against."""
+    model = beam(n)
+    with Problem(replace(model, D=dampers(model, grounded)), ends(model)) as problem:
+        assert n[0] == 8 or problem.K.shape[0] > 400  # larger models take another way to their reference
+        true = dense_response(problem, OMEGA, problem.D.toarray())
+        assert off(direct_response(problem, OMEGA), true) < 1e-8
+        assert off(full_response(problem, OMEGA), true) < 1e-7
+
+
+def test_bodies_of_a_model_with_dampers_are_certified_by_an_estimate():
+    model = beam((20, 2, 2))
+    with Problem(replace(model, D=sp.csr_array(dampers(model, False) + 2e-6 * model.K)), ends(model)) as problem:
+        bodies = [FreeInterface(modes=8).reduce(problem), Automatic(band_hz=[0, 2500], tolerance=1e-3).reduce(problem)]
+        hz = band_frequencies(problem, [0, 2500], 30)
+        true = dense_response(problem, 2 * np.pi * hz, problem.D.toarray())
+        scale = np.outer(problem.motion_scale, problem.motion_scale)
+        for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
+            assert its.bound_kind == "estimate"
+            size = np.linalg.norm(true * scale, axis=(1, 2))
+            assert its.full == pytest.approx(size, rel=1e-6)
+            assert (its.error <= 1.5 * its.bound + 1e-9).all() and np.median(its.bound / its.error) < 20, body.name
+        assert its.error.max() <= 1e-3
+
+
+def test_an_undamped_resonance_is_named():
+    model = beam()
+    with Problem(model, ends(model)) as problem:
+        omega = np.sqrt(problem.elastic_modes(count=1).eigenvalues)
+        with pytest.raises(SingularMatrixError, match="eigenfrequency of the undamped model"):
+            direct_response(problem, omega)
+
+
+def test_what_has_no_matrix_is_not_solved_directly():
+    model = beam()
+    modal = Damping(modal=0.01)
+    with Problem(model, ends(model), damping=modal) as problem, pytest.raises(InputError, match="mode by mode"):
+        elastic_states(problem, 100j, problem.B)
+    with Problem(model) as problem, pytest.raises(InputError, match="needs interfaces"):
+        direct_response(problem, OMEGA)
+    damped = replace(model, D=dampers(model, False))
+    both = Damping(beta=1e-6)
+    with Problem(damped, ends(model), damping=both) as problem, pytest.raises(InputError, match="to the matrix D"):
+        direct_response(problem, OMEGA)
