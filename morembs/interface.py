@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.model import FEModel, frozen, rigid_motion, skew
-from morembs.model.coupled import CoupledModel, Followers, refuse_complex, refuse_unsymmetric
+from morembs.model.constraints import DependentDofs
+from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
 from morembs.model.surface import nodal_areas, outer_faces
 
 Floats = NDArray[np.float64]
@@ -206,7 +207,7 @@ def averaging(interface: Interface, xyz: Floats) -> Floats:
 class Coupling:
     """All interfaces of a model as matrices.
 
-    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without followers, then six per rigid frame);
+    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without dependent ones, then six per rigid frame);
     ``B`` (Nc, m) inputs, one column per exposed interface motion, and also outputs as ``B'``;
     ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
     that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
@@ -233,16 +234,16 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
     refuse_complex(model)
     refuse_unsymmetric(model)
     _refuse_shared(model, interfaces)
-    followers = model.followers if isinstance(model, CoupledModel) else None
+    dependent = model.dependent
     rigid = [i for i in interfaces if i.coupling == "rigid" and len(i.nodes) > 1]
     slave = np.zeros(model.size, dtype=bool)
     for interface in interfaces:
-        if followers is not None and interface.coupling != "average":
-            _refuse_followers(model, followers, interface)
+        if dependent is not None and interface.coupling != "average":
+            _refuse_dependent(model, dependent, interface)
     for interface in rigid:
         slave[_all_dofs(model, interface)] = True
-    if followers is not None:
-        slave |= followers.owner >= 0
+    if dependent is not None:
+        slave |= dependent.owner >= 0
     kept = np.flatnonzero(~slave)
     size = len(kept) + 6 * len(rigid)
     rows, cols, values = [kept], [np.arange(len(kept))], [np.ones(len(kept))]
@@ -256,8 +257,8 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
         values.append(motion.ravel())
     data = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
     T = sp.csr_array(sp.coo_array(data, shape=(model.size, size)))
-    if followers is not None:
-        T = sp.csr_array(followers.S @ T)
+    if dependent is not None:
+        T = sp.csr_array(dependent.S @ T)
     T.eliminate_zeros()
     pole = model.nodes.xyz.mean(axis=0)
     R_fe = rigid_motion(model.nodes.xyz[model.dofs.node] - pole, model.dofs.component)
@@ -348,11 +349,11 @@ def _direct_dofs(model: FEModel, interface: Interface) -> Ints:
     return dofs.ravel()
 
 
-def _refuse_followers(model: FEModel, followers: Followers, interface: Interface) -> None:
+def _refuse_dependent(model: FEModel, dependent: DependentDofs, interface: Interface) -> None:
     dofs = np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
-    bad = dofs[followers.owner[dofs] >= 0]
+    bad = dofs[dependent.owner[dofs] >= 0]
     if len(bad):
-        name = followers.names[followers.owner[bad[0]]]
+        name = dependent.names[dependent.owner[bad[0]]]
         raise InputError(
             f"interface {interface.name!r}: node {model.nodes.ids[model.dofs.node[bad[0]]]} follows the element "
             f'{name!r} of the model; take nodes = "coupling:{name}", other nodes, or coupling = "average"'

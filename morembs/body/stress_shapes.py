@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.certificate.residual import static_response
 from morembs.errors import InputError
 from morembs.model import frozen
-from morembs.model.stress_operator import StressOperator, stress_operator, stress_shapes
+from morembs.model.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -178,3 +178,22 @@ def _columns(data: Any) -> Any:
     for column in range(data.shape[1]):
         found[:, column] = data[:, column]
     return found
+
+
+def stress_shapes(
+    problem: Problem, X: Floats, operator: StressOperator, *, strain: bool = False, out: Reals | None = None
+) -> Reals:
+    """Stresses in Pa (6 np, k) of displacements ``X`` (Nc, k) in coupled dofs; strains if ``strain``.
+
+    ``out`` (6 np, k) takes the result and may be of single precision. Works in blocks of columns.
+    """
+    budget = problem.budget
+    values: Reals = budget.empty((6 * len(operator.nodes), X.shape[1]), order="F") if out is None else out
+    # Masters of couplings come behind the nodes of the elements.
+    T = problem.coupling.T[: 3 * operator.gradient.shape[1]]
+    width = budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=_COPIES)
+    for at in range(0, X.shape[1], width):
+        u = np.asarray(T @ X[:, at : at + width])
+        values[:, at : at + width] = operator.strain(u) if strain else operator.stress(u)
+        budget.relax()
+    return values

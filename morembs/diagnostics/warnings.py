@@ -16,7 +16,7 @@ from morembs.diagnostics.units import unit_findings
 from morembs.errors import SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
-from morembs.model.coupled import CoupledModel, refuse_complex, refuse_unsymmetric
+from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
 from morembs.units import Units
 
 
@@ -28,9 +28,9 @@ def diagnosis_of(
     Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
     """
     K, M, D, dofs = model.K, model.M, model.D, model.dofs
-    if isinstance(model, CoupledModel) and model.followers is not None:
-        free = np.flatnonzero(model.followers.owner < 0)
-        T = sp.csr_array(model.followers.S[:, free])
+    if model.dependent is not None:
+        free = np.flatnonzero(model.dependent.owner < 0)
+        T = sp.csr_array(model.dependent.S[:, free])
         K, M = (congruence(T, A, budget) for A in (K, M))
         D = None if D is None else congruence(T, D, budget)
         dofs = DofMap(node=dofs.node[free], component=dofs.component[free])

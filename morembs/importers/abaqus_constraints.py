@@ -11,8 +11,9 @@ from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number
-from morembs.importers.imported import AverageElement, PointMass, RigidElement
+from morembs.importers.imported import PointMass
 from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.surface import outer_faces
 

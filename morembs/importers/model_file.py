@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.importers.imported import AverageElement, RigidElement
 from morembs.importers.native import FORMAT, FORMAT_VERSION, import_native
 from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
-from morembs.model.coupled import CoupledModel
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import storable, text
@@ -49,7 +48,6 @@ def write_model(
     target = Path(path)
     progress.stage(f"writing {target.name}")
     sums = [sha256(file) for file in files]
-    coupled = model if isinstance(model, CoupledModel) else None
     # The oldest layout: every reader knows it, and its groups carry no time stamps.
     with replacing(target) as safe, h5py.File(safe, "w", libver=("earliest", "v108")) as file:
         out = _Writer(file, safe)
@@ -61,7 +59,7 @@ def write_model(
         out.put("source/sha256", text(*sums))
         out.put("source/format", importer or "none")
         out.put("source/units", units or "m-kg-s", "length, mass and time of the files; everything here is SI")
-        out.put("source/notes", text(*(coupled.notes if coupled is not None else ())))
+        out.put("source/notes", text(*model.notes))
         out.put("source/findings", text(*findings), "what the examination found at the import")
         for name, matrix, unit in (("K", model.K, "N/m"), ("M", model.M, "kg"), ("D", model.D, "N s/m")):
             if matrix is not None:
@@ -78,12 +76,12 @@ def write_model(
             stiffness = np.stack([one.stiffness for one in model.materials])
             out.put("materials/stiffness", stiffness, "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa")
             out.put("materials/density", np.array([one.density for one in model.materials]), units="kg/m3")
-        if coupled is not None and (coupled.rigid or coupled.average):
-            _write_couplings(out, coupled)
+        if model.couplings:
+            _write_couplings(out, model)
     return target
 
 
-def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> CoupledModel:
+def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:
     """The model of a native file, bit by bit as it was written. Peak memory: that of the matrices.
 
     Raises:
@@ -174,8 +172,8 @@ def _write_mesh(out: _Writer, mesh: Mesh) -> None:
     out.sets("element_sets", joined)
 
 
-def _write_couplings(out: _Writer, model: CoupledModel) -> None:
-    elements: list[RigidElement | AverageElement] = [*model.rigid, *model.average]
+def _write_couplings(out: _Writer, model: FEModel) -> None:
+    elements = model.couplings.values()
     out.put("couplings/names", text(*(one.name for one in elements)), "of coupling_0, coupling_1, ...")
     for number, one in enumerate(elements):
         group = f"couplings/coupling_{number}"

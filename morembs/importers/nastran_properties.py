@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import turned
-from morembs.importers.imported import AverageElement, PointMass, RigidElement
+from morembs.importers.imported import PointMass
 from morembs.importers.nastran_cards import real, whole
 from morembs.importers.nastran_geometry import Grids, Systems
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.material import Material, isotropic
 
 Floats = NDArray[np.float64]

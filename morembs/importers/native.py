@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr, refuse_hollow, stored
-from morembs.importers.imported import AverageElement, Imported, RigidElement
+from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
 

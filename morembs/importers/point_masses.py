@@ -10,9 +10,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.followers import dof_table
-from morembs.importers.imported import AverageElement, PointMass, RigidElement
+from morembs.importers.dependent_dofs import dof_table
+from morembs.importers.imported import PointMass
 from morembs.model import DofMap, FEModel, skew
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.units import Units
 
 Floats = NDArray[np.float64]
@@ -44,7 +45,7 @@ def mass_about_node(one: PointMass) -> Floats:
 
 
 def with_dofs(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> FEModel:
-    """The model with the dofs that masters, references and followers outside elements need."""
+    """The model with the dofs that masters, references and dependent nodes outside elements need."""
     table = dof_table(model)
     bare = np.asarray((table < 0).all(axis=1))
     needed: list[Ints] = [np.empty(0, dtype=np.int64)]

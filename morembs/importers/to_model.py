@@ -1,7 +1,7 @@
 """What an importer read becomes a finite-element model in SI units.
 
-A mesh is assembled; point masses are added; rigid elements (RBE2) and average elements (RBE3) become followers, which
-are eliminated where the model is coupled to its interfaces, and named couplings that an interface can take over.
+A mesh is assembled; point masses are added; rigid elements (RBE2) and average elements (RBE3) make dofs dependent,
+which are eliminated where the model is coupled to its interfaces, and named couplings that an interface can take over.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.importers.followers import couplings_of, followers_of
+from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.imported import Imported
 from morembs.importers.named import LARGEST, refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.coupled import CoupledModel
 from morembs.model.material import Material
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
@@ -33,7 +32,7 @@ Ints = NDArray[np.int64]
 def model_of(
     imported: Imported, units: Units | None = None, *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
     progress: Progress = SILENT,
-) -> CoupledModel:  # fmt: skip
+) -> FEModel:  # fmt: skip
     """Model in SI units of what a file holds in ``units`` (None: SI).
 
     Matrices of the file are taken as they are, real or complex, symmetric or not; without any the mesh is assembled
@@ -61,11 +60,10 @@ def model_of(
     model = with_dofs(model, rigid, average)
     refuse_loose(model, rigid, average, masses)
     model = with_masses(model, masses)
-    followers = followers_of(model, rigid, average)
-    return CoupledModel(
+    return FEModel(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
-        materials=model.materials, source=imported.source, rigid=rigid, average=average, followers=followers,
-        couplings=couplings_of(model, rigid, average), notes=(*imported.notes, *base.notes),
+        materials=model.materials, source=imported.source, rigid=rigid, average=average,
+        dependent=dependent_dofs(model, rigid, average), notes=(*imported.notes, *base.notes),
     )  # fmt: skip
 
 

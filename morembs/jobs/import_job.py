@@ -20,8 +20,7 @@ from morembs.importers.matrix_files import abaqus_matrices
 from morembs.importers.model_file import write_model
 from morembs.importers.named import square_csr
 from morembs.importers.to_model import model_of, rows_of_labels
-from morembs.model import DofMap, Nodes
-from morembs.model.coupled import CoupledModel
+from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.material import Material, isotropic
 from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import check_writable
@@ -61,7 +60,7 @@ class ImportResult:
     """A model that was read and written; ``diagnosis`` where it was examined."""
 
     path: Path
-    model: CoupledModel
+    model: FEModel
     format: str
     diagnosis: Diagnosis | None = None
 

@@ -13,7 +13,7 @@ from morembs.body.file import check_writable
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
-from morembs.importers.followers import interface_of_coupling
+from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.interface import Interface, make_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable

@@ -1,5 +1,6 @@
 """The finite-element model: nodes, elements, materials, matrices and what each degree of freedom means."""
 
-from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, frozen, rigid_motion, skew
+from morembs.model.arrays import frozen
+from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, rigid_motion, skew
 
 __all__ = ["DofMap", "ElementBlock", "FEModel", "Mesh", "Nodes", "frozen", "rigid_motion", "skew"]

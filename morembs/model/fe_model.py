@@ -12,17 +12,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.model.arrays import frozen
+from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
 from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-def frozen(array: Floats | Ints) -> NDArray:  # type: ignore[type-arg]
-    """A read-only view of ``array``, for the fields of frozen types."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
+# Matrices that came as text differ from their transposes by round-off.
+SYMMETRIC = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,6 +123,10 @@ class FEModel:
 
     ``K``, ``M`` and optionally ``D`` are sparse symmetric (N, N) in CSR form; ``mesh`` is None for
     models that came as matrices, ``materials`` are those that its elements were assembled with.
+
+    ``rigid`` and ``average`` elements make dofs ``dependent`` on others; the matrices cover these too, until the model
+    is coupled to its interfaces. Masters and references are nodes with dofs of their own. ``notes`` say what the
+    import found.
     """
 
     K: sp.csr_array
@@ -136,6 +137,10 @@ class FEModel:
     mesh: Mesh | None = None
     materials: tuple[Material, ...] = ()
     source: str = ""
+    rigid: tuple[RigidElement, ...] = ()
+    average: tuple[AverageElement, ...] = ()
+    dependent: DependentDofs | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.dofs)
@@ -148,6 +153,12 @@ class FEModel:
     def size(self) -> int:
         """Number of degrees of freedom N."""
         return len(self.dofs)
+
+    @property
+    def couplings(self) -> dict[str, RigidElement | AverageElement]:
+        """The rigid and average elements by name; each of them can serve as an interface."""
+        elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
+        return {element.name: element for element in elements}
 
 
 def skew(x: Floats) -> Floats:
@@ -172,3 +183,38 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     turns = ~moves
     R[turns, component[turns]] = 1.0
     return R
+
+
+def refuse_complex(model: FEModel) -> None:
+    """Refuse complex matrices, as reductions take real ones.
+
+    Raises:
+        InputError: as said.
+    """
+    for name in ("K", "M", "D"):
+        A = getattr(model, name)
+        if A is not None and A.dtype.kind == "c":
+            raise InputError(
+                f"{name} of {model.source or 'the model'} is complex, and reductions take real matrices; import "
+                "its real part, and give structural damping as [damping] structural"
+            )
+
+
+def refuse_unsymmetric(model: FEModel) -> None:
+    """Refuse K and M that are not symmetric, as reductions take symmetric ones.
+
+    A z and A' z are compared for one fixed random z: vectors only, and no symmetric matrix is refused.
+
+    Raises:
+        InputError: as said.
+    """
+    for name in ("K", "M"):
+        A = getattr(model, name)
+        z = np.random.default_rng(60).standard_normal(A.shape[0])
+        largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
+        found = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
+        if found > SYMMETRIC * largest:
+            raise InputError(
+                f"{name} of {model.source or 'the model'} is not symmetric (by {found / largest:.1e} of its largest "
+                "entry), and reductions take symmetric matrices; leave out circulatory terms, friction and contact"
+            )

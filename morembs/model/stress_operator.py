@@ -24,7 +24,6 @@ from morembs.model import assembly as fem
 from morembs.model.elements import TYPES, ElementType
 from morembs.model.fe_model import FEModel, Mesh
 from morembs.model.surface import outer_faces
-from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -38,8 +37,6 @@ _ROW, _COLUMN = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
 _LINEAR = {"t": "tet4", "h": "hex8", "w": "wedge6"}
 # Entries of G that are collected before they are added up.
 _COLLECTED = 4_000_000
-# Columns of length N that one block of shapes costs, beside the gradients at the points.
-_COPIES = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,24 +188,6 @@ def extrapolation(kind: ElementType) -> Floats:
     at_points, _ = linear.shape(kind.rule(kind.stiffness_order).points)
     at_nodes, _ = linear.shape(kind.reference)
     return np.asarray(at_nodes @ np.linalg.pinv(at_points))
-
-
-def stress_shapes(
-    problem: Problem, X: Floats, operator: StressOperator, *, strain: bool = False, out: Reals | None = None
-) -> Reals:
-    """Stresses in Pa (6 np, k) of displacements ``X`` (Nc, k) in coupled dofs; strains if ``strain``.
-
-    ``out`` (6 np, k) takes the result and may be of single precision. Works in blocks of columns.
-    """
-    found: Reals = problem.budget.empty((6 * len(operator.nodes), X.shape[1]), order="F") if out is None else out
-    # Masters of couplings come behind the nodes of the elements.
-    T = problem.coupling.T[: 3 * operator.gradient.shape[1]]
-    width = problem.budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=_COPIES)
-    for at in range(0, X.shape[1], width):
-        u = np.asarray(T @ X[:, at : at + width])
-        found[:, at : at + width] = operator.strain(u) if strain else operator.stress(u)
-        problem.budget.relax()
-    return found
 
 
 def von_mises(stress: Reals) -> Floats:

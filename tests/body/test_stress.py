@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from morembs.body.stress_shapes import read_recovery, stress_recovery, write_recovery
+from morembs.body.stress_shapes import read_recovery, stress_recovery, stress_shapes, write_recovery
 from morembs.budget import Budget
 from morembs.certificate.residual import static_response
 from morembs.errors import InputError
@@ -21,7 +21,7 @@ from morembs.model import assembly as fem
 from morembs.model.assembly import assemble
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
-from morembs.model.stress_operator import principal, stress_operator, stress_shapes, von_mises
+from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
 from morembs.units import parse_units

@@ -24,12 +24,12 @@ from morembs import (
 )
 from morembs.certificate.response import full_response
 from morembs.diagnostics.warnings import examined
-from morembs.importers.followers import interface_of_coupling
-from morembs.importers.imported import AverageElement, Imported, PointMass, RigidElement
+from morembs.importers.dependent_dofs import interface_of_coupling
+from morembs.importers.imported import Imported, PointMass
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
-from morembs.model import DofMap, Mesh, Nodes, skew
-from morembs.model.coupled import CoupledModel
+from morembs.model import DofMap, FEModel, Mesh, Nodes, skew
+from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.mass import mass_properties
 from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, steel, where
@@ -54,7 +54,7 @@ def with_hub(extra: int = 1) -> tuple[Imported, np.ndarray, np.ndarray]:
     return Imported(source="bar", nodes=nodes, mesh=mesh, materials=(MATERIAL,)), ends[0], ends[1]
 
 
-def assert_same(a: CoupledModel, b: CoupledModel) -> None:
+def assert_same(a: FEModel, b: FEModel) -> None:
     """Every array bit by bit."""
     for name in ("K", "M", "D"):
         A, B = getattr(a, name), getattr(b, name)
@@ -78,11 +78,11 @@ def assert_same(a: CoupledModel, b: CoupledModel) -> None:
     for x, y in zip(a.materials, b.materials, strict=True):
         assert x.set == y.set and np.array_equal(x.stiffness, y.stiffness) and x.density == y.density
     assert (a.source, a.notes, list(a.couplings)) == (b.source, b.notes, list(b.couplings))
-    if a.followers is not None and b.followers is not None:
-        assert (a.followers.S != b.followers.S).nnz == 0 and a.followers.names == b.followers.names
+    if a.dependent is not None and b.dependent is not None:
+        assert (a.dependent.S != b.dependent.S).nnz == 0 and a.dependent.names == b.dependent.names
 
 
-def full_model() -> CoupledModel:
+def full_model() -> FEModel:
     """Everything that a file can hold."""
     bar, left, right = with_hub(2)
     mesh, none = bar.mesh, np.empty(0, dtype=np.int64)
@@ -243,8 +243,8 @@ def test_components_chains_and_circles():
     n = len(bar.mesh.nodes)
     # Only x and z follow: the nodes still slide along y.
     sliding = model_of(replace(bar, rigid=(RigidElement(name="R", master=n, slaves=right, components=(0, 2)),)))
-    assert sliding.followers is not None
-    free = sliding.dofs.component[(sliding.followers.owner < 0) & np.isin(sliding.dofs.node, right)]
+    assert sliding.dependent is not None
+    free = sliding.dofs.component[(sliding.dependent.owner < 0) & np.isin(sliding.dofs.node, right)]
     assert (free == 1).all() and len(free) == len(right)
     # A master that follows another: all is one rigid body about the last master.
     chain = (RigidElement(name="A", master=n, slaves=right), RigidElement(name="B", master=n + 1, slaves=np.array([n])))
@@ -458,7 +458,7 @@ def test_units_of_meshes_materials_and_masses():
     a, b = model_of(coupled), model_of(small, u)
     assert b.K.toarray() == pytest.approx(a.K.toarray(), rel=1e-9, abs=1e-4)
     assert b.M.toarray() == pytest.approx(a.M.toarray(), rel=1e-11, abs=1e-13)
-    assert b.followers.S.toarray() == pytest.approx(a.followers.S.toarray(), abs=1e-14)
+    assert b.dependent.S.toarray() == pytest.approx(a.dependent.S.toarray(), abs=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.importers.imported import AverageElement, RigidElement
 from morembs.interface import Interface, averaging, refuse_collinear
 from morembs.model import FEModel, rigid_motion
-from morembs.model.coupled import CoupledModel, Followers
+from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,8 +32,10 @@ def dof_table(model: FEModel) -> Ints:
     return table
 
 
-def followers_of(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> Followers | None:
-    """Followers of the elements, None without any.
+def dependent_dofs(
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]
+) -> DependentDofs | None:
+    """Dofs that depend on others through the elements, None without any.
 
     Raises:
         InputError: a dof that follows two elements, elements that follow each other in a circle, average elements
@@ -65,7 +66,7 @@ def followers_of(model: FEModel, rigid: Sequence[RigidElement], average: Sequenc
     where = (np.concatenate([free, *rows]), np.concatenate([free, *columns]))
     S = sp.csr_array(sp.coo_array((data, where), shape=(model.size, model.size)))
     S.eliminate_zeros()
-    return Followers(S=_resolved(S, owner, names), owner=owner, names=names)
+    return DependentDofs(S=_resolved(S, owner, names), owner=owner, names=names)
 
 
 def _rigid_rows(model: FEModel, one: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
@@ -102,7 +103,7 @@ def _mean_rows(model: FEModel, one: AverageElement, table: Ints) -> tuple[Ints, 
 
 
 def _resolved(S: sp.csr_array, owner: Ints, names: tuple[str, ...]) -> sp.csr_array:
-    """S with every follower given by free dofs alone, where masters follow other elements."""
+    """S with every dependent dof given by independent ones alone, where masters follow other elements."""
     follows = owner >= 0
     step = S
     for _ in range(len(names) + 1):
@@ -134,18 +135,14 @@ def _average_interface(model: FEModel, one: AverageElement) -> Interface:
     )  # fmt: skip
 
 
-def couplings_of(
-    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]
-) -> dict[str, Interface]:
-    """The interface that each element offers: the master's six motions, or the mean motion of the nodes."""
-    found = {
-        one.name: Interface(
-            name=one.name, nodes=np.array([one.master]), coupling="rigid",
-            point=model.nodes.xyz[one.master].copy(), weights=np.ones(1), components=ALL,
-        )
-        for one in rigid
-    }  # fmt: skip
-    return found | {one.name: _average_interface(model, one) for one in average}
+def _offered(model: FEModel, element: RigidElement | AverageElement) -> Interface:
+    """The interface that an element offers: the six motions of its master, or the mean motion of its nodes."""
+    if isinstance(element, AverageElement):
+        return _average_interface(model, element)
+    return Interface(
+        name=element.name, nodes=np.array([element.master]), coupling="rigid",
+        point=model.nodes.xyz[element.master].copy(), weights=np.ones(1), components=ALL,
+    )  # fmt: skip
 
 
 def interface_of_coupling(
@@ -162,10 +159,11 @@ def interface_of_coupling(
         InputError: no such coupling, one of another kind, or components that it does not have.
     """
     wanted = text.removeprefix("coupling:")
-    couplings = model.couplings if isinstance(model, CoupledModel) else {}
-    if wanted not in couplings:
-        raise InputError(f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, couplings)}")
-    found = couplings[wanted]
+    if wanted not in model.couplings:
+        raise InputError(
+            f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, model.couplings)}"
+        )
+    found = _offered(model, model.couplings[wanted])
     if coupling is not None and coupling != found.coupling:
         raise InputError(
             f"interface {name!r}: coupling = {coupling!r} was given, but {wanted!r} of the model is "
