@@ -16,7 +16,7 @@ from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverE
 from morembs.linalg.sparse import interruptible, mumps, mumps_instance, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.symmetric import Lower
-from tests.support.matrices import backward_error, brick, chain, damped, random, shifted, sparse_loads
+from tests.support.matrices import backward_error, brick, chain, random, shifted, sparse_loads
 
 Kind = type[Mumps] | type[EmbeddedMumps]
 FULL = Lower.of(brick(10))
@@ -112,43 +112,6 @@ def test_threads_factorise_and_solve_at_the_same_time(kind: Kind) -> None:
 
     with ThreadPoolExecutor(4) as pool:
         assert max(pool.map(error, range(8))) < 1e-13
-
-
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e12])
-def test_null_space_of_a_free_chain_is_its_rigid_motions(kind: Kind, scale: float) -> None:
-    """The size of a pivot that counts as zero follows the units."""
-    A = scale * chain(30, held=False)
-    with kind(null_pivots=1e-8).analyse(A) as analysis:
-        factor: Any = analysis._factorize(Lower.of(A))
-        Z, rows = factor.null_space()
-    assert Z.shape == (90, 3) and len(set(rows % 3)) == 3
-    rigid = np.tile(np.eye(3), (30, 1))
-    coefficients = np.linalg.lstsq(rigid, Z, rcond=None)[0]
-    assert np.linalg.matrix_rank(coefficients) == 3
-    np.testing.assert_allclose(rigid @ coefficients, Z, rtol=0, atol=1e-8 * np.abs(Z).max())
-
-
-def test_null_space_of_a_regular_matrix_is_empty(kind: Kind) -> None:
-    with kind(null_pivots=1e-8).factorize(chain(30)) as factor:
-        Z, rows = factor.null_space()
-    assert Z.shape == (90, 0) and not len(rows)
-
-
-@pytest.mark.parametrize("nodes", [5, 60])
-@pytest.mark.parametrize("structure", ["symmetric", "complex-symmetric"])
-def test_schur_complement_is_that_of_numpy(kind: Kind, nodes: int, structure: str) -> None:
-    """Few rows are ordered by MUMPS itself, many by METIS with those of the complement behind all others."""
-    if reason := kind.lacks("double", structure):
-        pytest.skip(reason)
-    A = damped(chain(nodes), 0.7) if structure == "complex-symmetric" else shifted(chain(nodes), 0.33)
-    rows = np.array([7, 0, 3 * nodes - 1, 4])
-    rest, dense = np.setdiff1d(np.arange(3 * nodes), rows), A.toarray()
-    inner = np.linalg.solve(dense[np.ix_(rest, rest)], dense[np.ix_(rest, rows)])
-    S = kind().schur_complement(A, rows)
-    np.testing.assert_allclose(S, dense[np.ix_(rows, rows)] - dense[np.ix_(rows, rest)] @ inner, rtol=0, atol=1e-11)
-    for wrong in ([], [1, 1], [-1], [3 * nodes]):
-        with pytest.raises(InputError, match="rows of a Schur complement"):
-            kind().schur_complement(A, np.array(wrong))
 
 
 def test_inertia_keeps_no_factor(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:

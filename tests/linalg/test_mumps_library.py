@@ -24,7 +24,6 @@ typedef struct {
     MUMPS_INT comm_fortran, icntl[60];  // not; this
     DMUMPS_REAL cntl[15], rinfog[40];
     MUMPS_INT n, nrhs, lrhs, nz_rhs, infog[80];
-    MUMPS_INT size_schur, schur_lld, nprow, npcol, mblock, nblock;
     MUMPS_INT8 nnz;
     MUMPS_INT *irn, *jcn, *perm_in, *irhs_sparse, *irhs_ptr, *pivnul_list, *listvar_schur;
     DMUMPS_COMPLEX *a, * rhs, *rhs_sparse, *schur;
@@ -38,10 +37,10 @@ LOADERS = {"mumps": mumps_library.system_library, "mumps-embedded": mumps_librar
 @pytest.mark.parametrize(("letter", "real"), [("s", ctypes.c_float), ("d", ctypes.c_double),
                                               ("c", ctypes.c_float), ("z", ctypes.c_double)])  # fmt: skip
 def test_structure_is_read_from_the_header(letter: str, real: type) -> None:
-    version, fields = mumps_library.parse_header(HEADER.replace("DMUMPS", f"{letter.upper()}MUMPS"), letter)
-    kinds = dict(fields)
+    version, layout = mumps_library.parse_header(HEADER.replace("DMUMPS", f"{letter.upper()}MUMPS"), letter)
+    kinds = dict(layout._fields_)
     assert version == "5.9.9"
-    assert [name for name, _ in fields][:4] == ["sym", "par", "job", "comm_fortran"]
+    assert [name for name, _ in layout._fields_][:4] == ["sym", "par", "job", "comm_fortran"]
     assert kinds["cntl"]._type_ is real and kinds["cntl"]._length_ == 15
     assert kinds["icntl"]._type_ is ctypes.c_int32 and kinds["icntl"]._length_ == 60
     assert kinds["nnz"] is ctypes.c_int64 and kinds["n"] is ctypes.c_int32
@@ -76,8 +75,8 @@ def test_header_of_other_arithmetic_is_refused() -> None:
 def test_header_of_another_version_is_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if isinstance(found := LOADERS[name]("float64"), str):
         pytest.skip(found)
-    structure = mumps_library._structure
-    monkeypatch.setattr(mumps_library, "_structure", lambda *given: ("5.0.0", structure(*given)[1]))
+    parse = mumps_library.parse_header
+    monkeypatch.setattr(mumps_library, "parse_header", lambda *given: ("5.0.0", parse(*given)[1]))
     reason = LOADERS[name].__wrapped__()
     assert isinstance(reason, str) and f"version 5.0.0, the library {found.version}" in reason
 
@@ -85,12 +84,12 @@ def test_header_of_another_version_is_refused(name: str, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("file", ["mumps_int_def.h", "mumps_c_types.h"])
 def test_64_bit_integers_are_refused(tmp_path: Path, file: str) -> None:
     (tmp_path / "dmumps_c.h").write_text(HEADER)
+    header = tmp_path / "dmumps_c.h"
     (tmp_path / file).write_text("/*\n#define MUMPS_INTSIZE64\n*/\n#define MUMPS_INTSIZE32\n")
-    version, structure = mumps_library._structure(tmp_path / "dmumps_c.h", "d")
-    assert version == "5.9.9" and structure.ooc_tmpdir.size == 256
+    mumps_library.refuse_wide_integers(header)
     (tmp_path / file).write_text("  # define MUMPS_INTSIZE64\n")
     with pytest.raises(mumps_library.UnusableError, match="64-bit"):
-        mumps_library._structure(tmp_path / "dmumps_c.h", "d")
+        mumps_library.refuse_wide_integers(header)
 
 
 def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

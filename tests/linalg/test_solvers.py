@@ -13,6 +13,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.budget import Budget, resident_bytes
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse import mumps_library
 from morembs.linalg.sparse.mumps import Mumps
@@ -359,3 +360,25 @@ def test_other_kinds_of_numbers_become_double(kind: type) -> None:
     with select_solver().factorize(A, "spd") as factor:
         x = factor.solve(sp.csc_matrix(np.eye(30)[:, :2]))
     np.testing.assert_allclose(x, np.linalg.inv(A.toarray().astype(float))[:, :2], atol=1e-13)
+
+
+@pytest.mark.parametrize("name", list(SOLVERS))
+def test_a_closed_factor_gives_its_memory_back(name: str) -> None:
+    """While its analysis lives, which then makes another factor."""
+    if reason := SOLVERS[name].unavailable():
+        pytest.skip(reason)
+    A, b = shifted(brick(20), -1.0), random(24_000)
+    budget = Budget(memory=10**12)
+
+    def resident() -> int:
+        budget.rest()
+        return resident_bytes()
+
+    with SOLVERS[name]().analyse(A, "spd") as analysis:
+        before = resident()
+        factor = analysis.factorize(A)
+        held = resident() - before
+        factor.close()
+        kept = resident() - before
+        assert kept < 0.3 * held + 5e6 and held > 0.5 * factor.stats.memory_bytes
+        assert backward_error(A, analysis.factorize(A).solve(b), b) < 1e-10

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse import cholmod_library, cholmod_session, umfpack
 from morembs.linalg.sparse.cholmod import Cholmod
-from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.umfpack import Umfpack
 from tests.support import meshes
@@ -366,8 +366,19 @@ def interrupt() -> Iterator[Callable[[float], None]]:
     signal.signal(signal.SIGINT, before)
 
 
+class Held(ForeignObject):
+    """A foreign object that knows when it was freed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.freed = threading.Event()
+
+    def _free(self) -> None:
+        self.freed.set()
+
+
 def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(interrupt: Callable[[float], None]) -> None:
-    calls, freed, ended = LongCalls(), threading.Event(), threading.Event()
+    held, ended = Held(), threading.Event()
 
     def long() -> None:
         ended.wait(10.0)
@@ -375,11 +386,13 @@ def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(interrupt: Call
     interrupt(0.2)
     start = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
-        calls.call(long, free=freed.set)
+        held.call(long)
     assert time.perf_counter() - start < 3.0
-    assert calls.abandoned and not freed.is_set()
+    assert held.abandoned and not held.freed.is_set()
+    with pytest.raises(SolverError, match="interrupted"):
+        held.call(long)
     ended.set()
-    assert freed.wait(5.0)
+    assert held.freed.wait(5.0)
 
 
 def test_calls_give_results_errors_and_news() -> None:
@@ -394,20 +407,19 @@ def test_calls_give_results_errors_and_news() -> None:
     def fail() -> None:
         raise ValueError("wrong")
 
-    never: Callable[[], object] = lambda: told.append("freed")  # noqa: E731
-    calls = LongCalls()
-    assert calls.call(divmod, 7, 2, free=never) == (3, 1)
-    calls.call(time.sleep, 0.7, free=never, progress=Listener(), news="factorising")
+    held = Held()
+    assert held.call(divmod, 7, 2) == (3, 1)
+    held.call(time.sleep, 0.7, progress=Listener(), news="factorising")
     with pytest.raises(ValueError, match="wrong"):
-        calls.call(fail, free=never)
+        held.call(fail)
     assert told == ["factorising 1 s"] or told == ["factorising 0 s"]
-    assert not calls.abandoned
+    assert not held.abandoned and not held.freed.is_set()
 
 
 def test_a_call_outside_the_main_thread_runs_there() -> None:
     with ThreadPoolExecutor(1) as pool:
         own, used = pool.submit(
-            lambda: (threading.get_ident(), LongCalls().call(threading.get_ident, free=lambda: None))
+            lambda: (threading.get_ident(), Held().call(threading.get_ident))
         ).result()
     assert own == used
 

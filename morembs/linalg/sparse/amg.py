@@ -22,9 +22,16 @@ from numpy.typing import NDArray
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.ordering import node_graph
-from morembs.linalg.sparse.solver import SINGULAR, Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.sparse.solver import (
+    MECHANISM,
+    SINGULAR,
+    Analysis,
+    Factorization,
+    FactorStats,
+    Forecast,
+    LinearSolver,
+)
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.threads import blas_threads
 
 log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
@@ -219,24 +226,15 @@ def _by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bs
 class _AmgFactor(Factorization):
     """The hierarchy, and the matrix in double precision."""
 
-    def __init__(self, A: sp.csr_array, hierarchy: _Hierarchy, budget: int | None, start: float) -> None:
-        super().__init__(A.shape[0])
+    def __init__(self, A: sp.csr_array, hierarchy: _Hierarchy, budget: int | None, stats: FactorStats) -> None:
+        super().__init__(stats)
         self._A, self._hierarchy = A, hierarchy
         self._norm = float(abs(A).sum(axis=1).max())
-        kept = hierarchy.nbytes + (int(A.data.nbytes) if hierarchy.levels else _bytes(A))
         self._columns = _BLOCK
         if budget is not None:
-            self._columns = min(_BLOCK, max(1, (budget - kept) // (_WORK * self.n)))
+            self._columns = min(_BLOCK, max(1, (budget - stats.memory_bytes) // (_WORK * self.n)))
         self.steps = 0
-        self._stats = FactorStats(
-            backend=Amg.name, size=self.n, nnz=int(A.nnz), factor_entries=hierarchy.entries, memory_bytes=kept,
-            out_of_core=False, seconds=time.perf_counter() - start, flops=_FLOPS * A.nnz, threads=blas_threads(),
-        )  # fmt: skip
         log.debug("multigrid with levels of %s rows", [level.A.shape[0] for level in hierarchy.levels])
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         """Raises SolverError where the iteration does not converge."""
@@ -303,7 +301,9 @@ class _AmgAnalysis(Analysis):
         rows = sp.csr_array((whole.data, indices, indptr), shape=whole.shape)
         del whole
         hierarchy = _Hierarchy(rows, self.solver.near_nullspace, self._starts)
-        return _AmgFactor(rows, hierarchy, self.solver.memory, start)
+        kept = hierarchy.nbytes + (int(rows.data.nbytes) if hierarchy.levels else _bytes(rows))
+        stats = self._stats(start, hierarchy.entries, memory_bytes=kept)
+        return _AmgFactor(rows, hierarchy, self.solver.memory, stats)
 
     def _release(self) -> None:
         self._starts = np.arange(0)
@@ -337,6 +337,5 @@ def _bytes(A: sp.csr_array) -> int:
 
 def _singular() -> SingularMatrixError:
     return SingularMatrixError(
-        "the matrix is singular or not positive definite; likely a mechanism, an unconnected part, or a body that is "
-        "not held where it should be"
+        f"the matrix is singular or not positive definite; {MECHANISM}"
     )

@@ -7,10 +7,9 @@ Its supernodal part is under the GPL: it is loaded from the user's system where 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
-from morembs.errors import InputError
 from morembs.linalg.sparse.cholmod_library import Library, cholmod_library
 from morembs.linalg.sparse.cholmod_session import Session, sparse
 from morembs.linalg.sparse.ordering import metis_ordering
@@ -19,13 +18,11 @@ from morembs.linalg.sparse.solver import (
     Factorization,
     FactorStats,
     Forecast,
-    LinearSolver,
+    ForeignSolver,
     Values,
     refuse_beyond_memory,
 )
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.threads import blas_threads
-from morembs.progress import SILENT, Progress
 
 
 class _CholmodAnalysis(Analysis):
@@ -61,15 +58,9 @@ class _CholmodAnalysis(Analysis):
 
     def _factorize(self, A: Lower) -> Factorization:
         start = time.perf_counter()
-        expected = self._forecast
-        news = f"factorising ({expected.flops:.2g} operations)"
+        news = f"factorising ({self._forecast.flops:.2g} operations)"
         self.session.factorize(sparse(self.session.library, A), self.solver.progress, news)
-        entries = int(self.session.factor.xsize)
-        stats = FactorStats(
-            backend=self.solver.name, size=self.n, nnz=self.nnz, factor_entries=entries, memory_bytes=8 * entries,
-            out_of_core=False, seconds=time.perf_counter() - start, flops=expected.flops, threads=blas_threads(),
-        )  # fmt: skip
-        return _CholmodFactor(self.session, stats)
+        return _CholmodFactor(self.session, self._stats(start, int(self.session.factor.xsize)))
 
     def _release(self) -> None:
         self.session.close()
@@ -79,13 +70,8 @@ class _CholmodFactor(Factorization):
     """The factor that an analysis holds."""
 
     def __init__(self, session: Session, stats: FactorStats) -> None:
-        super().__init__(stats.size)
+        super().__init__(stats)
         self._session = session
-        self._stats = stats
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         self._session.solve(B)
@@ -99,22 +85,13 @@ class _CholmodFactor(Factorization):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cholmod(LinearSolver):
+class Cholmod(ForeignSolver):
     """CHOLMOD of the system (Debian: libsuitesparse-dev), in memory; ``scratch`` has no effect."""
-
-    progress: Progress = field(default=SILENT, compare=False, repr=False)
 
     name: ClassVar[str] = "cholmod"
     structures: ClassVar[tuple[str, ...]] = ("spd",)
     counts: ClassVar[bool] = False
-
-    @classmethod
-    def unavailable(cls) -> str:
-        found = cholmod_library()
-        return found if isinstance(found, str) else ""
+    library = staticmethod(cholmod_library)
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        library = cholmod_library()
-        if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        return _CholmodAnalysis(self, library, A, structure)
+        return _CholmodAnalysis(self, self._loaded(), A, structure)

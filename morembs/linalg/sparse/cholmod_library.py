@@ -1,14 +1,9 @@
-"""Finds CHOLMOD, reads the layout of its structures from its header, and checks that the two agree.
-
-The structures change between releases, and a wrong layout corrupts memory. So it is taken from the header
-that was installed with the library, and refused when the versions of the two differ.
-"""
+"""Finds CHOLMOD, reads the layout of its structures from its header, and checks that the two agree."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +13,17 @@ from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_info
+
+from morembs.linalg.sparse.foreign import (
+    UnusableError,
+    constants,
+    open_deep,
+    padded,
+    refuse_missing,
+    struct_fields,
+    structure,
+    without_comments,
+)
 
 HINT = "sudo apt-get install libsuitesparse-dev"
 # Values of the enumerations of CHOLMOD, the same in all its releases.
@@ -46,10 +52,6 @@ _FUNCTIONS: dict[str, Any] = {
 # A library that is newer than the header writes beyond the structure while it is being tested.
 _PADDING = 1 << 14
 _DEFAULT_NRELAX = [4, 16, 48]
-
-
-class UnusableError(Exception):
-    """A library or header that cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -91,22 +93,22 @@ def parse_header(text: str) -> tuple[str, dict[str, type[ctypes.Structure]]]:
     Raises:
         UnusableError: the text is not understood.
     """
-    text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
-    constants = dict(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)[ \t]+\(?(\d+)\)?[ \t]*$", text, flags=re.MULTILINE))
-    numbers = [constants.get(f"CHOLMOD_{part}_VERSION", "") for part in ("MAIN", "SUB", "SUBSUB")]
+    text = without_comments(text)
+    defined = constants(text)
+    numbers = [defined.get(f"CHOLMOD_{part}_VERSION", "") for part in ("MAIN", "SUB", "SUBSUB")]
     if not all(numbers):
         raise UnusableError("its header does not say its version")
+    # Handles of CUDA are pointers, whatever their names.
+    types = _TYPES | dict.fromkeys(re.findall(r"\bCHOLMOD_CU\w+", text))
     structures = {}
     for name, needed in _NEEDED.items():
         begin = re.search(rf"typedef\s+struct\s+cholmod_{name}_struct\s*\{{", text)
         end = re.search(rf"\}}\s*cholmod_{name}\s*;", text)
         if begin is None or end is None:
             raise UnusableError(f"its header defines no cholmod_{name}")
-        fields = _fields(_preprocessed(text[begin.end() : end.start()]), constants)
-        missing = sorted(needed - {field for field, _ in fields})
-        if missing:
-            raise UnusableError(f"cholmod_{name} of its header lacks {', '.join(missing)}")
-        structures[name] = type(f"Cholmod{name.capitalize()}", (ctypes.Structure,), {"_fields_": fields})
+        fields = struct_fields(_preprocessed(text[begin.end() : end.start()]), types, defined)
+        refuse_missing(fields, needed, f"cholmod_{name}")
+        structures[name] = structure(f"Cholmod{name.capitalize()}", fields)
     return ".".join(numbers), structures
 
 
@@ -120,44 +122,11 @@ def _preprocessed(body: str) -> str:
     return re.sub(r"^[ \t]*#[^\n]*$", "", body, flags=re.MULTILINE)
 
 
-def _fields(body: str, constants: Mapping[str, str]) -> list[tuple[str, Any]]:
-    fields: list[tuple[str, Any]] = []
-    types = dict(_TYPES)
-    inner = re.compile(r"struct\s+\w+\s*\{([^{}]*)\}\s*(\w+\s*\[[^\]]+\])\s*;")
-    for number, found in enumerate(inner.finditer(body)):
-        part = type(f"Inner{number}", (ctypes.Structure,), {"_fields_": _fields(found[1], constants)})
-        types[f"inner{number}"] = part
-        body = body.replace(found[0], f"inner{number} {found[2]};")
-    body = re.sub(r"void\s*\(\s*\*\s*(\w+)\s*\)\s*\([^()]*\)\s*;", r"void *\1;", body)
-    for statement in filter(None, (part.strip() for part in body.split(";"))):
-        kind, *rest = statement.split(None, 1)
-        if not rest:
-            raise UnusableError(f"its header has a field that is not understood: {statement!r}")
-        for declarator in rest[0].split(","):
-            found_one = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:\[([^\]]+)\])?\s*", declarator)
-            # Handles of CUDA are pointers, whatever their names.
-            star = found_one is not None and (bool(found_one[1]) or kind.startswith("CHOLMOD_CU"))
-            if found_one is None or not (star or kind in types):
-                raise UnusableError(f"its header has a field that is not understood: {statement!r}")
-            fields.append((found_one[2], _sized(ctypes.c_void_p if star else types[kind], found_one[3], constants)))
-    return fields
-
-
-def _sized(kind: Any, length: str | None, constants: Mapping[str, str]) -> Any:
-    if length is None:
-        return kind
-    try:
-        return kind * sum(int(constants.get(term.strip(), term)) for term in length.split("+"))
-    except ValueError:
-        raise UnusableError(f"its header has an array length that is not understood: {length!r}") from None
-
-
 def _open(path: str, header: Path) -> Library:
     """Load a library and compare its version, and what it writes into its structure, with the header."""
     version, structures = parse_header(header.read_text(encoding="latin-1"))
     try:
-        # Deep: another BLAS that became global, such as MKL's, must not take the place of its own.
-        library = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0))
+        library = open_deep(path)
         functions = {name: getattr(library, f"cholmod_l_{name}") for name in _FUNCTIONS}
         numbers = (ctypes.c_int * 3)()
         library.cholmod_version(numbers)
@@ -168,8 +137,7 @@ def _open(path: str, header: Path) -> Library:
         raise UnusableError(f"its header {header} has version {version}, the library {found}")
     for name, result in _FUNCTIONS.items():
         functions[name].restype = result
-    fields = [("data", structures["common"]), ("padding", ctypes.c_char * _PADDING)]
-    holder: Any = type("Padded", (ctypes.Structure,), {"_fields_": fields})()
+    holder = padded(structures["common"], _PADDING)
     functions["start"](ctypes.byref(holder))
     agrees = list(holder.data.nrelax) == _DEFAULT_NRELAX and holder.data.itype == LONG and not any(holder.padding)
     functions["finish"](ctypes.byref(holder))

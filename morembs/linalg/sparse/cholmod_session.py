@@ -20,7 +20,8 @@ from morembs.linalg.sparse.cholmod_library import (
     Library,
     cholmod_library,
 )
-from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.linalg.sparse.interruptible import ForeignObject
+from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 
@@ -31,16 +32,15 @@ _WORDS = {
     -1: "it was built without a part that is needed", -2: "memory could not be allocated",
     -3: "the matrix is too large for its integers", -4: "it found its input invalid",
 }  # fmt: skip
-_MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 
 
-class Session:
+class Session(ForeignObject):
     """The foreign objects of one pattern: the workspace of CHOLMOD and the factor, first symbolic."""
 
     def __init__(self, library: Library) -> None:
+        super().__init__()
         self.library = library
         self.common = library.new("common")
-        self.calls = LongCalls()
         self._factor = ctypes.c_void_p()
         # Two arrays that CHOLMOD allocates for a block of right-hand sides and uses again for the next.
         self._workspace = [ctypes.c_void_p(), ctypes.c_void_p()]
@@ -63,9 +63,7 @@ class Session:
         Raises:
             SolverError: CHOLMOD reports an error, or a call before was abandoned.
         """
-        if self.calls.abandoned:
-            raise SolverError("this factorisation was interrupted and cannot be used again")
-        result = self.calls.call(self._call, name, args, free=self._free, progress=progress, news=news)
+        result = self.call(self._call, name, args, progress=progress, news=news)
         code = int(self.common.status)
         if code < 0:
             raise SolverError(f"CHOLMOD failed in {name}: status {code}: {_WORDS.get(code, 'see its manual')}")
@@ -99,12 +97,12 @@ class Session:
             self.forget()
             raise SingularMatrixError(
                 f"the matrix should be positive definite but its pivot {pivot} of {self.factor.n} is not "
-                f"positive; {_MECHANISM}"
+                f"positive; {MECHANISM}"
             )
 
     def forget(self) -> None:
         """Drop the values of the factor and keep its pattern."""
-        if not self.calls.abandoned and self._factor:
+        if not self.abandoned and self._factor:
             self._call("change_factor", (0, 1, 1, 1, 1, self._factor))
 
     def solve(self, X: Values) -> None:
@@ -114,7 +112,7 @@ class Session:
                 for first in range(0, X.shape[1], _BLOCK):
                     self._solve_block(X[:, first : first + _BLOCK])
             finally:
-                if not self.calls.abandoned:
+                if not self.abandoned:
                     self._free_workspace()
 
     def _solve_block(self, X: Values) -> None:
@@ -129,11 +127,6 @@ class Session:
     def _free_workspace(self) -> None:
         for handle in self._workspace:
             self.library.functions["free_dense"](ctypes.byref(handle), ctypes.byref(self.common))
-
-    def close(self) -> None:
-        """Free everything; a call that was abandoned does so when it has ended."""
-        if not self.calls.abandoned:
-            self._free()
 
     def _free(self) -> None:
         functions, common = self.library.functions, ctypes.byref(self.common)

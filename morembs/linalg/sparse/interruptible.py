@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from morembs.errors import SolverError
 from morembs.progress import SILENT, Progress
 
 T = TypeVar("T")
@@ -25,36 +27,41 @@ def calls_running() -> bool:
     return any(thread.name == _NAME for thread in threading.enumerate())
 
 
-class LongCalls:
-    """Runs the calls that work on one foreign object, one at a time.
+class ForeignObject(ABC):
+    """What a library holds for one pattern; its long calls can be interrupted, one at a time.
 
-    ``abandoned`` says that the wait for a call was interrupted. The object then belongs to that call, and its
-    ``free`` is run when the call has ended; nobody else may touch or free the object.
+    ``abandoned`` says that the wait for a call was interrupted. The object then belongs to that call, which frees it
+    when it has ended; nobody else may touch or free it.
     """
 
     def __init__(self) -> None:
         self.abandoned = False
 
-    def call(
-        self,
-        function: Callable[..., T],
-        *args: object,
-        free: Callable[[], object],
-        progress: Progress = SILENT,
-        news: str = "",
-    ) -> T:
-        """``function(*args)``; ``free`` releases the foreign object if the wait is interrupted.
+    @abstractmethod
+    def _free(self) -> None:
+        """Give everything back to the library."""
+
+    def close(self) -> None:
+        """Free everything; a call that was abandoned does so when it has ended."""
+        if not self.abandoned:
+            self._free()
+
+    def call(self, function: Callable[..., T], *args: object, progress: Progress = SILENT, news: str = "") -> T:
+        """``function(*args)``.
 
         Args:
             progress: told ``news`` and the seconds so far, twice a second.
 
         Raises:
+            SolverError: a call before was abandoned.
             what ``function`` raises, or what interrupts the wait (``abandoned`` is then set, unless the
             call had ended by then).
-        """  # fmt: skip
+        """
+        if self.abandoned:
+            raise SolverError("this factorisation was interrupted and cannot be used again; analyse the matrix again")
         if threading.current_thread() is not threading.main_thread():
             return function(*args)
-        job = _Job(function, args, free)
+        job = _Job(function, args, self._free)
         start = time.perf_counter()
         worker = threading.Thread(target=job.run, daemon=True, name=_NAME)
         try:

@@ -77,17 +77,15 @@ class _MixedFactor(Factorization):
     """Conjugate gradients with the rough factor; keeps the matrix."""
 
     def __init__(self, analysis: _MixedAnalysis, rough: Factorization, A: Lower) -> None:
-        super().__init__(analysis.n, rough.dtype)
+        solver = analysis.solver
+        super().__init__(replace(rough.stats, backend=solver.name, precision=solver.described()), rough.dtype)
         self._analysis, self._rough, self._A = analysis, rough, A
         self._exact: Factorization | None = None
         self._norm = float(np.abs(A.data).max())
 
     @property
     def stats(self) -> FactorStats:
-        if self._exact is not None:
-            return self._exact.stats
-        solver = self._analysis.solver
-        return replace(self._rough.stats, backend=solver.name, precision=solver.described())
+        return self._stats if self._exact is None else self._exact.stats
 
     def converges(self) -> bool:
         """Whether a trial right-hand side converges."""

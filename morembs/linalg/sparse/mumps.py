@@ -13,16 +13,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.mumps_instance import ANALYSE, FACTORIZE, Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.threads import blas_threads
 from morembs.progress import SILENT, Progress
 from morembs.scratch import ScratchFolder, free_bytes
 
@@ -37,7 +35,6 @@ _ATTEMPTS = 4
 _TOO_SMALL = {-8, -9, -14, -15, -17, -18, -20}
 # Columns solved at once in memory; on disk each block reads every factor again, so all go at once.
 _BLOCK = 64
-_MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +43,11 @@ class _MumpsSolver(LinearSolver):
 
     ``precision`` "single" and ``low_rank`` (relative size of what a low-rank block drops, 0 for none) make
     a rough factor: a preconditioner, which does not pass the check of ``factorize``.
-    ``null_pivots`` is the size below which a pivot of a "symmetric" matrix counts as zero, relative to the
-    largest. ``discard`` throws the factor away while it is computed: only the inertia is known then.
+    ``discard`` throws the factor away while it is computed: only the inertia is known then.
     """
 
     precision: str = "double"
     low_rank: float = 0.0
-    null_pivots: float = 0.0
     out_of_core: bool | None = None
     discard: bool = False
     progress: Progress = field(default=SILENT, compare=False, repr=False)
@@ -100,27 +95,6 @@ class _MumpsSolver(LinearSolver):
             )
         return MumpsAnalysis(self, library, A, structure)
 
-    def schur_complement(self, A: sp.sparray | Lower, rows: NDArray[np.int64]) -> Values:
-        """S (k, k) = A_bb - A_bi A_ii^-1 A_ib of ``rows`` (k,) of a symmetric ``A`` (n, n).
-
-        Raises:
-            InputError: rows that are not there or given twice.
-            SingularMatrixError: A_ii is singular.
-        """
-        lower = Lower.of(A)
-        rows = np.asarray(rows, dtype=np.int64)
-        if not len(rows) or len(np.unique(rows)) != len(rows) or rows.min() < 0 or rows.max() >= lower.n:
-            raise InputError(f"rows of a Schur complement must differ and lie within 0 to {lower.n - 1}")
-        structure = "complex-symmetric" if lower.data.dtype.kind == "c" else "symmetric"
-        library = type(self).library(_dtype("double", structure))
-        if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        if len(rows) == lower.n:
-            return np.asarray(lower.full().toarray()[np.ix_(rows, rows)])
-        exact = replace(self, precision="double", low_rank=0.0, null_pivots=0.0)
-        with MumpsAnalysis(exact, library, lower, structure, schur=rows) as analysis:
-            return analysis.schur_of(lower)
-
 
 def _dtype(precision: str, structure: str) -> str:
     if structure == "complex-symmetric":
@@ -131,53 +105,41 @@ def _dtype(precision: str, structure: str) -> str:
 class MumpsAnalysis(Analysis):
     """An instance of MUMPS after JOB = 1."""
 
-    def __init__(
-        self, solver: _MumpsSolver, library: Library, A: Lower, structure: str, schur: NDArray[np.int64] | None = None
-    ) -> None:
+    def __init__(self, solver: _MumpsSolver, library: Library, A: Lower, structure: str) -> None:
         super().__init__(A, structure)
         self.solver, self.backend = solver, solver.name
-        self.schur: Values | None = None
         self._folder: ScratchFolder | None = None
-        self.instance = Instance(library, structure, _dtype(solver.precision, structure))
+        self._order = metis_ordering(A)
+        self.relaxation = _RELAXATION_SPD if structure == "spd" else _RELAXATION
         try:
-            self._set_up(A, schur)
+            self._set_up(library, A)
             self._forecast = self._within_budget()
         except BaseException:
             self.close()
             raise
 
-    def _set_up(self, A: Lower, schur: NDArray[np.int64] | None) -> None:
-        instance, solver = self.instance, self.solver
-        self.relaxation = _RELAXATION_SPD if self.structure == "spd" else _RELAXATION
+    def _set_up(self, library: Library, A: Lower) -> None:
+        solver, order = self.solver, self._order
+        self.instance = instance = Instance(library, self.structure, _dtype(solver.precision, self.structure))
         instance.control(14, self.relaxation)
         # Neither of these may depend on the values: one analysis serves many shifts.
         instance.control(6, 0)
         instance.control(12, 1)
-        order = metis_ordering(A)
         if order is None:
             # Its own METIS; a build without one takes the next best.
             instance.control(7, 5)
         else:
-            if schur is not None:
-                # MUMPS wants them behind all others.
-                last = np.isin(order, schur)
-                order = np.concatenate([order[~last], schur])
             position = np.empty(A.n, dtype=np.int32)
             position[order] = np.arange(1, A.n + 1, dtype=np.int32)
             instance.give("perm_in", position)
             instance.control(7, 1)
-        if schur is not None:
-            self.schur = instance.set_schur(schur)
         if solver.low_rank:
             instance.control(35, 2)
             instance.real_control(7, solver.low_rank)
         if solver.discard:
             instance.control(31, 1)
-        if solver.null_pivots and self.structure == "symmetric":
-            instance.control(24, 1)
-            instance.real_control(3, -solver.null_pivots)
         instance.set_pattern(A)
-        if solver.out_of_core:
+        if solver.out_of_core or self._folder is not None:
             self._use_disk()
 
     def _within_budget(self) -> Forecast:
@@ -238,8 +200,8 @@ class MumpsAnalysis(Analysis):
         return wanted
 
     def _use_disk(self) -> None:
-        """Make a private folder and have the factors written there."""
-        self._folder = ScratchFolder(self.solver.scratch)
+        """Have the factors written to a private folder."""
+        self._folder = self._folder or ScratchFolder(self.solver.scratch)
         path, room = str(self._folder.path).encode(), self.instance.longest_folder
         if len(path) > room:
             raise InputError(
@@ -260,19 +222,21 @@ class MumpsAnalysis(Analysis):
     def _factorize(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         self._eliminate(A)
-        instance, expected = self.instance, self._forecast
-        entries, bytes_ = instance.count(29), instance.dtype.itemsize
-        on_disk = self._folder is not None
-        stats = FactorStats(
-            backend=self.backend, size=self.n, nnz=self.nnz, factor_entries=entries,
-            memory_bytes=0 if on_disk else bytes_ * entries, disk_bytes=bytes_ * entries if on_disk else 0,
-            out_of_core=on_disk, seconds=time.perf_counter() - start, flops=instance.real_info(3),
-            precision=expected.precision, threads=blas_threads(),
+        instance = self.instance
+        entries, on_disk = instance.count(29), self._folder is not None
+        held = instance.dtype.itemsize * entries
+        stats = self._stats(
+            start, entries, memory_bytes=0 if on_disk else held, disk_bytes=held if on_disk else 0,
+            out_of_core=on_disk, flops=instance.real_info(3),
         )  # fmt: skip
         return _MumpsFactor(self, stats)
 
     def _eliminate(self, A: Lower) -> None:
         """Numerical phase, with more workspace each time it was too small."""
+        if self.instance.ended:
+            # The factor before was closed, and this version of MUMPS let go of the analysis with it.
+            self._set_up(self.instance.library, A)
+            self._analyse()
         instance = self.instance
         instance.set_pattern(A)
         instance.set_values(A)
@@ -290,18 +254,13 @@ class MumpsAnalysis(Analysis):
         instance.drop_matrix()
         if self.structure == "spd" and instance.info(12) > 0:
             raise SingularMatrixError(
-                f"the matrix should be positive definite but has {instance.info(12)} negative pivots; {_MECHANISM}"
+                f"the matrix should be positive definite but has {instance.info(12)} negative pivots; {MECHANISM}"
             )
 
-    def schur_of(self, A: Lower) -> Values:
-        """The Schur complement that ``schur`` rows of the constructor asked for."""
-        self._eliminate(A)
-        if self.schur is None:
-            raise SolverError("no Schur complement was asked for")
-        return np.array(self.schur)
-
     def _release(self) -> None:
-        self.instance.end()
+        # Not there where MUMPS could not be started.
+        if hasattr(self, "instance"):
+            self.instance.close()
         if self._folder is not None:
             self._folder.close()
 
@@ -310,14 +269,9 @@ class _MumpsFactor(Factorization):
     """The factor that an analysis holds."""
 
     def __init__(self, analysis: MumpsAnalysis, stats: FactorStats) -> None:
-        super().__init__(analysis.n, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
+        super().__init__(stats, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
         self._instance = analysis.instance
-        self._stats = stats
         self._negative = None if self.dtype.kind == "c" else self._instance.info(12)
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         instance = self._instance
@@ -330,24 +284,14 @@ class _MumpsFactor(Factorization):
             instance.solve_dense(part)
         return X.astype(self.dtype, copy=False)
 
-    def _solve_sparse(self, B: sp.csc_array) -> Values | None:
-        if not B.nnz or self.n * B.shape[1] >= 2**31:
-            return None
-        self._instance.control(27, B.shape[1] if self._stats.out_of_core else _BLOCK)
-        return self._instance.solve_sparse(B).astype(self.dtype, copy=False)
-
-    def null_space(self) -> tuple[Values, NDArray[np.int64]]:
-        """Null vectors (n, k) and the rows (k,) whose pivots vanished, of a solver with ``null_pivots``."""
-        rows = self._instance.null_pivots()
-        if not len(rows):
-            return np.zeros((self.n, 0), dtype=self.dtype), rows
-        return self._instance.null_space(len(rows)).astype(self.dtype, copy=False), rows
-
     def _negative_pivots(self) -> int | None:
         return self._negative
 
     def _release(self) -> None:
-        """The analysis keeps the instance; the next factorisation replaces the factor."""
+        self._instance.forget()
+
+    def _give_way(self) -> None:
+        """The next factorisation overwrites the factor."""
 
 
 @dataclass(frozen=True, kw_only=True)

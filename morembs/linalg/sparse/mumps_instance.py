@@ -5,22 +5,21 @@ Numbers of controls are those of the manual: ICNTL(k), CNTL(k), INFOG(k), RINFOG
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
-from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.mumps_library import USE_COMM_WORLD, Library
+from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
 SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2}
-ANALYSE, FACTORIZE, SOLVE, END = 1, 2, 3, -2
+ANALYSE, FACTORIZE, SOLVE, END, FREE_FACTOR = 1, 2, 3, -2, -4
 _SINGULAR = {-10, -40}
 _MILLION = 1_000_000
 _WORDS = {
@@ -33,7 +32,7 @@ _WORDS = {
 }  # fmt: skip
 
 
-class Instance:
+class Instance(ForeignObject):
     """MUMPS between JOB = -1 and JOB = -2.
 
     A signal ends the wait for a job at once. The job itself cannot be stopped: the instance is then abandoned,
@@ -41,9 +40,9 @@ class Instance:
     """
 
     def __init__(self, library: Library, structure: str, dtype: Any) -> None:
+        super().__init__()
         self.library = library
         self.dtype = np.dtype(dtype)
-        self._calls = LongCalls()
         # MUMPS keeps the addresses: these have to live as long as it may read them.
         self._held: dict[str, Values] = {}
         # None where MUMPS has no instance: a call would end the process without a message.
@@ -101,19 +100,6 @@ class Instance:
         for name in ("irn", "jcn", "a", "perm_in"):
             self.give(name, None)
 
-    def set_schur(self, rows: NDArray[np.int64]) -> Values:
-        """Ask for the Schur complement of ``rows``; returns the array (k, k) that will hold it."""
-        k = len(rows)
-        S = np.zeros((k, k), dtype=self.dtype, order="F")
-        data = self._data
-        data.size_schur, data.schur_lld = k, k
-        data.nprow = data.npcol = 1
-        data.mblock = data.nblock = 100
-        self.give("listvar_schur", rows.astype(np.int32) + np.int32(1))
-        self.give("schur", S)
-        self.control(19, 3)
-        return S
-
     def set_disk(self, folder: bytes) -> None:
         """Write the factors below ``folder``."""
         self._data.ooc_tmpdir, self._data.ooc_prefix = folder, b"factor"
@@ -124,82 +110,53 @@ class Instance:
         """Bytes that the path of the scratch folder may have."""
         return int(self.library.structure.ooc_tmpdir.size) - 1
 
-    def null_pivots(self) -> NDArray[np.int64]:
-        """Rows (from zero) whose pivots were found to vanish."""
-        count = self.info(28)
-        if not count:
-            return np.empty(0, dtype=np.int64)
-        address = np.ctypeslib.as_array((ctypes.c_int32 * count).from_address(self._data.pivnul_list))
-        return address.astype(np.int64) - 1
-
     def run(self, job: int, progress: Progress = SILENT, news: str = "") -> int:
         """Run a job; returns INFOG(1), which is negative when it failed.
 
         Raises:
             SolverError: an earlier job was interrupted.
         """
-        if self._calls.abandoned:
-            raise SolverError("this analysis was interrupted in the middle of a job; analyse the matrix again")
-        self._calls.call(self.library.call, self._data, job, free=self._end, progress=progress, news=news)
+        self.call(self.library.call, self._data, job, progress=progress, news=news)
         return self.info(1)
 
     def solve_dense(self, B: Values) -> None:
         """Overwrite the Fortran-ordered ``B`` (n, k) with the solution."""
         self._data.nrhs, self._data.lrhs = B.shape[1], self._data.n
-        self.control(20, 0)
         self.give("rhs", B)
-        self._solve()
-
-    def solve_sparse(self, B: sp.csc_array) -> Values:
-        """Solution (n, k) for a sparse right-hand side; only the branches of the tree it touches are visited."""
-        X = np.zeros(B.shape, dtype=self.dtype, order="F")
-        self._data.nrhs, self._data.lrhs, self._data.nz_rhs = B.shape[1], self._data.n, B.nnz
-        self.control(20, 1)
-        self.give("rhs", X)
-        self.give("rhs_sparse", np.ascontiguousarray(B.data, dtype=self.dtype))
-        self.give("irhs_sparse", B.indices.astype(np.int32) + np.int32(1))
-        self.give("irhs_ptr", B.indptr.astype(np.int32) + np.int32(1))
-        self._solve()
-        return X
-
-    def null_space(self, count: int) -> Values:
-        """Null vectors (n, count) that go with the null pivots."""
-        Z = np.zeros((self._data.n, count), dtype=self.dtype, order="F")
-        self._data.nrhs, self._data.lrhs = count, self._data.n
-        self.control(25, -1)
-        self.give("rhs", Z)
-        try:
-            self._solve()
-        finally:
-            self.control(25, 0)
-        return Z
-
-    def _solve(self) -> None:
         try:
             if self.run(SOLVE) < 0:
                 raise self.error("solution")
         finally:
-            if not self._calls.abandoned:
-                for name in ("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr"):
-                    self.give(name, None)
+            if not self.abandoned:
+                self.give("rhs", None)
+
+    def forget(self) -> None:
+        """Free the factor: the analysis stays where this version of MUMPS can keep it (JOB = -4), else all goes."""
+        if self._data is None or self.abandoned:
+            return
+        if self.library.keeps_analysis:
+            self.library.call(self._data, FREE_FACTOR)
+        else:
+            self._free()
+
+    @property
+    def ended(self) -> bool:
+        """Whether MUMPS holds nothing of this instance any more."""
+        return self._data is None
 
     def error(self, phase: str) -> SolverError | SingularMatrixError:
         """The exception for a job that failed."""
         code, detail = self.info(1), self.info(2)
         if code in _SINGULAR:
             return SingularMatrixError(
-                f"the matrix is singular (MUMPS INFOG(1) = {code}); likely a mechanism, an unconnected part, "
-                "or a body that is not held where it should be"
+                f"the matrix is singular (MUMPS INFOG(1) = {code}); {MECHANISM}"
             )
         words = _WORDS.get(code, "see the manual of MUMPS")
         return SolverError(f"MUMPS failed in the {phase}: INFOG(1) = {code}, INFOG(2) = {detail}: {words}")
 
-    def end(self) -> None:
-        """Free the memory and the files of MUMPS; a second call does nothing."""
-        if self._data is not None and not self._calls.abandoned:
-            self._end()
-
-    def _end(self) -> None:
+    def _free(self) -> None:
+        if self._data is None:
+            return
         data, self._data = self._data, None
         self.library.call(data, END)
         self._held.clear()

@@ -1,15 +1,10 @@
-"""Finds a MUMPS library, reads the layout of its structure from its header, and checks the two agree.
-
-The structure changes between releases of MUMPS, and a wrong layout corrupts memory. So it is taken from
-the header that was installed with the library, and refused when the versions of the two differ.
-"""
+"""Finds a MUMPS library, reads the layout of its structure from its header, and checks that the two agree."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
 import importlib.util
-import os
 import re
 import sys
 import threading
@@ -19,6 +14,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from morembs.linalg.sparse.foreign import (
+    UnusableError,
+    constants,
+    open_deep,
+    padded,
+    refuse_missing,
+    struct_fields,
+    structure,
+    without_comments,
+)
+
 # "No MPI" for the sequential build: its dummy of MPI expects this communicator.
 USE_COMM_WORLD = -987654
 SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
@@ -27,9 +33,7 @@ EMBEDDED_HINT = "pip install casadi"
 _TYPES: dict[str, Any] = {"MUMPS_INT": ctypes.c_int32, "MUMPS_INT8": ctypes.c_int64, "char": ctypes.c_char}
 _NEEDED = {
     "sym", "par", "job", "comm_fortran", "icntl", "cntl", "n", "nnz", "irn", "jcn", "a", "perm_in", "rhs", "nrhs",
-    "lrhs", "rhs_sparse", "irhs_sparse", "irhs_ptr", "nz_rhs", "infog", "rinfog", "pivnul_list", "size_schur",
-    "listvar_schur", "schur", "schur_lld", "nprow", "npcol", "mblock", "nblock", "version_number", "ooc_tmpdir",
-    "ooc_prefix",
+    "lrhs", "infog", "rinfog", "version_number", "ooc_tmpdir", "ooc_prefix",
 }  # fmt: skip
 # The letter that MUMPS puts before its names, by type of the values.
 ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c"}
@@ -39,10 +43,6 @@ ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c
 LOCK = threading.RLock()
 # A library that is newer than the header writes beyond the structure while it is being tested.
 _PADDING = 1 << 16
-
-
-class UnusableError(Exception):
-    """A library or header that cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,11 @@ class Library:
     # Debian's build clusters with SCOTCH and crashes at random in low-rank mode; builds with METIS do not.
     low_rank: bool = False
 
+    @property
+    def keeps_analysis(self) -> bool:
+        """Whether JOB = -4 is there, which frees a factor and keeps the analysis (not yet in 5.5)."""
+        return tuple(map(int, re.findall(r"\d+", self.version)[:2])) >= (5, 6)
+
     def call(self, data: Any, job: int) -> None:
         """Run one job; the lock of the interpreter is released meanwhile."""
         with LOCK:
@@ -63,85 +68,60 @@ class Library:
             self.function(ctypes.byref(data))
 
 
-def parse_header(text: str, letter: str = "d") -> tuple[str, list[tuple[str, Any]]]:
-    """Version and fields of ``DMUMPS_STRUC_C`` in the text of ``dmumps_c.h``; pointers become c_void_p.
+def parse_header(text: str, letter: str = "d") -> tuple[str, type[ctypes.Structure]]:
+    """Version and ``DMUMPS_STRUC_C`` in the text of ``dmumps_c.h``; pointers become c_void_p.
 
     ``letter`` is that of the arithmetic: s, d, c or z.
 
     Raises:
         UnusableError: the text is not understood.
     """
-    text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
-    constants = dict(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)[ \t]+(\S+)", text, flags=re.MULTILINE))
-    struct = f"{letter.upper()}MUMPS_STRUC_C"
-    body = re.search(r"typedef\s+struct\s*\w*\s*\{([^{}]*)\}\s*" + struct + r"\s*;", text)
-    version = constants.get("MUMPS_VERSION", "").strip('"')
+    text = without_comments(text)
+    defined = constants(text)
+    name = f"{letter.upper()}MUMPS_STRUC_C"
+    body = re.search(r"typedef\s+struct\s*\w*\s*\{([^{}]*)\}\s*" + name + r"\s*;", text)
+    version = defined.get("MUMPS_VERSION", "").strip('"')
     if body is None or not version:
-        raise UnusableError(f"its header defines no {struct} or no MUMPS_VERSION")
+        raise UnusableError(f"its header defines no {name} or no MUMPS_VERSION")
     real = ctypes.c_float if letter in "sc" else ctypes.c_double
     # Complex values occur behind pointers only.
     types = {**_TYPES, f"{letter.upper()}MUMPS_REAL": real, f"{letter.upper()}MUMPS_COMPLEX": real}
-    fields: list[tuple[str, Any]] = []
-    for statement in filter(None, (part.strip() for part in body[1].split(";"))):
-        kind, *rest = statement.split(None, 1)
-        if kind not in types or not rest:
-            raise UnusableError(f"its header has a field that is not understood: {statement!r}")
-        for declarator in rest[0].split(","):
-            parts = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:\[([^\]]+)\])?\s*", declarator)
-            if parts is None:
-                raise UnusableError(f"its header has a field that is not understood: {statement!r}")
-            star, name, length = parts.groups()
-            fields.append((name, _field_type(types[kind], bool(star), length, constants)))
-    missing = sorted(_NEEDED - {name for name, _ in fields})
-    if missing:
-        raise UnusableError(f"the structure of its header lacks {', '.join(missing)}")
-    return version, fields
+    fields = struct_fields(body[1], types, defined)
+    refuse_missing(fields, _NEEDED, "the structure")
+    return version, structure(f"{letter.upper()}mumpsStructure", fields)
 
 
-def _field_type(kind: Any, pointer: bool, length: str | None, constants: dict[str, str]) -> Any:
-    base = ctypes.c_void_p if pointer else kind
-    if length is None:
-        return base
-    try:
-        size = sum(int(constants.get(term.strip(), term)) for term in length.split("+"))
-    except ValueError:
-        raise UnusableError(f"its header has an array length that is not understood: {length!r}") from None
-    return base * size
-
-
-def _structure(header: Path, letter: str) -> tuple[str, type[ctypes.Structure]]:
-    version, fields = parse_header(header.read_text(encoding="latin-1"), letter)
-    integers = header.with_name("mumps_int_def.h"), header.with_name("mumps_c_types.h")
-    for path in integers:
-        if not path.is_file():
-            continue
-        text = re.sub(r"/\*.*?\*/", " ", path.read_text(encoding="latin-1"), flags=re.DOTALL)
-        if re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", text, flags=re.MULTILINE):
+def refuse_wide_integers(header: Path) -> None:
+    """Raise UnusableError where the headers beside ``header`` are those of a build with 64-bit integers."""
+    for path in (header.with_name("mumps_int_def.h"), header.with_name("mumps_c_types.h")):
+        if path.is_file() and "MUMPS_INTSIZE64" in re.findall(
+            r"^\s*#\s*define\s+(\w+)", without_comments(path.read_text(encoding="latin-1")), flags=re.MULTILINE
+        ):
             raise UnusableError("it is built with 64-bit integers; a build with 32-bit ones is needed")
-    return version, type(f"{letter.upper()}mumpsStructure", (ctypes.Structure,), {"_fields_": fields})
 
 
-def _open(path: str, folder: Path, letter: str, mode: int = 0, low_rank: bool = False) -> Library:
+def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Library:
     """Load a library and make an empty instance with it, to read the version it says it has."""
     header = folder / f"{letter}mumps_c.h"
-    version, structure = _structure(header, letter)
+    refuse_wide_integers(header)
+    version, layout = parse_header(header.read_text(encoding="latin-1"), letter)
     try:
-        function = getattr(ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | mode), f"{letter}mumps_c")
+        function = getattr(open_deep(path), f"{letter}mumps_c")
     except (OSError, AttributeError) as error:
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
-    fields = [("data", structure), ("padding", ctypes.c_char * _PADDING)]
-    holder: Any = type("Padded", (ctypes.Structure,), {"_fields_": fields})()
+    # Keeps the padding alive beside the structure.
+    holder = padded(layout, _PADDING)
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
-    library = Library(path, version, structure, function, low_rank)
+    library = Library(path, version, layout, function, low_rank)
     with LOCK:
         library.call(data, -1)
         found = data.version_number.decode("latin-1").strip()
         data.icntl[:4] = [0] * 4
         library.call(data, -2)
     if found != version:
-        raise UnusableError(f"its header {header} is has version {version}, the library {found or 'another'}")
+        raise UnusableError(f"its header {header} has version {version}, the library {found or 'another'}")
     return library
 
 
@@ -169,8 +149,7 @@ def system_library(dtype: str = "float64") -> Library | str:
         if not (place / f"{letter}mumps_c.h").is_file():
             continue
         try:
-            # MKL, loaded by PARDISO before, has a global BLAS: prefer the one this library was linked with.
-            return _open(path, place, letter, getattr(os, "RTLD_DEEPBIND", 0), low_rank=own is not None)
+            return _open(path, place, letter, low_rank=own is not None)
         except UnusableError as error:
             reason = str(error)
     return f"{path} cannot be used: {reason}; get both with: {SYSTEM_HINT}"
@@ -208,6 +187,6 @@ def embedded_library(dtype: str = "float64") -> Library | str:
     try:
         # Its own OpenBLAS must not mix with another one whose symbols are global (an older one lacks
         # DGEMMT): the two share internal names, and the factor came out wrong without an error.
-        return _open(str(path), headers, "d", getattr(os, "RTLD_DEEPBIND", 0), low_rank=True)
+        return _open(str(path), headers, "d", low_rank=True)
     except UnusableError as error:
         return f"{path.name} of CasADi cannot be used: {error}"

@@ -8,26 +8,26 @@ from __future__ import annotations
 import ctypes
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, SingularMatrixError, SolverError
-from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.errors import SingularMatrixError, SolverError
+from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.pardiso_library import mkl_library
 from morembs.linalg.sparse.solver import (
+    MECHANISM,
     Analysis,
     Factorization,
     FactorStats,
     Forecast,
-    LinearSolver,
+    ForeignSolver,
     refuse_beyond_memory,
 )
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.threads import blas_threads
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
@@ -49,10 +49,9 @@ _ZERO = 20
 _ACCURATE, _STEPS = 1e-14, 3
 # Entries of a factor or a matrix that 32-bit integers count.
 _MOST_ENTRIES = 2**31 - 1
-_MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 
 
-class _Handle:
+class _Handle(ForeignObject):
     """One pattern in PARDISO; numbers of ``iparm`` count from zero, as in the C manual.
 
     ``wide`` takes 64-bit integers. ``matching`` permutes and scales large values towards the diagonal, which
@@ -69,6 +68,7 @@ class _Handle:
         wide: bool,
         matching: bool = False,
     ) -> None:
+        super().__init__()
         self._integer: Any = ctypes.c_int64 if wide else ctypes.c_int32
         self._function = library.pardiso_64 if wide else library.pardiso
         dtype = np.int64 if wide else np.int32
@@ -90,16 +90,13 @@ class _Handle:
         # The matrix and its largest value, where solutions have to be refined.
         self._A: Lower | None = None
         self._size = 0.0
-        self.calls = LongCalls()
         self._solving = threading.Lock()
 
     def run(
         self, phase: int, B: Values | None = None, X: Values | None = None, progress: Progress = SILENT, news: str = ""
     ) -> int:
         """The code of an error, 0 for none."""
-        if self.calls.abandoned:
-            raise SolverError("this factorisation was interrupted and cannot be used again")
-        return self.calls.call(self._call, phase, B, X, free=self._free, progress=progress, news=news)
+        return self.call(self._call, phase, B, X, progress=progress, news=news)
 
     def _call(self, phase: int, B: Values | None, X: Values | None) -> int:
         def number(value: int) -> Any:
@@ -171,13 +168,8 @@ class _Handle:
 
     def drop_factor(self) -> None:
         """Free the numerical factor and keep the analysis."""
-        if not self.calls.abandoned:
+        if not self.abandoned:
             self._call(_FREE_FACTOR, None, None)
-
-    def close(self) -> None:
-        """Free everything; a call that was abandoned does so when it has ended."""
-        if not self.calls.abandoned:
-            self._free()
 
     def _free(self) -> None:
         self._call(_FREE, None, None)
@@ -244,11 +236,7 @@ class _PardisoAnalysis(Analysis):
         self._drop_special()
         handle = self._eliminate(A)
         entries = int(handle.iparm[17])
-        stats = FactorStats(
-            backend=self.solver.name, size=self.n, nnz=self.nnz, factor_entries=entries,
-            memory_bytes=self._itemsize * entries, out_of_core=False, seconds=time.perf_counter() - start,
-            flops=self._forecast.flops, threads=blas_threads(),
-        )  # fmt: skip
+        stats = self._stats(start, entries, memory_bytes=self._itemsize * entries)
         return _PardisoFactor(handle, stats, A.data.dtype)
 
     def _eliminate(self, A: Lower) -> _Handle:
@@ -263,8 +251,8 @@ class _PardisoAnalysis(Analysis):
         if code in _SINGULAR or (code == 0 and handle.perturbed):
             handle.drop_factor()
             if self.structure == "spd":
-                raise SingularMatrixError(f"the matrix should be positive definite but is not; {_MECHANISM}")
-            raise SingularMatrixError(f"the matrix is singular, or PARDISO finds no pivots for it; {_MECHANISM}")
+                raise SingularMatrixError(f"the matrix should be positive definite but is not; {MECHANISM}")
+            raise SingularMatrixError(f"the matrix is singular, or PARDISO finds no pivots for it; {MECHANISM}")
         if code:
             raise failure("factorisation", code)
         return handle
@@ -283,14 +271,9 @@ class _PardisoFactor(Factorization):
     """The factor that an analysis holds."""
 
     def __init__(self, handle: _Handle, stats: FactorStats, dtype: Any) -> None:
-        super().__init__(stats.size, dtype)
+        super().__init__(stats, dtype)
         self._handle = handle
-        self._stats = stats
         self._negative = None if self.dtype.kind == "c" else int(handle.iparm[22])
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         return self._handle.solve(B)
@@ -303,20 +286,11 @@ class _PardisoFactor(Factorization):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pardiso(LinearSolver):
+class Pardiso(ForeignSolver):
     """PARDISO of MKL, in memory; ``scratch`` has no effect."""
 
-    progress: Progress = field(default=SILENT, compare=False, repr=False)
-
     name: ClassVar[str] = "pardiso"
-
-    @classmethod
-    def unavailable(cls) -> str:
-        found = mkl_library()
-        return found if isinstance(found, str) else ""
+    library = staticmethod(mkl_library)
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        library = mkl_library()
-        if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        return _PardisoAnalysis(self, library, A, structure)
+        return _PardisoAnalysis(self, self._loaded(), A, structure)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import logging
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
@@ -21,6 +22,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.threads import blas_threads
+from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
@@ -31,6 +34,8 @@ STRUCTURES = ("spd", "symmetric", "complex-symmetric")
 # meshes of practice stay below 1e12.
 SINGULAR = 1e14
 BACKWARD_ERROR = 1e-10
+# What a matrix lacks that should be positive definite.
+MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 # Starting vectors of the one step that a factor on disk is checked with: every step reads it all.
 _ON_DISK = 4
 
@@ -112,25 +117,22 @@ class Factorization(_Resource):
     ``dtype`` is that of the solutions: float64, or complex128 of a complex symmetric matrix.
     """
 
-    def __init__(self, n: int, dtype: Any = np.float64) -> None:
+    def __init__(self, stats: FactorStats, dtype: Any = np.float64) -> None:
         super().__init__()
-        self.n = n
+        self.n = stats.size
         self.dtype = np.dtype(dtype)
+        self._stats = stats
         # An analysis made for this factor alone goes when the factor goes.
         self.analysis: Analysis | None = None
 
     @property
-    @abstractmethod
     def stats(self) -> FactorStats:
         """What the factorisation cost."""
+        return self._stats
 
     @abstractmethod
     def _solve(self, B: Values) -> Values:
         """A X = B for a Fortran-ordered (n, k) right-hand side of ``dtype`` that may be overwritten."""
-
-    def _solve_sparse(self, B: sp.csc_array) -> Values | None:
-        """A X = B for a sparse right-hand side; None where the backend has no way of its own."""
-        return None
 
     @abstractmethod
     def _negative_pivots(self) -> int | None:
@@ -140,11 +142,22 @@ class Factorization(_Resource):
     def _release(self) -> None:
         """Release what the backend holds; called once."""
 
+    def _give_way(self) -> None:
+        """Release what the next factor of the same analysis does not overwrite."""
+        self._release()
+
     @final
     def _close(self) -> None:
         self._release()
         if self.analysis is not None:
             self.analysis.close()
+
+    @final
+    def replaced(self) -> None:
+        """Close this factor, because the next one of the same analysis takes its place."""
+        if not self.closed:
+            self.closed = True
+            self._give_way()
 
     @final
     def solve(self, B: Values | sp.sparray) -> Values:
@@ -163,11 +176,8 @@ class Factorization(_Resource):
         if B.dtype.kind == "c" and self.dtype.kind != "c":
             raise InputError("a complex right-hand side was given for a real matrix; solve for both parts")
         if sp.issparse(B):
-            X = self._solve_sparse(sp.csc_array(B).astype(self.dtype))
-            if X is not None:
-                return X
-            whole: Any = B
-            B = whole.toarray()
+            sparse: Any = B
+            B = sparse.toarray()
         block = np.array(B.reshape(self.n, -1), dtype=self.dtype, order="F", copy=True)
         X = self._solve(block) if block.shape[1] else block
         return X.reshape(B.shape) if B.ndim == 1 else X
@@ -211,6 +221,20 @@ class Analysis(_Resource):
     def _release(self) -> None:
         """Release what the backend holds; called once."""
 
+    def _stats(self, start: float, entries: int, **more: Any) -> FactorStats:
+        """Statistics of a factor with ``entries`` of 8 bytes in memory that was begun at ``start``.
+
+        ``more`` are fields of ``FactorStats`` that differ from these.
+        """
+        plan = self.forecast
+        usual: dict[str, Any] = {
+            "memory_bytes": 8 * entries, "out_of_core": False, "flops": plan.flops, "precision": plan.precision
+        }  # fmt: skip
+        return FactorStats(
+            backend=plan.backend, size=self.n, nnz=self.nnz, factor_entries=entries, threads=blas_threads(),
+            seconds=time.perf_counter() - start, **{**usual, **more},
+        )  # fmt: skip
+
     @final
     def _close(self) -> None:
         if self._current is not None:
@@ -238,7 +262,7 @@ class Analysis(_Resource):
         if not np.isfinite(lower.data).all():
             raise InputError(f"{what} has values that are not finite; check the input matrices")
         if self._current is not None:
-            self._current.close()
+            self._current.replaced()
         start = time.perf_counter()
         self._current = factor = self._factorize(lower)
         try:
@@ -372,6 +396,25 @@ class LinearSolver(ABC):
         return factor
 
 
+@dataclass(frozen=True, kw_only=True)
+class ForeignSolver(LinearSolver):
+    """A solver whose ``library`` is loaded where the user has it: the library, or why there is none."""
+
+    progress: Progress = field(default=SILENT, compare=False, repr=False)
+
+    library: ClassVar[Callable[[], Any]]
+
+    @classmethod
+    def unavailable(cls) -> str:
+        found = cls.library()
+        return found if isinstance(found, str) else ""
+
+    @classmethod
+    def _loaded(cls) -> Any:
+        """The library, which ``analyse`` has found available before."""
+        return cls.library()
+
+
 def refuse_beyond_memory(solver: LinearSolver, wanted: Forecast, who: str, advice: str) -> None:
     """Raise BudgetError where a factor that has to stay in memory exceeds the budget of ``solver``."""
     if solver.memory is not None and wanted.memory > solver.memory:
@@ -407,8 +450,7 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         seen = growth * np.sqrt(A.n / _ON_DISK) if on_disk else growth
         if not np.isfinite(growth) or norm * seen > SINGULAR:
             raise SingularMatrixError(
-                f"{what} is singular (condition above {SINGULAR:.0e}); likely a mechanism, an unconnected "
-                "part, or a body that is not held where it should be"
+                f"{what} is singular (condition above {SINGULAR:.0e}); {MECHANISM}"
             )
         residual = float(np.linalg.norm(d * (A @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
         if residual > BACKWARD_ERROR:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
+from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
 from morembs.linalg.sparse.symmetric import Lower
 
 # A value and a row number of 32 bits for every entry.
@@ -36,19 +36,13 @@ def _error(lu: Any, A: sp.csc_array) -> float:
 class _SuperLUFactor(Factorization):
     """LU with the pivots on the diagonal, of the matrix in the order of METIS."""
 
-    def __init__(self, lu: Any, A: sp.csc_array, order: NDArray[np.int64] | None, refine: bool, seconds: float) -> None:
-        super().__init__(A.shape[0], A.dtype)
+    def __init__(
+        self, lu: Any, A: sp.csc_array, order: NDArray[np.int64] | None, refine: bool, stats: FactorStats
+    ) -> None:
+        super().__init__(stats, A.dtype)
         self._lu = lu
         self._order = order
         self._A = A if refine else None
-        self._stats = FactorStats(
-            backend=SuperLU.name, size=self.n, nnz=int(A.nnz), factor_entries=int(lu.nnz),
-            memory_bytes=int(lu.nnz) * _BYTES, out_of_core=False, seconds=seconds,
-        )  # fmt: skip
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         if self._order is not None:
@@ -99,7 +93,8 @@ class _SuperLUAnalysis(Analysis):
         if not definite and _error(lu, whole) > _UNSTABLE:
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
             lu = self._decomposed(whole, pivots=True)
-        return _SuperLUFactor(lu, whole, self._order, not definite, time.perf_counter() - start)
+        stats = self._stats(start, int(lu.nnz), memory_bytes=_BYTES * int(lu.nnz))
+        return _SuperLUFactor(lu, whole, self._order, not definite, stats)
 
     def _decomposed(self, whole: sp.csc_array, *, pivots: bool) -> Any:
         order = "MMD_AT_PLUS_A" if self._order is None else "NATURAL"
@@ -110,8 +105,7 @@ class _SuperLUAnalysis(Analysis):
         except RuntimeError as error:
             if "singular" in str(error):
                 raise SingularMatrixError(
-                    "the matrix is exactly singular; likely a mechanism, an unconnected part, or a body "
-                    "that is not held where it should be"
+                    f"the matrix is exactly singular; {MECHANISM}"
                 ) from None
             raise SolverError(f"SuperLU failed: {error}") from error
         except MemoryError as error:

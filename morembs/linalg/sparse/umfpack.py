@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
@@ -18,22 +17,23 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_session import Fill, fill_of
-from morembs.linalg.sparse.interruptible import LongCalls
+from morembs.linalg.sparse.foreign import open_deep
+from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.solver import (
+    MECHANISM,
     Analysis,
     Factorization,
     FactorStats,
     Forecast,
-    LinearSolver,
+    ForeignSolver,
     Values,
     refuse_beyond_memory,
 )
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.threads import blas_threads
-from morembs.progress import SILENT, Progress
+from morembs.progress import Progress
 
 HINT = "sudo apt-get install libsuitesparse-dev"
 # Places in the array of controls and their values, the same since version 4.
@@ -50,7 +50,6 @@ _KEPT, _PEAK = 1.04, 1.85
 # Componentwise backward error above which a column is corrected once, and the columns looked at together.
 _ACCURATE = 1e-14
 _BLOCK = 32
-_MECHANISM = "likely a mechanism, an unconnected part, or a body that is not held where it should be"
 
 
 @cache
@@ -60,8 +59,7 @@ def umfpack_library() -> ctypes.CDLL | str:
     if path is None:
         return f"no UMFPACK library (libumfpack) was found; get it with: {HINT}"
     try:
-        # Deep: another BLAS that became global, such as MKL's, must not take the place of its own.
-        library = ctypes.CDLL(path, mode=ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0))
+        library = open_deep(path)
         control = np.zeros(_CONTROLS)
         library.umfpack_dl_defaults(_pointer(control))
         for kind in "dz":
@@ -80,13 +78,13 @@ def _pointer(array: NDArray[Any] | None) -> Any:
     return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
 
 
-class _Session:
+class _Session(ForeignObject):
     """The foreign objects of one pattern: symbolic and numeric factor."""
 
     def __init__(self, library: ctypes.CDLL, pattern: sp.csc_array, structure: str) -> None:
+        super().__init__()
         self.complex = structure == "complex-symmetric"
         self.n = pattern.shape[0]
-        self.calls = LongCalls()
         self.results = np.zeros(_RESULTS)
         self._library = library
         self._symbolic, self._numeric = ctypes.c_void_p(), ctypes.c_void_p()
@@ -124,19 +122,19 @@ class _Session:
         args = [*map(_pointer, self._pattern), *self._split(values), self._symbolic, ctypes.byref(self._numeric)]
         if self._run("numeric", *args, progress=progress, news=news) == _SINGULAR:
             self.forget()
-            raise SingularMatrixError(f"the matrix is exactly singular; {_MECHANISM}")
+            raise SingularMatrixError(f"the matrix is exactly singular; {MECHANISM}")
 
     def solve(self, B: Values) -> Values:
         """Solution of a right-hand side (n, k) that is Fortran-ordered."""
         X = np.empty_like(B)
-        self._wait(self._solve, B, X, progress=SILENT, news="")
+        self.call(self._solve, B, X)
         return X
 
     def _solve(self, B: Values, X: Values) -> None:
         """One column at a time, the only way of UMFPACK."""
         control, results = _pointer(self._control), _pointer(self.results)
         for column in range(B.shape[1]):
-            if self.calls.abandoned:
+            if self.abandoned:
                 return
             # The matrix itself is read for refinement only.
             b, x = self._split(B[:, column]), self._split(X[:, column])
@@ -155,26 +153,16 @@ class _Session:
 
     def _run(self, name: str, *args: Any, progress: Progress, news: str) -> int:
         arrays = _pointer(self._control), _pointer(self.results)
-        code = int(self._wait(self._function(name), *args, *arrays, progress=progress, news=news))
+        code = int(self.call(self._function(name), *args, *arrays, progress=progress, news=news))
         if code < 0:
             words = {_NO_MEMORY: "memory could not be allocated", _OTHER_PATTERN: "another pattern"}
             raise SolverError(f"UMFPACK failed in {name}: status {code}: {words.get(code, 'see its manual')}")
         return code
 
-    def _wait(self, function: Any, *args: Any, progress: Progress, news: str) -> Any:
-        if self.calls.abandoned:
-            raise SolverError("this factorisation was interrupted and cannot be used again")
-        return self.calls.call(function, *args, free=self._free, progress=progress, news=news)
-
     def forget(self) -> None:
         """Free the numeric factor."""
-        if not self.calls.abandoned:
+        if not self.abandoned:
             self._function("free_numeric")(ctypes.byref(self._numeric))
-
-    def close(self) -> None:
-        """Free everything; a call that was abandoned does so when it has ended."""
-        if not self.calls.abandoned:
-            self._free()
 
     def _free(self) -> None:
         self._function("free_numeric")(ctypes.byref(self._numeric))
@@ -231,11 +219,8 @@ class _UmfpackAnalysis(Analysis):
         values = np.ascontiguousarray(A.data[self._source], dtype=np.complex128 if session.complex else np.float64)
         session.factorize(values, self.solver.progress, f"factorising ({self._forecast.flops:.2g} operations)")
         results = session.results
-        stats = FactorStats(
-            backend=self.solver.name, size=self.n, nnz=self.nnz, factor_entries=int(results[_L] + results[_U]),
-            memory_bytes=int(results[_SIZE] * results[_UNIT]), out_of_core=False,
-            seconds=time.perf_counter() - start, flops=float(results[_FLOPS]), threads=blas_threads(),
-        )  # fmt: skip
+        held = int(results[_SIZE] * results[_UNIT])
+        stats = self._stats(start, int(results[_L] + results[_U]), memory_bytes=held, flops=float(results[_FLOPS]))
         whole = None
         if self.structure != "spd":
             whole = sp.csc_array((values, self.pattern.indices, self.pattern.indptr), shape=(self.n, self.n))
@@ -249,13 +234,9 @@ class _UmfpackFactor(Factorization):
     """The factor that an analysis holds. ``whole`` is the matrix, for a correction where pivots may be small."""
 
     def __init__(self, session: _Session, stats: FactorStats, dtype: Any, whole: sp.csc_array | None) -> None:
-        super().__init__(stats.size, dtype)
-        self._session, self._stats = session, stats
+        super().__init__(stats, dtype)
+        self._session = session
         self._A = whole
-
-    @property
-    def stats(self) -> FactorStats:
-        return self._stats
 
     def _solve(self, B: Values) -> Values:
         X = self._session.solve(B)
@@ -283,22 +264,13 @@ class _UmfpackFactor(Factorization):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Umfpack(LinearSolver):
+class Umfpack(ForeignSolver):
     """UMFPACK of the system (Debian: libsuitesparse-dev), in memory; ``scratch`` has no effect."""
-
-    progress: Progress = field(default=SILENT, compare=False, repr=False)
 
     name: ClassVar[str] = "umfpack"
     # It counts only where all its pivots lie on the diagonal.
     counts: ClassVar[bool] = False
-
-    @classmethod
-    def unavailable(cls) -> str:
-        found = umfpack_library()
-        return found if isinstance(found, str) else ""
+    library = staticmethod(umfpack_library)
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        library = umfpack_library()
-        if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot run here: {library}")
-        return _UmfpackAnalysis(self, library, A, structure)
+        return _UmfpackAnalysis(self, self._loaded(), A, structure)
