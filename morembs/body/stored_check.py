@@ -47,6 +47,7 @@ _PARTS: Mapping[str, Table] = {
     "recovery": {
         "points": ("whole", "points"), "coordinates": ("later", "points 3"), "material": ("whole", "points"),
         "deformation": ("real", "n n"), "stress": ("later", "6points n"), "correction?": ("later", "6points m"),
+        "displacement?": ("later", "3N m"), "markers/*": ("real", "6 m"),
     },
     "certificate": {
         **{one: ("any", "lines") for one in ("frequencies_hz", "error", "bound", "full?", "reduced?",

@@ -1,18 +1,20 @@
-"""The part of a body that recovers stress from reduced coordinates.
+"""The part of a body that recovers stress, and what displacements lack, from reduced coordinates and interface loads.
 
 A reduced model leaves out the part of the static response that its basis misses. Mode acceleration (Williams 1945;
-Craig 1981, ch. 15) adds it for each interface load: S_res = stress of (G_e - V K_r^+ V') B, where G_e is the
-flexibility of the free body under inertia relief (or of the held one) and K_r^+ that of the reduced model.
+Craig 1981, ch. 15) adds it for each interface load: U_res = (G_e - V K_r^+ V') B and its stress, where G_e is the
+flexibility of the free body under inertia relief (or of the held one) and K_r^+ that of the reduced model. U_res has no
+momentum, so the mean axes of the body do not move with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.certificate.residual import static_response
@@ -40,6 +42,10 @@ class Recovery:
     each reduced coordinate, ``correction`` (6 np, m) Pa per unit of each interface load, or None; single or double
     precision. ``deformation`` (nr, nr) takes the rigid motion out of reduced coordinates, so that none of it is left
     to cancel in single precision.
+
+    ``missing`` (Nc, m) are displacements in coupled dofs, per unit of each interface load, that the basis lacks; in a
+    body file they are ``displacement`` (3 N, m) m of its nodes. ``markers`` (6, m) are the displacements and small
+    rotations of the interfaces with a frame in them.
     """
 
     points: Ints
@@ -48,11 +54,14 @@ class Recovery:
     deformation: Floats
     stress: Reals
     correction: Reals | None = None
+    missing: Reals | None = None
+    displacement: Reals | None = None
+    markers: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("points", "coordinates", "material", "deformation", "stress", "correction"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+        for one in fields(self):
+            if isinstance(value := getattr(self, one.name), np.ndarray):
+                object.__setattr__(self, one.name, frozen(value))
 
     @cached_property
     def seams(self) -> bool:
@@ -75,7 +84,8 @@ def stress_recovery(
     """Stress recovery of ``reduced`` at ``nodes`` ("skin", "all" or rows), in ``single`` or double precision.
 
     ``operator`` saves making that of ``nodes`` again for the next reduction. Peak memory: the operator, the result
-    (6 np, nr + m) where the budget wants it, and some columns; the correction takes m static solves, shared.
+    (6 np, nr + m) and (Nc, m) where the budget wants them, and some columns; the correction takes m static solves,
+    shared.
 
     Raises:
         InputError: as ``stress_operator``.
@@ -88,20 +98,26 @@ def stress_recovery(
     stress_shapes(problem, reduced.V, operator, out=stress)
     stress[:, np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)] = 0.0
     progress.update(f"{reduced.name}: stress of {reduced.order} coordinates at {len(operator.nodes)} points")
-    corrected = None
+    corrected, missing, markers = None, None, {}
     loads = problem.B.shape[1]
     if correction and loads:
         static, q = static_response(problem), static_coordinates(reduced)
         corrected = budget.empty((size, loads), dtype, order="F")
+        missing = budget.empty((len(static), loads), dtype, order="F")
+        frames = problem.coupling.frames
+        motions = np.empty((frames.shape[1], loads))
         width = budget.columns(len(static), copies=_COPIES)
         for at in range(0, loads, width):
             some = slice(at, at + width)
-            missing = static[:, some] - reduced.V @ q[:, some]
-            stress_shapes(problem, missing, operator, out=corrected[:, some])
+            block = static[:, some] - reduced.V @ q[:, some]
+            stress_shapes(problem, block, operator, out=corrected[:, some])
+            missing[:, some], motions[:, some] = block, frames.T @ block
             budget.relax()
+        markers = {name: motions[rows] for name, rows in problem.coupling.frame_columns.items()}
     return Recovery(
         points=model.nodes.ids[operator.nodes], coordinates=model.nodes.xyz[operator.nodes],
         material=operator.material, deformation=_deformation(problem, reduced), stress=stress, correction=corrected,
+        missing=missing, markers=markers,
     )  # fmt: skip
 
 
@@ -136,38 +152,62 @@ _PARTS = {
     "deformation": ("takes the rigid motion out of reduced coordinates, before stress is applied", ""),
     "stress": ("row 6 i + c: component c (xx, yy, zz, xy, yz, zx) of point i per unit of each coordinate", "Pa"),
     "correction": ("mode acceleration: what stress lacks, per unit of each interface load; rows as stress", "Pa"),
+    "displacement": ("mode acceleration: what basis lacks, per unit of each interface load; rows as basis", "m"),
 }
+_AT_POINTS = ("points", "coordinates", "material", "stress", "correction")
+_OPTIONAL = ("correction", "displacement")
 
 
-def write_recovery(group: Any, its: Recovery, check: Callable[[], None] = lambda: None) -> None:
-    """Datasets of ``its`` in the HDF5 ``group``; ``check`` is called after each and raises what went wrong."""
-    for name, (about, units) in _PARTS.items():
-        value = getattr(its, name)
-        if value is None:
-            continue
-        if name in ("stress", "correction") and value.size:
-            data = group.create_dataset(name, value.shape, value.dtype, chunks=(min(len(value), CHUNK_ROWS), 1))
-            for column in range(value.shape[1]):
-                data[:, column] = value[:, column]
-                check()
-        else:
-            data = group.create_dataset(name, data=value)
+def write_recovery(
+    group: Any, its: Recovery, check: Callable[[], None] = lambda: None, at_nodes: sp.csr_array | None = None,
+) -> None:  # fmt: skip
+    """Datasets of ``its`` in the HDF5 ``group``; ``check`` is called after each and raises what went wrong.
+
+    ``at_nodes`` (3 N, Nc) gives the displacements of the nodes of the file; without it these are left out.
+    """
+
+    def marked(name: str, data: Any, about: str, units: str) -> None:
         for key, words in (("description", about), ("units", units)):
             if words:
                 data.attrs[key] = np.bytes_(words)
         check()
 
+    for name, (about, units) in _PARTS.items():
+        value, taken = getattr(its, name), None
+        if name == "displacement" and at_nodes is not None:
+            value, taken = its.missing, at_nodes
+        if value is None:
+            continue
+        rows = len(value) if taken is None else taken.shape[0]
+        if value.ndim == 2 and name not in ("coordinates", "deformation") and value.size and rows:
+            shape, chunks = (rows, value.shape[1]), (min(rows, CHUNK_ROWS), 1)
+            data = group.create_dataset(name, shape, value.dtype, chunks=chunks)
+            for column in range(value.shape[1]):
+                data[:, column] = value[:, column] if taken is None else taken @ value[:, column]
+                check()
+        else:
+            data = group.create_dataset(name, data=value)
+        marked(name, data, about, units)
+    for name, value in its.markers.items():
+        data = group.create_dataset(f"markers/{name}", data=value)
+        marked(name, data, "displacement and small rotation of the interface in displacement", "")
 
-def read_recovery(group: Any) -> Recovery:
-    """What ``write_recovery`` wrote, whole in memory.
+
+def read_recovery(group: Any, *, stress: bool = True) -> Recovery:
+    """What ``write_recovery`` wrote, whole in memory; without ``stress`` it has no points.
 
     Raises:
         InputError: a dataset is missing.
     """
-    missing = [name for name in _PARTS if name != "correction" and not hasattr(group.get(name), "shape")]
+    missing = [name for name in _PARTS if name not in _OPTIONAL and not hasattr(group.get(name), "shape")]
     if missing:
         raise InputError(f"the stress recovery lacks {', '.join(missing)}; write the body file again")
-    return Recovery(**{name: _columns(group[name]) for name in _PARTS if name in group})
+    markers = {name: item[()] for name, item in group.get("markers", {}).items()}
+    found = {name: _columns(group[name]) for name in _PARTS if name in group and (stress or name not in _AT_POINTS)}
+    for name in () if stress else _AT_POINTS:
+        if name in group:
+            found[name] = np.empty((0, *group[name].shape[1:]), group[name].dtype)
+    return Recovery(**found, markers=markers)
 
 
 def _columns(data: Any) -> Any:

@@ -1,7 +1,8 @@
 """From a reduced trajectory back to the nodes: displacements, motion and stresses over time.
 
 A simulator gives the coordinates of a body over time, and for a body in a floating frame the position p and the
-rotation A of that frame. Node i then lies at p + A (x_i - origin + u_i), u = V q; stresses follow from ``Recovery``.
+rotation A of that frame. Node i then lies at p + A (x_i - origin + u_i), u = V q + U_res f; U_res, which adds what the
+basis lacks under interface loads f, and the stresses follow from ``Recovery``.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ SERIES = (".vtkhdf", ".hdf")
 # A basis up to this size is kept in memory; a larger one is read again for each block of steps.
 KEPT_BYTES = 2**30
 BLOCK_BYTES = 2**27
+# Coordinates that hold the static response to interface loads.
+STATIC_KINDS = ("constraint", "attachment")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +58,8 @@ def expand(
 ) -> Expansion:  # fmt: skip
     """Displacements at all times, and stresses if ``recovery`` is given; all in memory.
 
-    ``scale`` magnifies the deformation in ``motion``.
+    ``scale`` magnifies the deformation in ``motion``. Loads correct displacements where ``recovery`` is that of a body
+    file (``stored_recovery``).
 
     Raises:
         InputError: a trajectory that does not fit the body, or results too large for single precision.
@@ -82,15 +86,17 @@ class _Expander:
         """The expansion of all steps."""
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
             q = reduced_coordinates(self.body, trajectory)
-            u = self._nodes(q)
-            stress = None if self.recovery is None else self.recovery.at(q, trajectory.loads)
-            motion = self._motion(trajectory, q, u)
+            missing = self._missing(trajectory)
+            u = self._nodes(q) + missing
+            its = self.recovery
+            stress = None if its is None or not len(its.points) else its.at(q, trajectory.loads)
+            motion = self._motion(trajectory, q, u, missing)
         for name, values in (("displacement", u), ("motion", motion), ("stress", stress)):
             if values is not None:
                 trajectory.refuse_too_large(name, values)
         return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress)
 
-    def _motion(self, trajectory: Trajectory, q: Floats, u: Floats) -> Floats | None:
+    def _motion(self, trajectory: Trajectory, q: Floats, u: Floats, missing: Floats | float) -> Floats | None:
         p, A = trajectory.position, trajectory.rotation
         if p is not None or A is not None:
             x, origin = self.source.coordinates, _origin(self.body)
@@ -99,7 +105,19 @@ class _Expander:
             return np.asarray(turned + (origin if p is None else p[:, None]) - x)
         if self.scale == 1.0:
             return None
-        return u + (self.scale - 1.0) * self._nodes(q @ _deformation(self.body).T)
+        return u + (self.scale - 1.0) * (self._nodes(q @ _deformation(self.body).T) + missing)
+
+    def _missing(self, trajectory: Trajectory) -> Floats | float:
+        """U_res f (nt, n, 3), as the frame sees it, which follows its interfaces also where they move by that."""
+        its, loads, body = self.recovery, trajectory.loads, self.body
+        if its is None or its.displacement is None or loads is None:
+            return 0.0
+        found = (its.displacement @ loads.T.astype(its.displacement.dtype)).T.astype(np.float64)
+        u = np.ascontiguousarray(found).reshape(len(loads), -1, 3)
+        if body.floating is not None and not _is_reduced(body, trajectory):
+            moved = body.floating.followed(its.markers, loads.shape[1]) @ loads.T
+            u -= moved[:3].T[:, None] + np.cross(moved[3:].T[:, None], self.source.coordinates - _origin(body))
+        return u
 
     def _nodes(self, q: Floats) -> Floats:
         """V q as (nt, n, 3)."""
@@ -145,9 +163,14 @@ def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
             f"the trajectory moves a frame, but its {width} coordinates of body {body.name!r} are not those of a "
             f"floating frame; {cure}"
         )
-    if body.floating is None or width == order:
+    if body.floating is None or _is_reduced(body, trajectory):
         return trajectory.coordinates
     return np.asarray(trajectory.coordinates @ body.floating.elastic.T)
+
+
+def _is_reduced(body: StoredBody, trajectory: Trajectory) -> bool:
+    """Whether the coordinates are the reduced ones, not the elastic ones of the floating frame."""
+    return bool(trajectory.coordinates.shape[1] == len(body.stiffness_matrix))
 
 
 def _origin(body: StoredBody) -> Floats:
@@ -204,21 +227,19 @@ def recover(
     whole = trajectory_file if isinstance(trajectory_file, Trajectory) else read_trajectory(trajectory_file)
     trajectory = whole.part(slice(None, None, every))
     reduced_coordinates(chosen, trajectory.part(slice(0, 1)))
-    its = stored_recovery(place, chosen.name) if stress else None
+    its = stored_recovery(place, chosen.name, stress=stress)
     if stress and its is None:
         raise InputError(
             f"{place}: body {chosen.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
         )
-    for name, values in (("stress", its.stress), ("correction", its.correction)) if its is not None else ():
-        if values is not None:
-            refuse_not_finite(place, f"bodies/{chosen.name}/recovery/{name}", values)
+    if its is not None:
+        _check_recovery(place, chosen, its)
     grid = read_grid(place)
     check_grid(place, len(source.node_ids), grid.points, grid.connectivity, grid.offsets, grid.types)
     progress.stage(f"expanding {chosen.name}")
-    shown = None if its is None else _Shown(its, source)
+    shown = _Shown(its, source) if its is not None and stress else None
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
-    named = {"displacement": 3, "motion": 3 if moved else 0, "stress": 6 if its else 0, "von_mises": 1 if its else 0}
-    wanted = {name: width for name, width in named.items() if width}
+    wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({"stress": 6, "von_mises": 1} if shown else {})}
 
     def steps() -> Iterator[Mapping[str, Any]]:
         for block in _Expander(source, chosen, its, scale).blocks(trajectory):
@@ -230,12 +251,62 @@ def recover(
                     step["stress"], step["von_mises"] = shown.fields(block.stress[number], float(time))
                 yield step
 
-    write_series(target, grid, trajectory.times, wanted, steps(), progress)
+    def notes() -> tuple[str, ...]:
+        about = () if shown is None else shown.notes()
+        return (*_still(chosen, trajectory), *_uncorrected(chosen, its, trajectory, stress), *about)
+
+    write_series(target, grid, trajectory.times, wanted, steps(), progress, notes=notes)
     return Recovered(
         path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
-        peak=None if shown is None else shown.peak,
-        notes=(*_still(chosen, trajectory), *(() if shown is None else shown.notes(trajectory))),
+        peak=None if shown is None else shown.peak, notes=notes(),
     )  # fmt: skip
+
+
+def _check_recovery(path: Path, body: StoredBody, its: Recovery) -> None:
+    """Shapes that are not finite, or lack what the frame of the body follows.
+
+    Raises:
+        InputError: there are some.
+    """
+    for name in ("stress", "correction", "displacement"):
+        if getattr(its, name) is not None:
+            refuse_not_finite(path, f"bodies/{body.name}/recovery/{name}", getattr(its, name))
+    followed = () if body.floating is None or its.displacement is None else body.floating.interfaces
+    for name in followed:
+        if name not in its.markers:
+            raise InputError(
+                f"{path} is an incomplete body file; missing: /bodies/{body.name}/recovery/markers/{name}, which the "
+                "frame follows; write it again"
+            )
+
+
+def _uncorrected(body: StoredBody, its: Recovery | None, trajectory: Trajectory, stress: bool) -> tuple[str, ...]:
+    """Notes on what lacks its mode-acceleration correction, and why."""
+    if not body.input_matrix.shape[1]:
+        return ()
+    loads = trajectory.loads
+    held = {"stress": its is not None and its.correction is not None,
+            "displacements": its is not None and its.displacement is not None}  # fmt: skip
+    # Static shapes of all interfaces are in the basis: nothing to speak of is missing from displacements.
+    complete = any(kind in STATIC_KINDS for kind in body.mode_kind)
+    shown = (*(("stress",) if stress else ()), *(() if complete else ("displacements",)))
+    able = " and ".join(name for name in shown if held[name])
+    unable = " and ".join(name for name in shown if not held[name])
+    found = []
+    if able and loads is None:
+        found.append(f"no loads were given, so no mode-acceleration correction is in {able}; give those of the joints")
+    elif able and loads is not None and not loads.any():
+        found.append(
+            f"all loads are zero, so no mode-acceleration correction is in {able}; right only for a body that nothing "
+            "touches"
+        )
+    if unable:
+        unused = "; the loads were not used for them" if loads is not None else ""
+        found.append(
+            f"the file has no mode-acceleration correction for {unable}: what the basis misses of them under interface "
+            f"loads is not there{unused} (write it again with [stress] and correction = true)"
+        )
+    return tuple(found)
 
 
 class _Shown:
@@ -264,7 +335,7 @@ class _Shown:
         tensor[self.rows[points]], scalar[self.rows[points]] = stress[points], size[points]
         return tensor, scalar
 
-    def notes(self, trajectory: Trajectory) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """What a user should know about the stress in the file."""
         found = []
         bare = self.count - len(np.unique(self.rows[self.known]))
@@ -276,10 +347,6 @@ class _Shown:
         if not self.known.all():
             lost = len(np.unique(self.recovery.points[~self.known]))
             found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
-        if trajectory.loads is None and self.recovery.correction is not None:
-            found.append("no loads were given, so the stress lacks its mode-acceleration correction")
-        if trajectory.loads is not None and self.recovery.correction is None:
-            found.append("the file has no mode-acceleration correction; the loads were not used")
         return tuple(found)
 
 
