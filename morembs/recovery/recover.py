@@ -33,6 +33,8 @@ SERIES = (".vtkhdf", ".hdf")
 # A basis up to this size is kept in memory; a larger one is read again for each block of steps.
 KEPT_BYTES = 2**30
 BLOCK_BYTES = 2**27
+# Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
+LARGE_JUMP = 0.05
 # Coordinates that hold the static response to interface loads.
 STATIC_KINDS = ("constraint", "attachment")
 
@@ -43,13 +45,15 @@ class Expansion:
 
     Displacements are along the model's axes, as the coordinates give them (within the frame for elastic ones).
     ``motion`` (nt, n, 3) m leads from where the nodes lie in the file to where they are, with deformations
-    magnified; None where it is the displacement. ``stress`` (nt, np, 6) Pa at the points of the recovery.
+    magnified; None where it is the displacement. ``stress`` (nt, np, 6) Pa at the points of the recovery, ``jump``
+    (nt, np) Pa how far elements miss it around each (``Recovery.jumps_at``).
     """
 
     times: Floats
     displacement: Floats
     motion: Floats | None = None
     stress: Floats | None = None
+    jump: Floats | None = None
 
 
 def expand(
@@ -77,8 +81,9 @@ class _Expander:
 
     def blocks(self, trajectory: Trajectory) -> Iterator[Expansion]:
         """The expansion, some steps at a time."""
-        points = 0 if self.recovery is None else len(self.recovery.points)
-        step = max(1, BLOCK_BYTES // (8 * (9 * len(self.source.node_ids) + 18 * points + 1)))
+        its = self.recovery
+        points, pairs = (0, 0) if its is None else (len(its.points), 0 if its.jump is None else len(its.jump) // 6)
+        step = max(1, BLOCK_BYTES // (8 * (9 * len(self.source.node_ids) + 18 * points + 24 * pairs + 1)))
         for at in range(0, len(trajectory.times), step):
             yield self.expand(trajectory.part(slice(at, at + step)))
 
@@ -89,12 +94,14 @@ class _Expander:
             missing = self._missing(trajectory)
             u = self._nodes(q) + missing
             its = self.recovery
-            stress = None if its is None or not len(its.points) else its.at(q, trajectory.loads)
+            stressed = None if its is None or not len(its.points) else its
+            stress = None if stressed is None else stressed.at(q, trajectory.loads)
+            jump = None if stressed is None else stressed.jumps_at(q, trajectory.loads)
             motion = self._motion(trajectory, q, u, missing)
         for name, values in (("displacement", u), ("motion", motion), ("stress", stress)):
             if values is not None:
                 trajectory.refuse_too_large(name, values)
-        return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress)
+        return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress, jump=jump)
 
     def _motion(self, trajectory: Trajectory, q: Floats, u: Floats, missing: Floats | float) -> Floats | None:
         p, A = trajectory.position, trajectory.rotation
@@ -191,7 +198,8 @@ def _deformation(body: StoredBody) -> Floats:
 class Recovered:
     """What ``recover`` wrote; ``peak`` is the largest von Mises stress in Pa, the label of its node and its time in s.
 
-    ``notes`` say what the file lacks.
+    ``peak_jump`` Pa is how far elements around that node miss the average then, ``worst_jump`` the largest of these
+    anywhere and at any time, as ``peak``. ``notes`` say what the file lacks.
     """
 
     path: Path
@@ -199,6 +207,8 @@ class Recovered:
     steps: int
     nodes: int
     peak: tuple[float, int, float] | None = None
+    peak_jump: float | None = None
+    worst_jump: tuple[float, int, float] | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -209,7 +219,8 @@ def recover(
     """Write a trajectory at the nodes of a body as a VTKHDF time series for ParaView.
 
     Point data: displacement, motion (where a frame moves, or deformations are magnified by ``scale``; warp by this
-    one), and with ``stress`` the tensor stress (xx, yy, zz, xy, yz, zx along the body's axes) and von_mises in Pa.
+    one), and with ``stress`` the tensor stress (xx, yy, zz, xy, yz, zx along the body's axes), von_mises and, where the
+    file has it, von_mises_jump (how far elements miss the average around a node) in Pa.
     A node where materials meet shows the stress with the larger von Mises; nodes without stress are NaN.
 
     Args:
@@ -239,7 +250,7 @@ def recover(
     progress.stage(f"expanding {chosen.name}")
     shown = _Shown(its, source) if its is not None and stress else None
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
-    wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({"stress": 6, "von_mises": 1} if shown else {})}
+    wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({} if shown is None else shown.widths)}
 
     def steps() -> Iterator[Mapping[str, Any]]:
         for block in _Expander(source, chosen, its, scale).blocks(trajectory):
@@ -248,7 +259,8 @@ def recover(
                 if block.motion is not None:
                     step["motion"] = block.motion[number]
                 if shown is not None and block.stress is not None:
-                    step["stress"], step["von_mises"] = shown.fields(block.stress[number], float(time))
+                    jump = None if block.jump is None else block.jump[number]
+                    step |= shown.fields(block.stress[number], jump, float(time))
                 yield step
 
     def notes() -> tuple[str, ...]:
@@ -258,7 +270,8 @@ def recover(
     write_series(target, grid, trajectory.times, wanted, steps(), progress, notes=notes)
     return Recovered(
         path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
-        peak=None if shown is None else shown.peak, notes=notes(),
+        peak=None if shown is None else shown.peak, peak_jump=None if shown is None else shown.peak_jump,
+        worst_jump=None if shown is None else shown.worst_jump, notes=notes(),
     )  # fmt: skip
 
 
@@ -268,9 +281,19 @@ def _check_recovery(path: Path, body: StoredBody, its: Recovery) -> None:
     Raises:
         InputError: there are some.
     """
-    for name in ("stress", "correction", "displacement"):
+    group = f"bodies/{body.name}/recovery"
+    for name in ("stress", "correction", "displacement", "jump", "jump_correction"):
         if getattr(its, name) is not None:
-            refuse_not_finite(path, f"bodies/{body.name}/recovery/{name}", getattr(its, name))
+            refuse_not_finite(path, f"{group}/{name}", getattr(its, name))
+    if its.jump is not None and (its.jump_point is None or its.jump_element is None):
+        raise InputError(f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again")
+    if its.jump_point is not None:
+        last = len(its.points) - 1
+        if not np.array_equal(np.unique(its.jump_point), np.arange(last + 1)) or np.any(np.diff(its.jump_point) < 0):
+            raise InputError(
+                f"{path}: /{group}/jump_point does not ascend from 0 to {last}, the last point, over all of them; the "
+                "file is damaged, write it again"
+            )
     followed = () if body.floating is None or its.displacement is None else body.floating.interfaces
     for name in followed:
         if name not in its.markers:
@@ -319,21 +342,38 @@ class _Shown:
         at = np.minimum(np.searchsorted(labels, recovery.points), len(labels) - 1)
         self.known = labels[at] == recovery.points
         self.rows = order[at]
+        self.widths = {"stress": 6, "von_mises": 1, **({} if recovery.jump is None else {"von_mises_jump": 1})}
         self.peak: tuple[float, int, float] | None = None
+        self.worst_jump: tuple[float, int, float] | None = None
+        self.peak_jump: float | None = None
 
-    def fields(self, stress: Floats, time: float) -> tuple[Floats, Floats]:
-        """Stress (n, 6) and von Mises stress (n,) at the nodes."""
+    def fields(self, stress: Floats, jump: Floats | None, time: float) -> dict[str, Floats]:
+        """Stress (n, 6), von Mises stress (n,) and its jumps (n,) at the nodes, by the names of the fields."""
         size = von_mises(stress)
-        top = int(np.argmax(size)) if len(size) else -1
-        if top >= 0 and (self.peak is None or size[top] > self.peak[0]):
-            self.peak = float(size[top]), int(self.recovery.points[top]), time
+        before = self.peak
+        self.peak = self._larger(before, size, time)
+        if jump is not None:
+            self.worst_jump = self._larger(self.worst_jump, jump, time)
+            self.peak_jump = self.peak_jump if self.peak is before else float(jump[int(np.argmax(size))])
         points = np.flatnonzero(self.known)
         if self.recovery.seams:
             # The last of several assignments stays.
             points = points[np.argsort(size[points], kind="stable")]
-        tensor, scalar = np.full((self.count, 6), np.nan), np.full(self.count, np.nan)
-        tensor[self.rows[points]], scalar[self.rows[points]] = stress[points], size[points]
-        return tensor, scalar
+        found = {}
+        for (name, width), values in zip(self.widths.items(), (stress, size, jump), strict=False):
+            found[name] = np.full((self.count, width) if width > 1 else self.count, np.nan)
+            if values is not None:
+                found[name][self.rows[points]] = values[points]
+        return found
+
+    def _larger(
+        self, before: tuple[float, int, float] | None, sizes: Floats, time: float
+    ) -> tuple[float, int, float] | None:
+        """The largest value so far, its node and its time."""
+        top = int(np.argmax(sizes)) if len(sizes) else -1
+        if top < 0 or (before is not None and not sizes[top] > before[0]):
+            return before
+        return float(sizes[top]), int(self.recovery.points[top]), time
 
     def notes(self) -> tuple[str, ...]:
         """What a user should know about the stress in the file."""
@@ -347,6 +387,15 @@ class _Shown:
         if not self.known.all():
             lost = len(np.unique(self.recovery.points[~self.known]))
             found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
+        if self.recovery.jump is None:
+            found.append("the file does not tell stresses of single elements, so nothing says whether the mesh is too "
+                         "coarse for them (jump = true in [stress])")  # fmt: skip
+        if self.peak is not None and self.peak_jump is not None and self.peak_jump > LARGE_JUMP * self.peak[0]:
+            found.append(
+                f"around node {self.peak[1]} with the largest stress, elements miss the average by "
+                f"{self.peak_jump / self.peak[0]:.0%}: the mesh is coarse there, and the true stress may be larger by "
+                "as much or more; refine it and compare"
+            )
         return tuple(found)
 
 
