@@ -64,13 +64,16 @@ def stored_recovery(path: Path, body: str, *, stress: bool = True) -> Recovery |
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """All datasets at the root of an HDF5 file, by name.
+    """All datasets of an HDF5 file, by name.
 
     Raises:
-        InputError: not a readable HDF5 file.
+        InputError: not a readable HDF5 file, or one with groups, in which arrays would be overlooked.
     """
     with _reading(path) as file:
-        return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        groups = [name for name, item in file.items() if not isinstance(item, h5py.Dataset)]
+        if groups:
+            raise InputError(f"{path} holds a group {groups[0]!r}; expected arrays only, none of them in a group")
+        return {name: item[()] for name, item in file.items()}
 
 
 @contextmanager

@@ -35,6 +35,8 @@ KEPT_BYTES = 2**30
 BLOCK_BYTES = 2**27
 # Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
 LARGE_JUMP = 0.05
+# Displacements within the frame, relative to the size of the body, that no linear body should have.
+LARGE_DISPLACEMENT = 0.3
 # Coordinates that hold the static response to interface loads.
 STATIC_KINDS = ("constraint", "attachment")
 
@@ -252,10 +254,13 @@ def recover(
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
     wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({} if shown is None else shown.widths)}
 
+    far = _Far(source, _is_reduced(chosen, trajectory))
+
     def steps() -> Iterator[Mapping[str, Any]]:
         for block in _Expander(source, chosen, its, scale).blocks(trajectory):
             for number, time in enumerate(block.times):
                 step = {"displacement": block.displacement[number]}
+                far.look(block.displacement[number], float(time))
                 if block.motion is not None:
                     step["motion"] = block.motion[number]
                 if shown is not None and block.stress is not None:
@@ -265,7 +270,7 @@ def recover(
 
     def notes() -> tuple[str, ...]:
         about = () if shown is None else shown.notes()
-        return (*_still(chosen, trajectory), *_uncorrected(chosen, its, trajectory, stress), *about)
+        return (*_still(chosen, trajectory), *far.notes(), *_uncorrected(chosen, its, trajectory, stress), *about)
 
     write_series(target, grid, trajectory.times, wanted, steps(), progress, notes=notes)
     return Recovered(
@@ -330,6 +335,29 @@ def _uncorrected(body: StoredBody, its: Recovery | None, trajectory: Trajectory,
             f"loads is not there{unused} (write it again with [stress] and correction = true)"
         )
     return tuple(found)
+
+
+class _Far:
+    """Displacements within the frame beside the size of the body: a linear one bends little."""
+
+    def __init__(self, source: StoredBodies, rigid: bool) -> None:
+        self.size = 0.0 if rigid else float(np.linalg.norm(np.ptp(source.coordinates, axis=0)))
+        self.largest, self.time = 0.0, 0.0
+
+    def look(self, displacement: Floats, time: float) -> None:
+        """Take another step into account; displacements (n, 3) m."""
+        size = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
+        if size > self.largest:
+            self.largest, self.time = size, time
+
+    def notes(self) -> tuple[str, ...]:
+        """What to say of displacements that a linear body should not have."""
+        if self.largest <= LARGE_DISPLACEMENT * self.size or not self.size:
+            return ()
+        return (
+            f"the body deforms by {self.largest:.3g} m at {self.time:g} s and is {self.size:.3g} m large: check the "
+            "units of the coordinates (SI, as in the body file); a linear body is right up to about a tenth of its size",
+        )
 
 
 class _Shown:

@@ -439,8 +439,10 @@ def test_a_bad_trajectory_is_one_message_and_the_old_file_stays(bar, tmp_path, m
     [
         ("t.csv", "0,1,2\n", "expected the names of its columns"),
         ("t.csv", "", "expected the names of its columns"),
-        ("t.csv", "t,q1,q3\n0,1,2\n", "q2 0 times"),
-        ("t.csv", "t,q1,q1\n0,1,2\n", "q1 2 times"),
+        ("t.csv", "t,q1,q3\n0,1,2\n", "2 columns q1, q2, ... but no q2"),
+        ("t.csv", "t,q1,q1\n0,1,2\n", "2 columns 'q1'; expected each name once"),
+        ("t.csv", "t,q1,x,y,z,x\n0,1,2,3,4,5\n", "2 columns 'x'; expected each name once"),
+        ("t.csv", "t,q1,rx,ry,rz\n0,1,30,0,0\n", "column 'rx'.*matrices, no angles"),
         ("t.csv", "t,q1,q2\n0,1,2\n1,2\n", "columns changed from 3 to 2"),
         ("t.csv", "t,q1,q2\n0,1\n1,2\n", "names 3 columns in its first line, but its rows have 2"),
         ("t.csv", "t,q1\n0,one\n", "could not convert"),
@@ -456,6 +458,23 @@ def test_a_bad_trajectory_file_is_one_message(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=message):
         read_trajectory(tmp_path / name)
+
+
+def test_arrays_in_groups_are_not_overlooked(tmp_path):
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["times"], file["coordinates"], file["at/loads"] = np.zeros(1), np.zeros((1, 9)), np.ones((1, 12))
+    with pytest.raises(InputError, match="holds a group 'at'"):
+        read_trajectory(tmp_path / "t.h5")
+
+
+def test_coordinates_in_other_units_are_noted(modal, tmp_path):
+    """Elastic coordinates a thousand times too large: the body would deform by its own size."""
+    for size, far in ((0.02, False), (20.0, True)):
+        given = Trajectory(times=np.arange(2.0), coordinates=np.array([[0, 0, 0], [size, 0, 0]]))
+        notes = recover(modal.path, given, tmp_path / "out.vtkhdf").notes
+        assert any("check the units of the coordinates" in note and "at 1 s" in note for note in notes) == far
+    rigid = Trajectory(times=np.zeros(1), coordinates=np.eye(9)[:1] * 100)
+    assert not any("units" in note for note in recover(modal.path, rigid, tmp_path / "out.vtkhdf").notes)
 
 
 def test_what_recover_refuses(bar, tmp_path):
