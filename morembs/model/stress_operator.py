@@ -263,8 +263,10 @@ def stress_shapes(
     ``out`` (6 np, k) takes the result and may be of single precision. Works in blocks of columns.
     """
     found: Reals = problem.budget.empty((6 * len(operator.nodes), X.shape[1]), order="F") if out is None else out
-    # Masters of couplings come behind the nodes of the elements.
-    T = problem.coupling.T[: 3 * operator.gradient.shape[1]]
+    T, rows = problem.coupling.T, 3 * operator.gradient.shape[1]
+    if T.shape[0] > rows:
+        # Other dofs come behind those of the nodes; a part of a sparse matrix is a copy.
+        T = T[:rows]
     width = problem.budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=_COPIES)
     for at in range(0, X.shape[1], width):
         u = np.asarray(T @ X[:, at : at + width])

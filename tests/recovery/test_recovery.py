@@ -28,7 +28,7 @@ from morembs.model.stress_operator import von_mises
 from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
 from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
-from morembs.recovery import recover as module
+from morembs.recovery import expansion as module
 from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import STEEL, box, steel, where
