@@ -23,11 +23,13 @@ from morembs.reducers.switching_tables import Switching
 
 @dataclass(frozen=True, kw_only=True)
 class StressOptions:
-    """``nodes``: "skin", "all" or a selection; ``single`` precision; mode-acceleration ``correction``."""
+    """``nodes``: "skin", "all" or a selection; ``single`` precision; mode-acceleration ``correction``; ``jump`` for how
+    far single elements miss the average."""
 
     nodes: str = "skin"
     single: bool = True
     correction: bool = True
+    jump: bool = True
     length: float = 1.0
 
     def operator(self, problem: Problem, progress: Progress) -> StressOperator:
@@ -38,7 +40,7 @@ class StressOptions:
         """
         model, whole = problem.model, self.nodes in ("skin", "all")
         nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
-        return stress_operator(model, nodes, budget=problem.budget, progress=progress)
+        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget, progress=progress)
 
 
 @dataclass(frozen=True, kw_only=True)

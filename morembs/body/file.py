@@ -202,7 +202,8 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
         write_switching(out.put, f"{group}/switching", body.switching)
     if body.recovery is not None:
         out.safe.doing = f"{group}/recovery"
-        write_recovery(out.file.create_group(f"{group}/recovery"), body.recovery, out.safe.check)
+        recovery = out.file.create_group(f"{group}/recovery")
+        write_recovery(recovery, body.recovery, out.safe.check, body.part.transformation)
     rows, count = 3 * len(body.part.nodes), reduced.order
     chunks = (min(rows, CHUNK_ROWS), 1) if rows and count else None
     out.safe.doing = f"{group}/basis"

@@ -47,6 +47,9 @@ _PARTS: Mapping[str, Table] = {
     "recovery": {
         "points": ("whole", "points"), "coordinates": ("later", "points 3"), "material": ("whole", "points"),
         "deformation": ("real", "n n"), "stress": ("later", "6points n"), "correction?": ("later", "6points m"),
+        "displacement?": ("later", "3N m"), "markers/*": ("real", "6 m"),
+        "jump_point?": ("whole", "jumps"), "jump_element?": ("whole", "jumps"), "jump?": ("later", "6jumps n"),
+        "jump_correction?": ("later", "6jumps m"),
     },
     "certificate": {
         **{one: ("any", "lines") for one in ("frequencies_hz", "error", "bound", "full?", "reduced?",

@@ -5,7 +5,7 @@ The mesh is stored once; each point field is one dataset with the steps behind e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,25 +52,28 @@ def read_grid(path: Path) -> Grid:
     return grid
 
 
-def stored_recovery(path: Path, body: str) -> Recovery | None:
-    """Stress recovery of the body named ``body`` in a body file; None if it has none.
+def stored_recovery(path: Path, body: str, *, stress: bool = True) -> Recovery | None:
+    """Recovery of the body named ``body`` in a file, None if it has none; without ``stress`` of displacements only.
 
     Raises:
         InputError: the file is damaged or the recovery incomplete.
     """
     with _reading(path) as file:
         group = file.get(f"bodies/{body}/recovery")
-        return None if group is None else read_recovery(group)
+        return None if group is None else read_recovery(group, stress=stress)
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """All datasets at the root of an HDF5 file, by name.
+    """All datasets of an HDF5 file, by name.
 
     Raises:
-        InputError: not a readable HDF5 file.
+        InputError: not a readable HDF5 file, or one with groups, in which arrays would be overlooked.
     """
     with _reading(path) as file:
-        return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        groups = [name for name, item in file.items() if not isinstance(item, h5py.Dataset)]
+        if groups:
+            raise InputError(f"{path} holds a group {groups[0]!r}; expected arrays only, none of them in a group")
+        return {name: item[()] for name, item in file.items()}
 
 
 @contextmanager
@@ -86,12 +89,12 @@ def _reading(path: Path) -> Iterator[Any]:
 
 def write_series(
     path: str | Path, grid: Grid, times: Floats, fields: Mapping[str, int], steps: Iterable[Mapping[str, Any]],
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, *, notes: Callable[[], Sequence[str]] = tuple,
 ) -> Path:  # fmt: skip
     """Write the point ``fields`` (name -> number of components) at ``times`` (nt,) in s, in single precision.
 
     ``steps`` gives for each time the values (n, components) of each field, and is asked for one after the other;
-    an interrupted or failed run leaves the old file or none.
+    an interrupted or failed run leaves the old file or none. ``notes``, asked for at the end, are kept as /notes.
 
     Raises:
         OutputError: the file cannot be written (folder missing or read-only, disk full).
@@ -114,6 +117,9 @@ def write_series(
                 data[name][number * n : (number + 1) * n] = one.reshape(data[name].chunks)
                 safe.check()
             progress.update(f"{number + 1} of {nt} steps written")
+        if lines := notes():
+            file.create_dataset("notes", data=np.array([line.encode() for line in lines]))
+        safe.check()
     return target
 
 

@@ -109,20 +109,34 @@ def recover(
             done = recover_series(
                 file, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
             )
-        peak = None if done.peak is None else dict(zip(("von_mises_pa", "node", "time_s"), done.peak, strict=True))
+        peak, worst = (_placed(one, key) for one, key in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
         if as_json:
+            if peak is not None:
+                peak["jump_pa"] = done.peak_jump
             print_json({
                 "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
-                "notes": list(done.notes),
+                "worst_jump": worst, "notes": list(done.notes),
             })  # fmt: skip
             return
         typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
-        if peak is not None:
+        if done.peak is not None:
+            stress, node, time = done.peak
+            near = ""
+            if done.peak_jump is not None and stress > 0:
+                near = f"; elements around it miss the average by {done.peak_jump / stress:.1%}"
+            typer.echo(f"largest von Mises stress: {stress / 1e6:,.4g} MPa at node {node}, {time:g} s{near}")
+        if done.peak is not None and done.worst_jump is not None and done.peak[0] > 0:
+            jump, node, time = done.worst_jump
             typer.echo(
-                f"largest von Mises stress: {peak['von_mises_pa'] / 1e6:,.4g} MPa at node {peak['node']}, "
-                f"{peak['time_s']:g} s"
+                f"largest jump between elements: {jump / 1e6:,.4g} MPa ({jump / done.peak[0]:.1%} of that stress) at "
+                f"node {node}, {time:g} s"
             )
         for note in done.notes:
             typer.echo(f"note: {note}")
     if failed:
         raise typer.Exit(BAD_INPUT)
+
+
+def _placed(found: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
+    """A largest value with its node and its time, by their names."""
+    return None if found is None else dict(zip((key, "node", "time_s"), found, strict=True))

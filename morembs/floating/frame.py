@@ -79,12 +79,8 @@ class FloatingFrame:
         Raises:
             InputError: unknown kind, or interfaces that do not define such a frame.
         """
-        seen = _conditions(self, kind, interfaces)
-        if seen is None:
-            on_rigid, on_shapes = self.integrals.rigid, np.hstack([self.integrals.Ct, self.integrals.Cr]).T
-        else:
-            on_rigid, on_shapes = seen
-        c = np.asarray(np.linalg.solve(on_rigid, on_shapes), dtype=np.float64)
+        momentum = np.hstack([self.integrals.Ct, self.integrals.Cr]).T
+        c = _followed(self, kind, interfaces, {name: one.motion for name, one in self.markers.items()}, momentum)
         markers = {
             name: Marker(point=one.point, motion=one.motion - _motion_of(one.point) @ c)
             for name, one in self.markers.items()
@@ -93,6 +89,12 @@ class FloatingFrame:
             self, kind=kind, interfaces=tuple(interfaces), elastic=self.elastic - self.rigid @ c,
             integrals=self.integrals.without_rigid(c), markers=markers, stiffening=None,
         )  # fmt: skip
+
+    def followed(self, motions: Mapping[str, Floats], count: int) -> Floats:
+        """(6, count): how the frame moves, about its origin, with displacements free of momentum in which the
+        interfaces move by ``motions`` (6, count); mean axes stay.
+        """
+        return _followed(self, self.kind, self.interfaces, motions, np.zeros((6, count)))
 
     def about(self, origin: Sequence[float]) -> FloatingFrame:
         """The same body with the origin of its frame at ``origin`` (3,), in coordinates of the model."""
@@ -151,18 +153,20 @@ def _selection(kind: str, points: Sequence[Floats]) -> Floats:
     return np.vstack([np.hstack([np.eye(3), np.zeros((3, 9))]), turn])
 
 
-def _conditions(body: FloatingFrame, kind: str, interfaces: Sequence[str]) -> tuple[Floats, Floats] | None:
-    """Conditions S on the rigid motions (6, 6) and on the elastic shapes (6, n); None for mean axes."""
+def _followed(
+    body: FloatingFrame, kind: str, interfaces: Sequence[str], motions: Mapping[str, Floats], momentum: Floats
+) -> Floats:
+    """(S R)^-1 S u (6, k) of displacements u with these ``motions`` (6, k) of markers and ``momentum`` (6, k)."""
     check_frame(kind, interfaces, list(body.markers))
     if kind == "mean-axes":
-        return None
-    followed = [body.markers[name] for name in interfaces]
-    S = _selection(kind, [one.point for one in followed])
-    on_rigid = S @ np.vstack([_motion_of(one.point) for one in followed])
-    on_shapes = S @ np.vstack([one.motion for one in followed])
+        return np.asarray(np.linalg.solve(body.integrals.rigid, momentum), dtype=np.float64)
+    points = [body.markers[name].point for name in interfaces]
+    S = _selection(kind, points)
+    on_rigid = S @ np.vstack([_motion_of(point) for point in points])
+    on_shapes = S @ np.vstack([motions[name] for name in interfaces])
     if kind == "center-of-mass":
-        on_rigid[:3], on_shapes[:3] = body.integrals.rigid[:3], body.integrals.Ct.T
-    return on_rigid, on_shapes
+        on_rigid[:3], on_shapes[:3] = body.integrals.rigid[:3], momentum[:3]
+    return np.asarray(np.linalg.solve(on_rigid, on_shapes), dtype=np.float64)
 
 
 def frame_rows(problem: Problem, kind: str, interfaces: Sequence[str] = ()) -> Floats:

@@ -138,7 +138,8 @@ def delivery_of(job: Job) -> Delivery:
         origin=None if origin == "center-of-mass" else [units.length * float(x) for x in origin or (0, 0, 0)],
         stiffening=None if stiffened is None else replace(envelope or Envelope(), share=stiffened.share),
         stress=None if stress is None else StressOptions(
-            nodes=stress.nodes, single=stress.single, correction=stress.correction, length=units.length
+            nodes=stress.nodes, single=stress.single, correction=stress.correction, jump=stress.jump,
+            length=units.length,
         ),
     )  # fmt: skip
 

@@ -241,6 +241,7 @@ class StressTable(Table):
     nodes: str = Field(default="skin", description='"skin", "all" or a selection such as "set:FILLET"')
     single: bool = Field(default=True, description="true or false")
     correction: bool = Field(default=True, description="true or false")
+    jump: bool = Field(default=True, description="true or false")
 
 
 class CheckTable(Table):

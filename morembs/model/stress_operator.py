@@ -11,7 +11,7 @@ engineering shear. Stresses are in Pa, along the axes of the model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,13 +46,15 @@ class StressOperator:
     ``nodes`` (np,) rows of the model's nodes, ascending; a node where materials meet is one point for each of them,
     and ``material`` (np,) tells which (the index of the first material with the same constants).
     ``gradient`` (3 np, n) gives for row 3 p + b the derivative of a nodal field along axis b; ``elasticity``
-    (materials, 6, 6) in Pa takes strains to stresses in the order of this module.
+    (materials, 6, 6) in Pa takes strains to stresses in the order of this module. ``elements`` gives the same of single
+    elements, where that is wanted.
     """
 
     nodes: Ints
     material: Ints
     gradient: sp.csr_array
     elasticity: Floats
+    elements: SingleElements | None = None
 
     def strain(self, u: Floats) -> Floats:
         """Strains (6 np, k) of displacements ``u`` (3 n, k), x, y, z of node after node.
@@ -72,13 +74,26 @@ class StressOperator:
         return strain.reshape(-1, u.shape[1])
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SingleElements:
+    """Stresses of the elements at a point before they are averaged: row i is element ``element`` (ne,), numbered
+    through the blocks of the mesh, at ``point`` (ne,), a place in the points of the averaged stress.
+    """
+
+    point: Ints
+    element: Ints
+    operator: StressOperator
+
+
 def stress_operator(
-    model: FEModel, nodes: str | Ints = "skin", *, budget: Budget = UNLIMITED, progress: Progress = SILENT
-) -> StressOperator:
-    """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``.
+    model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> StressOperator:  # fmt: skip
+    """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
 
     Only elements that touch these nodes are looked at, a chunk at a time. Peak memory: four times the entries of G
-    (up to 170 for each point of 20-node hexahedra, 80 of 10-node tetrahedra; 12 bytes each) and one chunk.
+    (up to 170 for each point of 20-node hexahedra, 80 of 10-node tetrahedra; 12 bytes each) and one chunk; single
+    elements have as many entries as their nodes, for each of their points.
 
     Raises:
         InputError: a model without elements or materials, an unknown choice of nodes or rows that do not exist.
@@ -93,15 +108,25 @@ def stress_operator(
     alike = _alike(model)
     owner = {block: alike[which] for block, which in fem.material_of_elements(mesh, model.materials).items()}
     points = _points(mesh, owner, rows, len(alike))
-    gradient = _gradient(mesh, owner, points, len(alike), progress)
     # Engineering shears of the materials' constants against tensor shears here.
     C = np.stack([material.stiffness for material in model.materials])[:, _FROM_VOIGT][:, :, _FROM_VOIGT]
+    C = C * np.array([1, 1, 1, 2, 2, 2])
+    node, material = points // len(alike), points % len(alike)
+    alone = None
+    if elements:
+        G, point, element = _single_gradient(mesh, owner, points, len(alike), progress)
+        its = StressOperator(nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget))
+        alone = SingleElements(point=point, element=element, operator=its)
+    gradient = _gradient(mesh, owner, points, len(alike), progress)
     return StressOperator(
-        nodes=points // len(alike), material=points % len(alike), elasticity=C * np.array([1, 1, 1, 2, 2, 2]),
-        gradient=sp.csr_array(
-            tuple(budget.store(a) for a in (gradient.data, gradient.indices, gradient.indptr)), shape=gradient.shape
-        ),
-    )  # fmt: skip
+        nodes=node, material=material, elasticity=C, gradient=_stored(gradient, budget), elements=alone
+    )
+
+
+def _stored(matrix: sp.csr_array, budget: Budget) -> sp.csr_array:
+    """The same where the budget wants it."""
+    parts = tuple(budget.store(array) for array in (matrix.data, matrix.indices, matrix.indptr))
+    return sp.csr_array(parts, shape=matrix.shape)
 
 
 def chosen_rows(mesh: Mesh, nodes: str | Ints) -> Ints:
@@ -141,14 +166,22 @@ def _points(mesh: Mesh, owner: Mapping[int, Ints], rows: Ints, materials: int) -
     return np.unique(np.concatenate(found))
 
 
-def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> sp.csr_array:
-    """G (3 np, n), averaged with the volumes of the elements."""
-    shape = (3 * len(points), len(mesh.nodes))
-    total, volume = sp.csr_array(shape), np.zeros(len(points))
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Gradients (k, 3, nodes) of a nodal field in elements, each at one of its nodes; where, by what ``volume`` m3."""
+
+    point: Ints
+    element: Ints
+    volume: Floats
+    nodes: Ints
+    gradient: Floats
+
+
+def _pairs(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> Iterator[_Pairs]:
+    """All pairs of an element and one of its nodes that is a point, a chunk of elements at a time."""
     wanted = np.zeros(len(mesh.nodes), dtype=bool)
     wanted[points // materials] = True
-    parts: list[tuple[Floats, Ints, Ints]] = []
-    count = 0
+    first = dict(zip(map(id, mesh.blocks), np.cumsum([0, *(len(b.ids) for b in mesh.blocks)]).tolist(), strict=False))
     for block, rows in fem.chunks(mesh):
         rows = rows[wanted[block.nodes[rows]].any(axis=1)]
         if not len(rows):
@@ -156,22 +189,51 @@ def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: in
         kind, nodes = TYPES[block.type], block.nodes[rows]
         its = fem.geometry(mesh.nodes.xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
         element, a = np.nonzero(wanted[nodes])
-        size = its.dV.sum(axis=1)[element]
-        point = np.searchsorted(points, nodes[element, a] * materials + owner[id(block)][rows][element])
-        np.add.at(volume, point, size)
-        at_nodes = np.einsum("aq,eqkb->eabk", extrapolation(kind), its.dN, optimize=True)[element, a]
-        values = at_nodes * size[:, None, None]
-        row = np.broadcast_to((3 * point[:, None] + np.arange(3))[:, :, None], values.shape)
-        column = np.broadcast_to(nodes[element][:, None, :], values.shape)
+        yield _Pairs(
+            np.searchsorted(points, nodes[element, a] * materials + owner[id(block)][rows][element]),
+            rows[element] + first[id(block)], its.dV.sum(axis=1)[element], nodes[element],
+            np.einsum("aq,eqkb->eabk", extrapolation(kind), its.dN, optimize=True)[element, a],
+        )  # fmt: skip
+        progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
+
+
+def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> sp.csr_array:
+    """G (3 np, n), averaged with the volumes of the elements."""
+    shape = (3 * len(points), len(mesh.nodes))
+    total, volume = sp.csr_array(shape), np.zeros(len(points))
+    parts: list[tuple[Floats, Ints, Ints]] = []
+    count = 0
+    for its in _pairs(mesh, owner, points, materials, progress):
+        np.add.at(volume, its.point, its.volume)
+        values = its.gradient * its.volume[:, None, None]
+        row = np.broadcast_to((3 * its.point[:, None] + np.arange(3))[:, :, None], values.shape)
+        column = np.broadcast_to(its.nodes[:, None, :], values.shape)
         parts.append((values.ravel(), row.ravel(), column.ravel()))
         count += values.size
         if count > max(_COLLECTED, total.nnz):
             total, parts, count = total + _summed(parts, shape), [], 0
-        progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
     if parts:
         total = total + _summed(parts, shape)
     total.data /= np.repeat(volume, 3).repeat(np.diff(total.indptr))
     return total
+
+
+def _single_gradient(
+    mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress
+) -> tuple[sp.csr_array, Ints, Ints]:
+    """The gradients (3 ne, n) of single elements, by points, with point and element of each."""
+    parts, point, element = [], [], []
+    for its in _pairs(mesh, owner, points, materials, progress):
+        count, _, width = its.gradient.shape
+        columns = np.repeat(its.nodes.astype(np.int32), 3, axis=0).ravel()
+        start = width * np.arange(3 * count + 1)
+        parts.append(sp.csr_array((its.gradient.ravel(), columns, start), shape=(3 * count, len(mesh.nodes))))
+        point.append(its.point)
+        element.append(its.element)
+    points_of, elements = np.concatenate(point), np.concatenate(element)
+    order = np.argsort(points_of, kind="stable")
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    return sp.csr_array(sp.vstack(parts, format="csr")[rows]), points_of[order], elements[order]
 
 
 def _summed(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> sp.csr_array:

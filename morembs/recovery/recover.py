@@ -1,18 +1,13 @@
-"""From a reduced trajectory back to the nodes: displacements, motion and stresses over time.
-
-A simulator gives the coordinates of a body over time, and for a body in a floating frame the position p and the
-rotation A of that frame. Node i then lies at p + A (x_i - origin + u_i), u = V q; stresses follow from ``Recovery``.
-"""
+"""A body file and a trajectory make a time series for ParaView: displacements, stresses and what to say of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.body.file import read_body
@@ -23,152 +18,27 @@ from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
 from morembs.errors import InputError, nearest
 from morembs.model.stress_operator import von_mises
 from morembs.progress import SILENT, Progress
+from morembs.recovery.expansion import Expander, expand, is_reduced, reduced_coordinates
 from morembs.recovery.trajectory import Trajectory, read_trajectory
 from morembs.storage.safefile import check_writable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 SERIES = (".vtkhdf", ".hdf")
-# A basis up to this size is kept in memory; a larger one is read again for each block of steps.
-KEPT_BYTES = 2**30
-BLOCK_BYTES = 2**27
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Expansion:
-    """A trajectory at the nodes: ``times`` (nt,) s, ``displacement`` (nt, n, 3) m of the nodes of the body file.
-
-    Displacements are along the model's axes, as the coordinates give them (within the frame for elastic ones).
-    ``motion`` (nt, n, 3) m leads from where the nodes lie in the file to where they are, with deformations
-    magnified; None where it is the displacement. ``stress`` (nt, np, 6) Pa at the points of the recovery.
-    """
-
-    times: Floats
-    displacement: Floats
-    motion: Floats | None = None
-    stress: Floats | None = None
-
-
-def expand(
-    source: StoredBodies, body: StoredBody, trajectory: Trajectory, *, recovery: Recovery | None = None,
-    scale: float = 1.0,
-) -> Expansion:  # fmt: skip
-    """Displacements at all times, and stresses if ``recovery`` is given; all in memory.
-
-    ``scale`` magnifies the deformation in ``motion``.
-
-    Raises:
-        InputError: a trajectory that does not fit the body, or results too large for single precision.
-    """
-    return _Expander(source, body, recovery, scale).expand(trajectory)
-
-
-@dataclass(frozen=True, eq=False)
-class _Expander:
-    source: StoredBodies
-    body: StoredBody
-    recovery: Recovery | None
-    scale: float
-    kept: list[Floats] = field(default_factory=list)
-
-    def blocks(self, trajectory: Trajectory) -> Iterator[Expansion]:
-        """The expansion, some steps at a time."""
-        points = 0 if self.recovery is None else len(self.recovery.points)
-        step = max(1, BLOCK_BYTES // (8 * (9 * len(self.source.node_ids) + 18 * points + 1)))
-        for at in range(0, len(trajectory.times), step):
-            yield self.expand(trajectory.part(slice(at, at + step)))
-
-    def expand(self, trajectory: Trajectory) -> Expansion:
-        """The expansion of all steps."""
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
-            q = reduced_coordinates(self.body, trajectory)
-            u = self._nodes(q)
-            stress = None if self.recovery is None else self.recovery.at(q, trajectory.loads)
-            motion = self._motion(trajectory, q, u)
-        for name, values in (("displacement", u), ("motion", motion), ("stress", stress)):
-            if values is not None:
-                trajectory.refuse_too_large(name, values)
-        return Expansion(times=trajectory.times, displacement=u, motion=motion, stress=stress)
-
-    def _motion(self, trajectory: Trajectory, q: Floats, u: Floats) -> Floats | None:
-        p, A = trajectory.position, trajectory.rotation
-        if p is not None or A is not None:
-            x, origin = self.source.coordinates, _origin(self.body)
-            arms = x - origin + self.scale * u
-            turned = arms if A is None else arms @ np.swapaxes(A, 1, 2)
-            return np.asarray(turned + (origin if p is None else p[:, None]) - x)
-        if self.scale == 1.0:
-            return None
-        return u + (self.scale - 1.0) * self._nodes(q @ _deformation(self.body).T)
-
-    def _nodes(self, q: Floats) -> Floats:
-        """V q as (nt, n, 3)."""
-        rows, order = 3 * len(self.source.node_ids), q.shape[1]
-        found = np.zeros((rows, len(q)))
-        width = max(1, KEPT_BYTES // (8 * max(rows, 1)))
-        for at in range(0, order, width):
-            if order <= width:
-                if not self.kept:
-                    self.kept.append(self.body.basis())
-                block = self.kept[0]
-            else:
-                block = self.body.basis(slice(at, at + width))
-            found += block @ q[:, at : at + width].T
-        return np.ascontiguousarray(found.T).reshape(len(q), -1, 3)
-
-
-def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
-    """Reduced coordinates (nt, nr) of a trajectory in these or in elastic coordinates.
-
-    Raises:
-        InputError: neither fits, loads of another count, or a frame that the body does not have.
-    """
-    width, order, inputs = trajectory.coordinates.shape[1], len(body.stiffness_matrix), body.input_matrix.shape[1]
-    elastic = None if body.floating is None else body.floating.elastic.shape[1]
-    if width != order and width != elastic:
-        also = "" if elastic is None else f" or the {elastic} elastic ones of its floating frame"
-        raise InputError(
-            f"the trajectory has {width} coordinates; body {body.name!r} has {order}: give all of its reduced "
-            f"coordinates{also}, in the order of the file"
-        )
-    if trajectory.loads is not None and trajectory.loads.shape[1] != inputs:
-        raise InputError(
-            f"the trajectory has {trajectory.loads.shape[1]} loads; body {body.name!r} has {inputs} interface motions: "
-            "give one load for each column of its input matrix"
-        )
-    framed = trajectory.position is not None or trajectory.rotation is not None
-    if framed and width != elastic:
-        cure = (
-            "leave position and rotation out" if elastic is None else f"give the {elastic} elastic coordinates with it"
-        )
-        raise InputError(
-            f"the trajectory moves a frame, but its {width} coordinates of body {body.name!r} are not those of a "
-            f"floating frame; {cure}"
-        )
-    if body.floating is None or width == order:
-        return trajectory.coordinates
-    return np.asarray(trajectory.coordinates @ body.floating.elastic.T)
-
-
-def _origin(body: StoredBody) -> Floats:
-    return np.zeros(3) if body.floating is None else body.floating.origin
-
-
-def _deformation(body: StoredBody) -> Floats:
-    """What takes the rigid motion out of reduced coordinates (nr, nr)."""
-    r, order = body.rigid_count, len(body.stiffness_matrix)
-    if body.mode_kind[:r] == ("rigid",) * r:
-        return np.diag(np.concatenate([np.zeros(r), np.ones(order - r)]))
-    M = body.mass_matrix
-    Z = sl.eigh(body.stiffness_matrix, M, subset_by_index=[0, r - 1])[1]
-    return np.asarray(np.eye(order) - Z @ (Z.T @ M))
+# Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
+LARGE_JUMP = 0.05
+# Displacements within the frame, relative to the size of the body, that no linear body should have.
+LARGE_DISPLACEMENT = 0.3
+# Coordinates that hold the static response to interface loads.
+STATIC_KINDS = ("constraint", "attachment")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovered:
     """What ``recover`` wrote; ``peak`` is the largest von Mises stress in Pa, the label of its node and its time in s.
 
-    ``notes`` say what the file lacks.
+    ``peak_jump`` Pa is how far elements around that node miss the average then, ``worst_jump`` the largest of these
+    anywhere and at any time, as ``peak``. ``notes`` say what the file lacks.
     """
 
     path: Path
@@ -176,6 +46,8 @@ class Recovered:
     steps: int
     nodes: int
     peak: tuple[float, int, float] | None = None
+    peak_jump: float | None = None
+    worst_jump: tuple[float, int, float] | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -186,7 +58,8 @@ def recover(
     """Write a trajectory at the nodes of a body as a VTKHDF time series for ParaView.
 
     Point data: displacement, motion (where a frame moves, or deformations are magnified by ``scale``; warp by this
-    one), and with ``stress`` the tensor stress (xx, yy, zz, xy, yz, zx along the body's axes) and von_mises in Pa.
+    one), and with ``stress`` the tensor stress (xx, yy, zz, xy, yz, zx along the body's axes), von_mises and, where the
+    file has it, von_mises_jump (how far elements miss the average around a node) in Pa.
     A node where materials meet shows the stress with the larger von Mises; nodes without stress are NaN.
 
     Args:
@@ -204,38 +77,124 @@ def recover(
     whole = trajectory_file if isinstance(trajectory_file, Trajectory) else read_trajectory(trajectory_file)
     trajectory = whole.part(slice(None, None, every))
     reduced_coordinates(chosen, trajectory.part(slice(0, 1)))
-    its = stored_recovery(place, chosen.name) if stress else None
+    its = stored_recovery(place, chosen.name, stress=stress)
     if stress and its is None:
         raise InputError(
             f"{place}: body {chosen.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
         )
-    for name, values in (("stress", its.stress), ("correction", its.correction)) if its is not None else ():
-        if values is not None:
-            refuse_not_finite(place, f"bodies/{chosen.name}/recovery/{name}", values)
+    if its is not None:
+        _check_recovery(place, chosen, its)
     grid = read_grid(place)
     check_grid(place, len(source.node_ids), grid.points, grid.connectivity, grid.offsets, grid.types)
     progress.stage(f"expanding {chosen.name}")
-    shown = None if its is None else _Shown(its, source)
+    shown = _Shown(its, source) if its is not None and stress else None
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
-    named = {"displacement": 3, "motion": 3 if moved else 0, "stress": 6 if its else 0, "von_mises": 1 if its else 0}
-    wanted = {name: width for name, width in named.items() if width}
+    wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({} if shown is None else shown.widths)}
+
+    far = _Far(source, is_reduced(chosen, trajectory))
 
     def steps() -> Iterator[Mapping[str, Any]]:
-        for block in _Expander(source, chosen, its, scale).blocks(trajectory):
+        for block in Expander(source, chosen, its, scale).blocks(trajectory):
             for number, time in enumerate(block.times):
                 step = {"displacement": block.displacement[number]}
+                far.look(block.displacement[number], float(time))
                 if block.motion is not None:
                     step["motion"] = block.motion[number]
                 if shown is not None and block.stress is not None:
-                    step["stress"], step["von_mises"] = shown.fields(block.stress[number], float(time))
+                    jump = None if block.jump is None else block.jump[number]
+                    step |= shown.fields(block.stress[number], jump, float(time))
                 yield step
 
-    write_series(target, grid, trajectory.times, wanted, steps(), progress)
+    def notes() -> tuple[str, ...]:
+        about = () if shown is None else shown.notes()
+        return (*_still(chosen, trajectory), *far.notes(), *_uncorrected(chosen, its, trajectory, stress), *about)
+
+    write_series(target, grid, trajectory.times, wanted, steps(), progress, notes=notes)
     return Recovered(
         path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
-        peak=None if shown is None else shown.peak,
-        notes=(*_still(chosen, trajectory), *(() if shown is None else shown.notes(trajectory))),
+        peak=None if shown is None else shown.peak, peak_jump=None if shown is None else shown.peak_jump,
+        worst_jump=None if shown is None else shown.worst_jump, notes=notes(),
     )  # fmt: skip
+
+
+def _check_recovery(path: Path, body: StoredBody, its: Recovery) -> None:
+    """Shapes that are not finite, or lack what the frame of the body follows.
+
+    Raises:
+        InputError: there are some.
+    """
+    group = f"bodies/{body.name}/recovery"
+    for name in ("stress", "correction", "displacement", "jump", "jump_correction"):
+        if getattr(its, name) is not None:
+            refuse_not_finite(path, f"{group}/{name}", getattr(its, name))
+    if its.jump is not None and (its.jump_point is None or its.jump_element is None):
+        raise InputError(f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again")
+    if its.jump_point is not None:
+        last = len(its.points) - 1
+        if not np.array_equal(np.unique(its.jump_point), np.arange(last + 1)) or np.any(np.diff(its.jump_point) < 0):
+            raise InputError(
+                f"{path}: /{group}/jump_point does not ascend from 0 to {last}, the last point, over all of them; the "
+                "file is damaged, write it again"
+            )
+    followed = () if body.floating is None or its.displacement is None else body.floating.interfaces
+    for name in followed:
+        if name not in its.markers:
+            raise InputError(
+                f"{path} is an incomplete body file; missing: /bodies/{body.name}/recovery/markers/{name}, which the "
+                "frame follows; write it again"
+            )
+
+
+def _uncorrected(body: StoredBody, its: Recovery | None, trajectory: Trajectory, stress: bool) -> tuple[str, ...]:
+    """Notes on what lacks its mode-acceleration correction, and why."""
+    if not body.input_matrix.shape[1]:
+        return ()
+    loads = trajectory.loads
+    held = {"stress": its is not None and its.correction is not None,
+            "displacements": its is not None and its.displacement is not None}  # fmt: skip
+    # Static shapes of all interfaces are in the basis: nothing to speak of is missing from displacements.
+    complete = any(kind in STATIC_KINDS for kind in body.mode_kind)
+    shown = (*(("stress",) if stress else ()), *(() if complete else ("displacements",)))
+    able = " and ".join(name for name in shown if held[name])
+    unable = " and ".join(name for name in shown if not held[name])
+    found = []
+    if able and loads is None:
+        found.append(f"no loads were given, so no mode-acceleration correction is in {able}; give those of the joints")
+    elif able and loads is not None and not loads.any():
+        found.append(
+            f"all loads are zero, so no mode-acceleration correction is in {able}; right only for a body that nothing "
+            "touches"
+        )
+    if unable:
+        unused = "; the loads were not used for them" if loads is not None else ""
+        found.append(
+            f"the file has no mode-acceleration correction for {unable}: what the basis misses of them under interface "
+            f"loads is not there{unused} (write it again with [stress] and correction = true)"
+        )
+    return tuple(found)
+
+
+class _Far:
+    """Displacements within the frame beside the size of the body: a linear one bends little."""
+
+    def __init__(self, source: StoredBodies, rigid: bool) -> None:
+        self.size = 0.0 if rigid else float(np.linalg.norm(np.ptp(source.coordinates, axis=0)))
+        self.largest, self.time = 0.0, 0.0
+
+    def look(self, displacement: Floats, time: float) -> None:
+        """Take another step into account; displacements (n, 3) m."""
+        size = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
+        if size > self.largest:
+            self.largest, self.time = size, time
+
+    def notes(self) -> tuple[str, ...]:
+        """What to say of displacements that a linear body should not have."""
+        if self.largest <= LARGE_DISPLACEMENT * self.size or not self.size:
+            return ()
+        return (
+            f"the body deforms by {self.largest:.3g} m at {self.time:g} s and is {self.size:.3g} m large: check the "
+            "units of the coordinates (SI); a linear body is right up to about a tenth of its size",
+        )
 
 
 class _Shown:
@@ -248,23 +207,40 @@ class _Shown:
         at = np.minimum(np.searchsorted(labels, recovery.points), len(labels) - 1)
         self.known = labels[at] == recovery.points
         self.rows = order[at]
+        self.widths = {"stress": 6, "von_mises": 1, **({} if recovery.jump is None else {"von_mises_jump": 1})}
         self.peak: tuple[float, int, float] | None = None
+        self.worst_jump: tuple[float, int, float] | None = None
+        self.peak_jump: float | None = None
 
-    def fields(self, stress: Floats, time: float) -> tuple[Floats, Floats]:
-        """Stress (n, 6) and von Mises stress (n,) at the nodes."""
+    def fields(self, stress: Floats, jump: Floats | None, time: float) -> dict[str, Floats]:
+        """Stress (n, 6), von Mises stress (n,) and its jumps (n,) at the nodes, by the names of the fields."""
         size = von_mises(stress)
-        top = int(np.argmax(size)) if len(size) else -1
-        if top >= 0 and (self.peak is None or size[top] > self.peak[0]):
-            self.peak = float(size[top]), int(self.recovery.points[top]), time
+        before = self.peak
+        self.peak = self._larger(before, size, time)
+        if jump is not None:
+            self.worst_jump = self._larger(self.worst_jump, jump, time)
+            self.peak_jump = self.peak_jump if self.peak is before else float(jump[int(np.argmax(size))])
         points = np.flatnonzero(self.known)
         if self.recovery.seams:
             # The last of several assignments stays.
             points = points[np.argsort(size[points], kind="stable")]
-        tensor, scalar = np.full((self.count, 6), np.nan), np.full(self.count, np.nan)
-        tensor[self.rows[points]], scalar[self.rows[points]] = stress[points], size[points]
-        return tensor, scalar
+        found = {}
+        for (name, width), values in zip(self.widths.items(), (stress, size, jump), strict=False):
+            found[name] = np.full((self.count, width) if width > 1 else self.count, np.nan)
+            if values is not None:
+                found[name][self.rows[points]] = values[points]
+        return found
 
-    def notes(self, trajectory: Trajectory) -> tuple[str, ...]:
+    def _larger(
+        self, before: tuple[float, int, float] | None, sizes: Floats, time: float
+    ) -> tuple[float, int, float] | None:
+        """The largest value so far, its node and its time."""
+        top = int(np.argmax(sizes)) if len(sizes) else -1
+        if top < 0 or (before is not None and not sizes[top] > before[0]):
+            return before
+        return float(sizes[top]), int(self.recovery.points[top]), time
+
+    def notes(self) -> tuple[str, ...]:
         """What a user should know about the stress in the file."""
         found = []
         bare = self.count - len(np.unique(self.rows[self.known]))
@@ -276,10 +252,15 @@ class _Shown:
         if not self.known.all():
             lost = len(np.unique(self.recovery.points[~self.known]))
             found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
-        if trajectory.loads is None and self.recovery.correction is not None:
-            found.append("no loads were given, so the stress lacks its mode-acceleration correction")
-        if trajectory.loads is not None and self.recovery.correction is None:
-            found.append("the file has no mode-acceleration correction; the loads were not used")
+        if self.recovery.jump is None:
+            found.append("the file does not tell stresses of single elements, so nothing says whether the mesh is too "
+                         "coarse for them (jump = true in [stress])")  # fmt: skip
+        if self.peak is not None and self.peak_jump is not None and self.peak_jump > LARGE_JUMP * self.peak[0]:
+            found.append(
+                f"around node {self.peak[1]} with the largest stress, elements miss the average by "
+                f"{self.peak_jump / self.peak[0]:.0%}: the mesh is coarse there, and the true stress may be larger by "
+                "as much or more; refine it and compare"
+            )
         return tuple(found)
 
 
@@ -318,3 +299,6 @@ def _check_options(place: Path, trajectory: str | Path | Trajectory, target: Pat
     if every < 1:
         raise InputError(f"every = {every} was given; expected 1 or more: each how manieth step to take")
     check_writable(target)
+
+
+__all__ = ["Recovered", "Trajectory", "expand", "read_trajectory", "recover"]

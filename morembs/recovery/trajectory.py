@@ -82,7 +82,7 @@ class Trajectory:
             if len(wrong):
                 raise InputError(
                     f"rotation at step {wrong[0] + 1} is no rotation (A A' - I = {off[wrong[0]]:.1e}); expected "
-                    "orthonormal matrices (3, 3) with determinant 1"
+                    "orthonormal matrices (3, 3) with determinant 1, no angles"
                 )
 
     def refuse_too_large(self, name: str, results: Floats) -> None:
@@ -177,6 +177,9 @@ def _read_table(path: Path) -> dict[str, Any]:
     names = [name.strip().strip("\"'").lower() for name in head.lstrip("# ").split(comma) if name.strip()]
     if not names or names[0] not in ("t", "time"):
         raise InputError(f"{path} begins with {head[:60]!r}; expected the names of its columns: t, q1, q2, ...")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path} has {names.count(twice)} columns {twice!r}; expected each name once")
     try:
         with warnings.catch_warnings():
             # No rows: that is said below.
@@ -201,7 +204,10 @@ def _read_table(path: Path) -> dict[str, Any]:
         found["rotation"] = found["rotation"].reshape(-1, 3, 3)
     for one in names[1:]:
         if one not in (*_FRAME, *_ROTATION) and not re.fullmatch(r"[qf]\d+", one):
-            raise InputError(f"{path} has a column {one!r}; expected t, q1, ..., x, y, z, r11, ..., r33, f1, ...")
+            raise InputError(
+                f"{path} has a column {one!r}; expected t, q1, ..., x, y, z, f1, ... and for rotations r11, r12, ..., "
+                "r33 (matrices, no angles)"
+            )
     return found
 
 
@@ -210,8 +216,6 @@ def _columns(path: Path, names: list[str], letter: str) -> list[int]:
     count = sum(bool(re.fullmatch(rf"{letter}\d+", name)) for name in names)
     wanted = [f"{letter}{number}" for number in range(1, count + 1)]
     for name in wanted:
-        if names.count(name) != 1:
-            raise InputError(
-                f"{path} has {count} columns {letter}1, {letter}2, ... but {name} {names.count(name)} times"
-            )
+        if name not in names:
+            raise InputError(f"{path} has {count} columns {letter}1, {letter}2, ... but no {name}")
     return [names.index(name) for name in wanted]

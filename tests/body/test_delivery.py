@@ -100,6 +100,17 @@ def test_a_motion_is_recovered_with_its_stress(made, direct, tmp_path):
     expected = von_mises(shapes.at(q)).max()
     assert document["steps"] == 3 and document["peak"]["time_s"] == 0.2
     assert document["peak"]["von_mises_pa"] == pytest.approx(expected, rel=1e-6)
+    jumps = shapes.jumps_at(q)
+    step, point = np.unravel_index(np.argmax(jumps), jumps.shape)
+    assert document["worst_jump"] == {
+        "jump_pa": pytest.approx(jumps.max(), rel=1e-5), "node": shapes.points[point], "time_s": 0.1 * step
+    }  # fmt: skip
+    at_peak = jumps[2, np.argmax(von_mises(shapes.at(q))[2])]
+    assert document["peak"]["jump_pa"] == pytest.approx(at_peak, rel=1e-5)
+    said = run("recover", made[0], table, "--out", tmp_path / "motion.vtkhdf").stdout
+    assert f"elements around it miss the average by {at_peak / expected:.1%}" in said
+    assert f"({jumps.max() / expected:.1%} of that stress) at node {shapes.points[point]}" in said
+    assert ("mesh is coarse there" in said) == (at_peak > 0.05 * expected)
 
 
 @pytest.mark.parametrize("target", ["exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market"])

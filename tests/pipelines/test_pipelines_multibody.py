@@ -160,6 +160,8 @@ def test_examples_of_the_documentation(tmp_path, point):
     if not both_simulators.exudyn_missing():
         series = [vtk_points(tmp_path / name) for name in ("again.vtkhdf", "exudyn.vtkhdf")]
         assert np.abs(series[0] - series[1]).max() < 5e-4
+        with h5py.File(tmp_path / "exudyn.vtkhdf") as file:
+            assert file["VTKHDF/Steps"].attrs["NSteps"] == motion.steps
 
 
 def vtk_points(path):

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+import scipy.linalg as sl
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
@@ -18,6 +19,7 @@ from morembs.body.file import read_body, write_body
 from morembs.body.stress_shapes import stress_recovery, write_recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.errors import InputError, OutputError
+from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
 from morembs.model import Mesh, Nodes
 from morembs.model.assembly import assemble
@@ -26,7 +28,7 @@ from morembs.model.stress_operator import von_mises
 from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
 from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
-from morembs.recovery import recover as module
+from morembs.recovery import expansion as module
 from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import STEEL, box, steel, where
@@ -47,7 +49,7 @@ def bar(tmp_path_factory):
         )
         its = stress_recovery(problem, cb, single=False)
     with h5py.File(path, "r+") as file:
-        write_recovery(file.create_group("bodies/cb/recovery"), its)
+        write_recovery(file.create_group("bodies/cb/recovery"), its, at_nodes=part.transformation)
     rng = np.random.default_rng(3)
     given = Trajectory(
         times=np.array([0.0, 0.1, 0.25]), coordinates=1e-4 * rng.standard_normal((3, cb.order)),
@@ -156,7 +158,7 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
             rotation=np.array([turn(a, [1, 1, 0]) for a in (0.0, 1.0, 2.0)]), position=np.eye(3), loads=given.loads,
         )  # fmt: skip
     result = recover(bar.path, save(tmp_path / "t.npz", given), tmp_path / "out.vtkhdf", body="cb")
-    wanted = expand(bar.source, body, given, recovery=bar.its)
+    wanted = expand(bar.source, body, given, recovery=stored_recovery(bar.path, "cb"))
     times, steps = steps_of(tmp_path / "out.vtkhdf")
     np.testing.assert_array_equal(times, given.times)
     inner = np.setdiff1d(bar.source.node_ids, bar.its.points)
@@ -165,7 +167,8 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
     for k, (points, cells, kind, data) in enumerate(steps):
         np.testing.assert_array_equal(points, bar.source.coordinates)
         assert (cells, kind) == (20, 12)
-        assert sorted(data) == ["displacement", *(["motion"] if framed else []), "stress", "von_mises"]
+        moved = ["motion"] if framed else []
+        assert sorted(data) == ["displacement", *moved, "stress", "von_mises", "von_mises_jump"]
         close(data["displacement"], wanted.displacement[k])
         if framed:
             close(data["motion"], wanted.motion[k])
@@ -192,11 +195,108 @@ def test_blocks_of_steps_and_every_nth_step(bar, tmp_path, monkeypatch):
         close(data["motion"], wanted.motion[k])
 
 
-def test_notes_say_when_loads_and_correction_do_not_meet(bar, tmp_path):
-    without = Trajectory(times=bar.given.times, coordinates=bar.given.coordinates)
-    result = recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb")
-    assert any("lacks its mode-acceleration" in note for note in result.notes)
-    assert recover(bar.path, without, tmp_path / "out.vtkhdf", body="cb", stress=False).notes == ()
+def test_notes_say_when_loads_and_correction_do_not_meet(bar, modal, tmp_path):
+    """Left out, given as zeros, or of no use: on the terminal and in the file."""
+    out = tmp_path / "out.vtkhdf"
+
+    def notes(path, loads, **options):
+        given = Trajectory(times=np.zeros(1), coordinates=np.zeros((1, options.pop("order"))), loads=loads)
+        found = recover(path, given, out, **options).notes
+        with h5py.File(out) as file:
+            assert tuple(line.decode() for line in file["notes"][()]) == found if found else "notes" not in file
+        return [note for note in found if "correction" in note]
+
+    zeros, ones = np.zeros((1, 12)), np.ones((1, 12))
+    here = {"order": bar.cb.order, "body": "cb"}
+    assert notes(bar.path, ones, **here) == []
+    assert ["no loads were given" in note for note in notes(bar.path, None, **here)] == [True]
+    assert ["all loads are zero" in note for note in notes(bar.path, zeros, **here)] == [True]
+    # Static shapes in the basis: displacements lack nothing.
+    assert notes(bar.path, None, **here, stress=False) == []
+    # A modal body lacks much of both.
+    here = {"order": 9}
+    assert notes(modal.path, ones, **here) == []
+    for stress, what in ((True, "stress and displacements"), (False, "displacements")):
+        for loads, why in ((None, "no loads were given"), (zeros, "all loads are zero")):
+            (note,) = notes(modal.path, loads, **here, stress=stress)
+            assert why in note and f"is in {what}" in note
+    (note,) = notes(bar.path, ones, order=9, body="bare", stress=False)
+    assert "no mode-acceleration correction for displacements" in note and "loads were not used" in note
+
+
+@pytest.fixture(scope="module")
+def modal(tmp_path_factory):
+    """A body of three free modes, with stress, seen from a frame that follows its left end; and its full model."""
+    model = steel(box("hex20", (4, 1, 2), (0.5, 0.06, 0.04)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.5))]
+    folder = tmp_path_factory.mktemp("modal")
+    with Problem(model, faces) as problem:
+        reduced = Modal(modes=3).reduce(problem, "bar")
+        frame = floating_frame(problem, reduced, kind="tangent", interfaces=["left"], origin=(0.1, 0, 0))
+        made = elastic_body(problem, reduced, make_part(problem, "skin"), floating=frame)
+        made = dataclasses.replace(made, recovery=stress_recovery(problem, reduced, single=False))
+        path = write_body(folder / "bar.h5", [made])
+        K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
+        at_nodes = made.part.transformation
+        R, pole = problem.coupling.R, problem.coupling.pole
+    return SimpleNamespace(path=path, reduced=reduced, K=K, M=M, B=B, R=R, pole=pole, at_nodes=at_nodes, frame=frame)
+
+
+LOADS = np.array([300.0, 200.0, -100.0, 5.0, 20.0, -30.0, -250.0, 150.0, 400.0, 3.0, 10.0, 20.0])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.1])
+def test_displacements_under_loads_are_those_of_the_full_model(modal, tmp_path, share):
+    """Static under inertia relief, and harmonic at a share of the first frequency left out: dense solutions."""
+    K, M, B, R, reduced = modal.K, modal.M, modal.B, modal.R, modal.reduced
+    MR = M @ R
+    f = B @ LOADS
+    f = f - MR @ np.linalg.solve(R.T @ MR, R.T @ f)
+    first = np.sqrt(sl.eigh(K, M, eigvals_only=True, subset_by_index=[9, 9])[0])
+    omega = share * first
+    # Lagrange multipliers hold the rigid motion at zero; the loads are in balance.
+    A = np.block([[K - omega**2 * M, MR], [MR.T, np.zeros((6, 6))]])
+    exact = (modal.at_nodes @ np.linalg.solve(A, np.append(f, np.zeros(6)))[: len(K)]).reshape(-1, 3)
+    q = np.zeros(reduced.order)
+    q[6:] = np.linalg.solve((reduced.K - omega**2 * reduced.M)[6:, 6:], reduced.B[6:] @ LOADS)
+    given = Trajectory(times=np.zeros(1), coordinates=q[None], loads=LOADS[None])
+    errors = []
+    for one in (given, dataclasses.replace(given, loads=None)):
+        recover(modal.path, one, tmp_path / "out.vtkhdf", scale=3.0)
+        (_, _, _, data), = steps_of(tmp_path / "out.vtkhdf")[1]
+        close(data["motion"], 3 * data["displacement"])  # no rigid motion is in it
+        errors.append(np.abs(data["displacement"] - exact).max() / np.abs(exact).max())
+    assert errors[1] > 0.1
+    assert errors[0] < max(1e-6, 2 * share**2 * errors[1])
+
+
+@pytest.mark.parametrize("kind", ["tangent", "mean-axes", "center-of-mass"])
+def test_corrected_displacements_keep_to_the_frame(modal, tmp_path, kind):
+    """In elastic coordinates a followed interface stays where it is, and the shape is that of reduced coordinates."""
+    source = read_body(modal.path)
+    body = source.bodies["bar"]
+    frame = body.floating.in_frame(kind, [] if kind == "mean-axes" else ["left"])
+    body = dataclasses.replace(body, floating=frame)
+    its = stored_recovery(modal.path, "bar")
+    p, e = np.zeros((1, 3)), np.linspace(-1, 1, 3)[None] * 1e-5
+    seen = expand(source, body, Trajectory(times=np.zeros(1), coordinates=e, position=p, loads=LOADS[None]),
+                  recovery=its)  # fmt: skip
+    plain = expand(source, body, Trajectory(times=np.zeros(1), coordinates=e @ frame.elastic.T, loads=LOADS[None]),
+                   recovery=its).displacement[0]  # fmt: skip
+    difference, x = (seen.displacement[0] - plain), source.coordinates
+    arms = np.hstack([np.broadcast_to(np.eye(3), (len(x), 3, 3)).reshape(-1, 3),
+                      -np.cross(np.eye(3)[None], x[:, None], axisa=2, axisb=2).reshape(-1, 3)])  # fmt: skip
+    rigid = arms @ np.linalg.lstsq(arms, difference.ravel(), rcond=None)[0]
+    assert np.abs(rigid - difference.ravel()).max() < 1e-9 * np.abs(plain).max()
+    left = seen.displacement[0][np.isclose(x[:, 0], 0.0)]
+    scale = np.abs(plain).max()
+    if kind == "mean-axes":
+        assert np.abs(difference).max() < 1e-9 * scale
+    elif kind == "tangent":
+        assert np.abs(left).max() < 1e-9 * scale < np.abs(difference).max()
+    else:
+        assert 1e-9 * scale < np.abs(left).max()
+    np.testing.assert_allclose(seen.motion[0], seen.displacement[0] - frame.origin, rtol=0, atol=1e-15)
 
 
 def test_stress_of_a_simulated_body_under_load_is_that_of_beam_theory(tmp_path):
@@ -339,8 +439,10 @@ def test_a_bad_trajectory_is_one_message_and_the_old_file_stays(bar, tmp_path, m
     [
         ("t.csv", "0,1,2\n", "expected the names of its columns"),
         ("t.csv", "", "expected the names of its columns"),
-        ("t.csv", "t,q1,q3\n0,1,2\n", "q2 0 times"),
-        ("t.csv", "t,q1,q1\n0,1,2\n", "q1 2 times"),
+        ("t.csv", "t,q1,q3\n0,1,2\n", "2 columns q1, q2, ... but no q2"),
+        ("t.csv", "t,q1,q1\n0,1,2\n", "2 columns 'q1'; expected each name once"),
+        ("t.csv", "t,q1,x,y,z,x\n0,1,2,3,4,5\n", "2 columns 'x'; expected each name once"),
+        ("t.csv", "t,q1,rx,ry,rz\n0,1,30,0,0\n", "column 'rx'.*matrices, no angles"),
         ("t.csv", "t,q1,q2\n0,1,2\n1,2\n", "columns changed from 3 to 2"),
         ("t.csv", "t,q1,q2\n0,1\n1,2\n", "names 3 columns in its first line, but its rows have 2"),
         ("t.csv", "t,q1\n0,one\n", "could not convert"),
@@ -356,6 +458,23 @@ def test_a_bad_trajectory_file_is_one_message(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=message):
         read_trajectory(tmp_path / name)
+
+
+def test_arrays_in_groups_are_not_overlooked(tmp_path):
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["times"], file["coordinates"], file["at/loads"] = np.zeros(1), np.zeros((1, 9)), np.ones((1, 12))
+    with pytest.raises(InputError, match="holds a group 'at'"):
+        read_trajectory(tmp_path / "t.h5")
+
+
+def test_coordinates_in_other_units_are_noted(modal, tmp_path):
+    """Elastic coordinates a thousand times too large: the body would deform by its own size."""
+    for size, far in ((0.02, False), (20.0, True)):
+        given = Trajectory(times=np.arange(2.0), coordinates=np.array([[0, 0, 0], [size, 0, 0]]))
+        notes = recover(modal.path, given, tmp_path / "out.vtkhdf").notes
+        assert any("check the units of the coordinates" in note and "at 1 s" in note for note in notes) == far
+    rigid = Trajectory(times=np.zeros(1), coordinates=np.eye(9)[:1] * 100)
+    assert not any("units" in note for note in recover(modal.path, rigid, tmp_path / "out.vtkhdf").notes)
 
 
 def test_what_recover_refuses(bar, tmp_path):
