@@ -1,0 +1,98 @@
+# What ``import morembs`` offers, and where each name lives.
+from .body import ElasticBody, elastic_body, make_part
+from .body.file import read_body, write_body
+from .body.stress_shapes import stress_recovery
+from .certificate.certify import Certificate, certify
+from .certificate.response import full_response, reduced_response
+from .diagnostics import examined
+from .errors import InputError, MorembsError
+from .exporters import export_body
+from .floating.frame import FloatingFrame, floating_frame
+from .floating.ranking import ranked_terms
+from .floating.stiffening import Envelope
+from .floating.stiffening_terms import geometric_stiffening
+from .importers import read_mesh
+from .interface import Interface, make_interface
+from .linalg.sparse.select import available_solvers, select_solver
+from .model import FEModel, Mesh, Nodes
+from .model.assembly import assemble
+from .model.material import Material, isotropic, orthotropic
+from .model.selection import select_nodes
+from .problem import Damping, Problem
+from .recovery.recover import expand, recover
+from .recovery.trajectory import Trajectory, read_trajectory
+from .reducers import (
+    REDUCERS,
+    Automatic,
+    Balanced,
+    CraigBampton,
+    FreeInterface,
+    Gramian,
+    Guyan,
+    Irka,
+    Krylov,
+    Modal,
+    ReducedModel,
+    StaticModesSwitching,
+)
+from .responses.band import band_frequencies
+from .responses.direct import direct_response
+from .units import parse_units
+
+__version__: str
+
+__all__ = [
+    "REDUCERS",
+    "Automatic",
+    "Balanced",
+    "Certificate",
+    "CraigBampton",
+    "Damping",
+    "ElasticBody",
+    "Envelope",
+    "FEModel",
+    "FloatingFrame",
+    "FreeInterface",
+    "Gramian",
+    "Guyan",
+    "InputError",
+    "Interface",
+    "Irka",
+    "Krylov",
+    "Material",
+    "Mesh",
+    "Modal",
+    "MorembsError",
+    "Nodes",
+    "Problem",
+    "ReducedModel",
+    "StaticModesSwitching",
+    "Trajectory",
+    "assemble",
+    "available_solvers",
+    "band_frequencies",
+    "certify",
+    "direct_response",
+    "elastic_body",
+    "examined",
+    "expand",
+    "export_body",
+    "floating_frame",
+    "full_response",
+    "geometric_stiffening",
+    "isotropic",
+    "make_interface",
+    "make_part",
+    "orthotropic",
+    "parse_units",
+    "ranked_terms",
+    "read_body",
+    "read_mesh",
+    "read_trajectory",
+    "recover",
+    "reduced_response",
+    "select_nodes",
+    "select_solver",
+    "stress_recovery",
+    "write_body",
+]

@@ -1,0 +1,111 @@
+"""Modules by the names that they had in version 0.1: importing one warns and gives the module that took its place.
+
+Goes with the next version.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+MOVED = {
+    "conversion": "importers",
+    "conversion.coupled_model": "model.fe_model",
+    "conversion.followers": "importers.dependent_dofs",
+    "conversion.imported": "importers.imported",
+    "conversion.point_masses": "importers.point_masses",
+    "conversion.to_model": "importers.to_model",
+    "damping": "problem.damping",
+    "delivery": "body.build",
+    "doctor": "diagnostics",
+    "doctor.examine": "diagnostics.doctor",
+    "doctor.findings": "diagnostics.findings",
+    "doctor.mass": "diagnostics.mass",
+    "doctor.matrices": "diagnostics.matrices",
+    "doctor.modes": "diagnostics.modes",
+    "doctor.parts": "diagnostics.parts",
+    "doctor.rigid": "diagnostics.rigid",
+    "doctor.units": "diagnostics.units",
+    "elements": "model.elements",
+    "examination": "diagnostics",
+    "examination.delivered": "diagnostics.delivered",
+    "examination.delivery_check": "diagnostics.delivery_check",
+    "examination.warnings": "diagnostics.warnings",
+    "fem": "model.assembly",
+    "floating.geometric_stiffness": "model.geometric_stiffness",
+    "linalg.amg": "linalg.sparse.amg",
+    "linalg.cholmod": "linalg.sparse.cholmod",
+    "linalg.cholmod_library": "linalg.sparse.cholmod_library",
+    "linalg.cholmod_session": "linalg.sparse.cholmod_session",
+    "linalg.conjugate_gradient": "linalg.sparse.conjugate_gradient",
+    "linalg.interruptible": "linalg.sparse.interruptible",
+    "linalg.mixed": "linalg.sparse.mixed",
+    "linalg.mumps": "linalg.sparse.mumps",
+    "linalg.mumps_instance": "linalg.sparse.mumps_instance",
+    "linalg.mumps_library": "linalg.sparse.mumps_library",
+    "linalg.ordering": "linalg.sparse.ordering",
+    "linalg.pardiso": "linalg.sparse.pardiso",
+    "linalg.pardiso_library": "linalg.sparse.pardiso_library",
+    "linalg.select": "linalg.sparse.select",
+    "linalg.solver": "linalg.sparse.solver",
+    "linalg.superlu": "linalg.sparse.superlu",
+    "linalg.symmetric": "linalg.sparse.symmetric",
+    "linalg.threads": "linalg.sparse.threads",
+    "linalg.umfpack": "linalg.sparse.umfpack",
+    "mass": "model.mass",
+    "material": "model.material",
+    "picture": "jobs.picture",
+    "preload": "floating.preload",
+    "responses.certify": "certificate.certify",
+    "responses.residual": "certificate.residual",
+    "responses.response": "certificate.response",
+    "selection": "model.selection",
+    "storage.body_file": "body.file",
+    "storage.model_file": "importers.model_file",
+    "storage.stored": "body.stored",
+    "storage.stored_certificate": "body.stored_certificate",
+    "storage.stored_check": "body.stored_check",
+    "storage.stored_frame": "body.stored_frame",
+    "storage.stored_switching": "body.stored_switching",
+    "storage.vtkhdf": "body.vtkhdf",
+    "storage.vtkhdf_series": "body.vtkhdf_series",
+    "stress": "recovery",
+    "stress.operator": "model.stress_operator",
+    "stress.recovery": "recovery.recover",
+    "stress.shapes": "body.stress_shapes",
+    "stress.trajectory": "recovery.trajectory",
+    "surface": "model.surface",
+    "switching": "reducers.switching_tables",
+}
+
+
+class _Moved(MetaPathFinder, Loader):
+    """Finds the modules of ``MOVED``; asked last, so nothing that exists is hidden."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:  # fmt: skip
+        old = name.removeprefix("morembs.")
+        return ModuleSpec(name, self, is_package=True) if old != name and old in MOVED else None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        new = "morembs." + MOVED[spec.name.removeprefix("morembs.")]
+        warnings.warn(f"{spec.name} is now {new}; the old name goes with the next version", DeprecationWarning, 2)
+        module = importlib.import_module(new)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        # The import system has put the specification of the old name in place of its own.
+        module.__spec__ = self._spec
+
+
+def accept_old_names() -> None:
+    """Have the old names imported from now on."""
+    if not any(isinstance(finder, _Moved) for finder in sys.meta_path):
+        sys.meta_path.append(_Moved())
