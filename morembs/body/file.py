@@ -32,6 +32,7 @@ from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import MODE_KINDS
 from morembs.reducers.switching_tables import Switching
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import SafeFile, check_writable, replacing
 from morembs.storage.storable import json_text, plain, storable, text
 
@@ -246,19 +247,9 @@ def read_body(path: str | Path) -> StoredBodies:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """The HDF5 file, open for reading, once it is known to be a body file of a known version."""
-    if not path.is_file():
-        raise InputError(f"{path} was given as a body file; there is no such file")
-    try:
-        if not h5py.is_hdf5(path):
-            path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} is not an HDF5 file; expected a body file written by morembs")
-        with h5py.File(path, "r") as file:
-            _refuse_other(path, file)
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} cannot be read ({error}); if it is damaged, write it again") from error
+    with reading(path, "a body file") as file:
+        _refuse_other(path, file)
+        yield file
 
 
 def _refuse_other(path: Path, file: Any) -> None:

@@ -5,8 +5,7 @@ The mesh is stored once; each point field is one dataset with the steps behind e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from morembs.body.stress_shapes import Recovery, read_recovery
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ def read_grid(path: Path) -> Grid:
     Raises:
         InputError: the file is damaged or has no mesh.
     """
-    with _reading(path) as file:
+    with reading(path, "a body file") as file:
         group = file["VTKHDF"]
         grid = Grid(
             points=group["Points"][()], connectivity=group["Connectivity"][()], offsets=group["Offsets"][()],
@@ -58,7 +58,7 @@ def stored_recovery(path: Path, body: str) -> Recovery | None:
     Raises:
         InputError: the file is damaged or the recovery incomplete.
     """
-    with _reading(path) as file:
+    with reading(path, "a body file") as file:
         group = file.get(f"bodies/{body}/recovery")
         return None if group is None else read_recovery(group)
 
@@ -69,19 +69,8 @@ def read_arrays(path: Path) -> dict[str, Any]:
     Raises:
         InputError: not a readable HDF5 file.
     """
-    with _reading(path) as file:
+    with reading(path, "an HDF5 file") as file:
         return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} cannot be read as HDF5 ({error}); if it is damaged, write it again") from error
 
 
 def write_series(

@@ -16,6 +16,7 @@ from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.fields import Fields
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import replacing
 from morembs.storage.storable import storable
 
@@ -126,11 +127,7 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
     Raises:
         InputError: no such file, or none with members.
     """
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read as HDF5 ({error}); expected a file of write_members") from None
-    with file:
+    with reading(Path(path), "a file of write_members") as file:
         bodies = file.get("bodies", {})
         found = {name: read_parameterised(b["parameterised"]) for name, b in bodies.items() if "parameterised" in b}
     if not found:

@@ -24,6 +24,7 @@ from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
 from morembs.model.coupled import CoupledModel
 from morembs.progress import SILENT, Progress
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import storable, text
 
@@ -99,10 +100,10 @@ def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> CoupledModel:
 def is_body_file(path: Path) -> bool:
     """Whether a file says that it holds reduced bodies."""
     try:
-        with h5py.File(path, "r") as file:
+        with reading(path, "a model file") as file:
             found = file.get("format")
             return isinstance(found, h5py.Dataset) and found.shape == () and found[()] == b"morembs-body"
-    except (OSError, RuntimeError, KeyError, ValueError):
+    except InputError:
         # Reading it as a model says what is wrong.
         return False
 

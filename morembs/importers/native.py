@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import checked_csr, refuse_hollow, stored
+from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import AverageElement, Imported, RigidElement
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
+from morembs.storage.hdf5 import reading, stored
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -55,27 +56,17 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """The HDF5 file, open for reading, once it is known to be a model file of a known version."""
-    if not path.is_file():
-        raise InputError(f"{path} was given as a model file; there is no such file")
-    try:
-        if not h5py.is_hdf5(path):
-            path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} is not an HDF5 file; expected a model file that morembs import wrote")
-        with h5py.File(path, "r") as file:
-            found = file.get("format")
-            if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
-                raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
-            version = int(file["format_version"][()])
-            if not 1 <= version <= FORMAT_VERSION:
-                raise InputError(
-                    f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
-                    "newer one, or import the model again"
-                )
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
-        raise InputError(f"{path} cannot be read ({error}); if it is damaged, import the model again") from error
+    with reading(path, "a model file", "import the model again") as file:
+        found = file.get("format")
+        if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
+            raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
+        version = int(file["format_version"][()])
+        if not 1 <= version <= FORMAT_VERSION:
+            raise InputError(
+                f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
+                "newer one, or import the model again"
+            )
+        yield file
 
 
 def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
@@ -84,7 +75,6 @@ def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.c
     group = file[f"matrices/{name}"]
     parts = []
     for part in ("data", "indices", "indptr"):
-        refuse_hollow(group[part])
         if group[part].dtype.kind not in ("f" if part == "data" else "iu"):
             raise InputError(f"{path}: {group[part].name} does not hold numbers of its kind; import the model again")
         array = budget.empty(group[part].shape, group[part].dtype)
