@@ -54,9 +54,7 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
     except MorembsError:
         raise
     except DAMAGE as error:
-        raise InputError(
-            f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}"
-        ) from error
+        raise InputError(f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}") from error
 
 
 def refuse_unsafe_file(path: Path) -> None:
