@@ -5,6 +5,7 @@ The mesh is stored once; each point field is one dataset with the steps behind e
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from morembs.body.stress_shapes import Recovery, read_recovery
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
+from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import replacing
 
@@ -42,6 +44,7 @@ def read_grid(path: Path) -> Grid:
         InputError: the file is damaged or has no mesh.
     """
     with reading(path, "a body file") as file:
+        Checksums(path, file).verify(lambda name: re.fullmatch("VTKHDF(/[^/]+)?", name) is not None)
         group = file["VTKHDF"]
         grid = Grid(
             points=group["Points"][()], connectivity=group["Connectivity"][()], offsets=group["Offsets"][()],
@@ -59,6 +62,7 @@ def stored_recovery(path: Path, body: str) -> Recovery | None:
         InputError: the file is damaged or the recovery incomplete.
     """
     with reading(path, "a body file") as file:
+        Checksums(path, file).verify(lambda name: name.startswith(f"bodies/{body}/recovery/"))
         group = file.get(f"bodies/{body}/recovery")
         return None if group is None else read_recovery(group)
 
@@ -69,7 +73,7 @@ def read_arrays(path: Path) -> dict[str, Any]:
     Raises:
         InputError: not a readable HDF5 file.
     """
-    with reading(path, "an HDF5 file") as file:
+    with reading(path, "a trajectory in HDF5") as file:
         return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
 
 

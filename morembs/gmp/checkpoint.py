@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.storage.checksums import Checksums, seal
 from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import check_writable, replacing
 
@@ -71,6 +72,7 @@ class Checkpoint:
                     raise ValueError(name)
             if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
                 raise ValueError("notes")
+            Checksums(self.path, file).verify()
         same = signature.shape == self.signature.shape and np.allclose(signature, self.signature, rtol=_SAME, atol=0)
         if not same or options != self.options:
             what = f"with the options {options}, not {self.options}" if same else "of another component"
@@ -116,5 +118,8 @@ class Checkpoint:
                 for row, values in enumerate(self.found.values()):
                     data[row] = values[name]
                 safe.check()
+            safe.doing = "the checksums"
+            seal(file)
+            safe.check()
         self._last, self._unsaved = time.monotonic(), False
         self._took = self._last - begin

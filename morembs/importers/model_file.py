@@ -24,6 +24,7 @@ from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
 from morembs.model.coupled import CoupledModel
 from morembs.progress import SILENT, Progress
+from morembs.storage.checksums import seal
 from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import storable, text
@@ -81,6 +82,9 @@ def write_model(
             out.put("materials/density", np.array([one.density for one in model.materials]), units="kg/m3")
         if coupled is not None and (coupled.rigid or coupled.average):
             _write_couplings(out, coupled)
+        safe.doing = "the checksums"
+        seal(file)
+        safe.check()
     return target
 
 

@@ -19,6 +19,7 @@ from morembs.importers.imported import AverageElement, Imported, RigidElement
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
+from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading, stored
 
 Floats = NDArray[np.float64]
@@ -46,11 +47,13 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
         dofs = DofMap(node=_whole(path, file["dofs/node"]), component=_whole(path, file["dofs/component"]))
         rigid, average = _couplings(path, file, len(nodes))
-        return Imported(
+        found = Imported(
             source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
             mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
             notes=tuple(_words(file["source/notes"])),
         )  # fmt: skip
+        Checksums(path, file).verify()
+        return found
 
 
 @contextmanager

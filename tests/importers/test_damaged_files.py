@@ -91,6 +91,7 @@ def test_every_symmetry_of_matrix_market(tmp_path: Path, symmetry: str, dense: b
 
 def hdf5_part(path: Path, name: str, change: Callable[[h5py.File, str], None]) -> Path:
     with h5py.File(path, "r+") as file:
+        file.pop("checksums", None)  # which other writers may leave out
         change(file, name)
     return path
 
