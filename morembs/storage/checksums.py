@@ -74,15 +74,19 @@ class Checksums:
         Raises:
             InputError: an object is missing, or is not what was written; its name is in the message.
         """
+        items: dict[str, Any] = {}
         for name, held in self.sums.items():
-            item, column = self.group.get(name), None
-            if item is None:
-                above, _, number = name.rpartition("/")
-                item, column = self.group.get(above), int(number) if number.isdigit() else None
-                if column is None or not isinstance(item, h5py.Dataset) or column >= (*item.shape, 0)[1]:
+            above, _, number = name.rpartition("/")
+            data = items.get(above) if number.isdigit() else None
+            if isinstance(data, h5py.Dataset):
+                # The row of the dataset, where its shape is in, stands before those of its columns.
+                same = not chosen(name) or held == _sum_of(data[:, int(number)])
+            else:
+                items[name] = item = self.group.get(name)
+                if item is None:
                     raise self._refused(name, "is missing")
-            if chosen(name) and held != (_sum(item, whole=f"{name}/0" not in self.sums) if column is None
-                                         else _sum_of(item[:, column])):  # fmt: skip
+                same = not chosen(name) or held == _sum(item, whole=f"{name}/0" not in self.sums)
+            if not same:
                 raise self._refused(name, "is not what was written, as its checksum says")
 
     def verify_column(self, name: str, column: int, values: Array) -> None:
