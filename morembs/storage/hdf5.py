@@ -47,7 +47,7 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
     try:
         if not h5py.is_hdf5(path):
             path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} is not an HDF5 file; expected {expected}")
+            raise InputError(f"{path} cannot be read as {expected}: it is not an HDF5 file; check the name")
         with h5py.File(path, "r") as file:
             _refuse_unsafe(path, file)
             yield file
