@@ -9,7 +9,7 @@ Each name is imported when it is first used; ``__init__.pyi`` says from where.
 import lazy_loader
 
 # First, as it quiets the idle threads of OpenBLAS before NumPy loads its copy.
-import morembs.linalg
+import morembs.linalg  # noqa: F401
 from morembs.moved import accept_old_names
 from morembs.version import VERSION
 

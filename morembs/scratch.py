@@ -1,20 +1,22 @@
-"""Private folders for files that live as long as a calculation, and never longer.
+"""Private folders for files that live as long as a calculation or a file that is being written, and never longer.
 
-A folder is marked by a file that its process keeps locked. The operating system drops the lock however the
-process ends, so the next run knows which folders nobody owns any more and removes them.
+A folder is marked by a file that its process keeps locked, with the name of the machine in it. The operating system
+drops the lock however the process ends, so the next run on that machine knows which folders nobody owns any more and
+removes them. Only the user may enter such a folder, so that nobody plants links in it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
+import platform
 import shutil
 import tempfile
 import time
 import weakref
 from pathlib import Path
-from typing import Any
 
 from morembs.errors import InputError
 
@@ -26,15 +28,41 @@ except ImportError:  # not on this system: then nothing is known to be left over
 log = logging.getLogger(__name__)
 _PREFIX = "morembs-"
 _OWNER = "owner.lock"
+# In the place of the mark where files cannot be locked: then nobody knows whether the owner lives.
+_UNKNOWN = "owner"
 # A folder without a lock file may be one that is being made right now.
 _YOUNG = 60.0
+# What systems say that have no locks for files on some disk.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
-class ScratchFolder:
+class PrivateFolder:
     """A new private folder below ``parent`` (None: the temporary folder of the system).
 
     Removed by ``close``, when it is forgotten, or when the interpreter ends; what killed runs left behind in
-    the same parent is removed first.
+    the same parent under the same ``prefix`` is removed first.
+
+    Raises:
+        OSError: the parent cannot be written.
+    """
+
+    def __init__(self, parent: Path | None, prefix: str = _PREFIX) -> None:
+        remove_abandoned(parent, prefix)
+        self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent)).resolve()
+        try:
+            handle = _lock(self.path)
+        except OSError:
+            shutil.rmtree(self.path, ignore_errors=True)
+            raise
+        self._finalize = weakref.finalize(self, _remove, self.path, handle, os.getpid())
+
+    def close(self) -> None:
+        """Remove the folder and all that is in it."""
+        self._finalize()
+
+
+class ScratchFolder(PrivateFolder):
+    """A private folder for a calculation; ``parent`` is made if it is missing.
 
     Raises:
         InputError: the parent cannot be made or written.
@@ -46,26 +74,20 @@ class ScratchFolder:
                 parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"the scratch folder {parent} cannot be made: {error}") from error
-        remove_abandoned(parent)
         try:
-            self.path = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)).resolve()
+            super().__init__(parent)
         except OSError as error:
             place = parent or tempfile.gettempdir()
             raise InputError(
                 f"the scratch folder {place} cannot be written ({error.strerror}); give another one"
             ) from error
-        self._finalize = weakref.finalize(self, _remove, self.path, _lock(self.path / _OWNER))
-
-    def close(self) -> None:
-        """Remove the folder and all that is in it."""
-        self._finalize()
 
 
-def remove_abandoned(parent: Path | None) -> None:
-    """Remove the folders of processes that ended without doing so."""
+def remove_abandoned(parent: Path | None, prefix: str = _PREFIX) -> None:
+    """Remove the folders of processes of this machine that ended without doing so."""
     if fcntl is None:
         return
-    for folder in Path(parent or tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+    for folder in Path(parent or tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
             if folder.is_dir() and not folder.is_symlink() and _abandoned(folder):
                 log.info("removing %s, which an interrupted run left behind", folder)
@@ -85,8 +107,11 @@ def _abandoned(folder: Path) -> bool:
     if not mark.exists():
         empty = all(path.suffix == ".new" for path in folder.iterdir())
         return empty and time.time() - folder.stat().st_mtime > _YOUNG
-    handle = os.open(mark, os.O_RDWR)
+    handle = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
     try:
+        # Locks of another machine may not be seen here. An empty mark is one of version 0.1.
+        if os.read(handle, 1024) not in (b"", _machine()):
+            return False
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
@@ -95,18 +120,34 @@ def _abandoned(folder: Path) -> bool:
     return True
 
 
-def _lock(path: Path) -> Any:
-    """Open handle of ``path``, locked until it is closed or the process ends."""
+def _machine() -> bytes:
+    return platform.node().encode()[:1024]
+
+
+def _lock(folder: Path) -> int | None:
+    """Open handle of the mark of ``folder``, locked until it is closed or the process ends; None without locks."""
     # It gets its name when it is locked, so that nobody ever sees it free.
-    new = path.with_suffix(".new")
-    handle = os.open(new, os.O_RDWR | os.O_CREAT, 0o600)
-    if fcntl is not None:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-    new.rename(path)
-    return handle
+    new = (folder / _OWNER).with_suffix(".new")
+    handle = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            os.write(handle, _machine())
+            new.rename(folder / _OWNER)
+            return handle
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            os.close(handle)
+            raise
+    os.close(handle)
+    new.rename(folder / _UNKNOWN)
+    return None
 
 
-def _remove(path: Path, handle: int) -> None:
-    shutil.rmtree(path, ignore_errors=True)
-    with contextlib.suppress(OSError):
-        os.close(handle)
+def _remove(path: Path, handle: int | None, owner: int) -> None:
+    """Remove the folder, unless this is a copy of the process that owns it."""
+    if os.getpid() == owner:
+        shutil.rmtree(path, ignore_errors=True)
+    if handle is not None:
+        with contextlib.suppress(OSError):
+            os.close(handle)

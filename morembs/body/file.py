@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from morembs.body.stored import (
     stored_bodies,
 )  # fmt: skip
 from morembs.body.stored_certificate import write_certificate
+from morembs.body.stored_check import check_file
 from morembs.body.stored_frame import write_frame, write_ranking
 from morembs.body.stored_switching import read_switching, write_switching
 from morembs.body.stress_shapes import write_recovery
@@ -32,6 +34,8 @@ from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import MODE_KINDS
 from morembs.reducers.switching_tables import Switching
+from morembs.storage import checksums
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import SafeFile, check_writable, replacing
 from morembs.storage.storable import json_text, plain, storable, text
 
@@ -42,6 +46,8 @@ FORMAT_VERSION = 2
 BLOCK_BYTES = 16 * 2**20
 # Largest chunk HDF5 allows is 4 GiB.
 CHUNK_ROWS = 2**28
+# What is compared with its checksums when it is read.
+_LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|basis/)")
 _MATRICES = ("mass_matrix", "stiffness_matrix", "damping_matrix")
 
 
@@ -101,7 +107,13 @@ def write_body(
         for body in bodies:
             _write_one(out, body, progress)
         made = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": _version()}
-        out.tree("provenance", {**made, **(provenance or {})})
+        given = {f"{key}_" if key == checksums.GROUP else key: value for key, value in (provenance or {}).items()}
+        out.tree("provenance", {**made, **given})
+        safe.doing = "the checksums"
+        # Those of /provenance apart, as nothing outside depends on it.
+        checksums.seal(file["provenance"])
+        checksums.seal(file, apart=["provenance"])
+        safe.check()
     return target
 
 
@@ -224,8 +236,12 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     vtkhdf.write_modes(out.file["VTKHDF"], body.name, data, modes, shown, out.safe.check)
 
 
-def read_body(path: str | Path) -> StoredBodies:
+def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
     """Read a body file; bases stay in it until asked for.
+
+    Args:
+        whole: compare everything with its checksums now, also bases, stress shapes, static modes of candidate loads
+            and shapes for ParaView, which otherwise are compared when they are read.
 
     Raises:
         InputError: no such file, not a body file, written by a newer version, damaged or incomplete.
@@ -238,28 +254,23 @@ def read_body(path: str | Path) -> StoredBodies:
 
     def switching(name: str) -> Switching:
         with _opened(place) as file:
+            checksums.Checksums(place, file).verify(lambda one: one.startswith(f"bodies/{name}/switching/"))
             return read_switching(file[f"bodies/{name}/switching"])
 
     with _opened(place) as file:
-        return stored_bodies(place, file, read_basis, switching)
+        check_file(place, file)
+        checksums.Checksums(place, file).verify(lambda name: whole or not _LATER.match(name))
+        if "provenance" in file:
+            checksums.Checksums(place, file["provenance"]).verify()
+        return stored_bodies(file, read_basis, switching)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """The HDF5 file, open for reading, once it is known to be a body file of a known version."""
-    if not path.is_file():
-        raise InputError(f"{path} was given as a body file; there is no such file")
-    try:
-        if not h5py.is_hdf5(path):
-            path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} is not an HDF5 file; expected a body file written by morembs")
-        with h5py.File(path, "r") as file:
-            _refuse_other(path, file)
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} cannot be read ({error}); if it is damaged, write it again") from error
+    with reading(path, "a body file") as file:
+        _refuse_other(path, file)
+        yield file
 
 
 def _refuse_other(path: Path, file: Any) -> None:

@@ -11,12 +11,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body.stored_check import check_file, refuse_not_finite
+from morembs.body.stored_check import refuse_not_finite
 from morembs.body.stored_frame import read_frame, read_ranking
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.reducers.switching_tables import Switching
+from morembs.storage.checksums import GROUP, Checksums
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -126,14 +127,9 @@ class StoredBodies:
 
 
 def stored_bodies(
-    path: Path, file: Any, read_basis: Callable[[str, slice], Floats], read_switching: Callable[[str], Switching],
+    file: Any, read_basis: Callable[[str, slice], Floats], read_switching: Callable[[str], Switching],
 ) -> StoredBodies:  # fmt: skip
-    """Everything but the bases and the static modes of an open body file.
-
-    Raises:
-        InputError: some dataset is missing, or is not what it should be.
-    """
-    check_file(path, file)
+    """Everything but the bases and the static modes of an open body file, which ``check_file`` has seen."""
     names, interfaces = _strings(file["body_names"]), _strings(file["interface_names"])
     kinds = _strings(file["mode_kinds"])
     return StoredBodies(
@@ -151,7 +147,7 @@ def stored_bodies(
             "body", {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
         ),
         recipe=json.loads(file["recipe"][()]),
-        provenance=_tree(file["provenance"]) if "provenance" in file else {},
+        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
     )
 
 
@@ -174,13 +170,14 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     """Columns of a basis dataset, one by one: each lies in one piece, and several at once take far longer.
 
     Raises:
-        InputError: numbers that are not finite.
+        InputError: numbers that are not finite, or not those that were written.
     """
-    picked = range(data.shape[1])[columns]
+    picked, checksums = range(data.shape[1])[columns], Checksums(data.file.filename, data.file)
     block = np.empty((data.shape[0], len(picked)))
     for place, column in enumerate(picked):
         block[:, place] = data[:, column]
         refuse_not_finite(data.file.filename, f"{data.name.lstrip('/')}[:, {column}]", block[:, place])
+        checksums.verify_column(data.name.lstrip("/"), column, block[:, place])
     return block
 
 

@@ -5,8 +5,8 @@ The mesh is stored once; each point field is one dataset with the steps behind e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from morembs.body.stress_shapes import Recovery, read_recovery
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
+from morembs.storage.checksums import Checksums
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -41,7 +43,8 @@ def read_grid(path: Path) -> Grid:
     Raises:
         InputError: the file is damaged or has no mesh.
     """
-    with _reading(path) as file:
+    with reading(path, "a body file") as file:
+        Checksums(path, file).verify(lambda name: re.fullmatch("VTKHDF(/[^/]+)?", name) is not None)
         group = file["VTKHDF"]
         grid = Grid(
             points=group["Points"][()], connectivity=group["Connectivity"][()], offsets=group["Offsets"][()],
@@ -58,7 +61,8 @@ def stored_recovery(path: Path, body: str, *, stress: bool = True) -> Recovery |
     Raises:
         InputError: the file is damaged or the recovery incomplete.
     """
-    with _reading(path) as file:
+    with reading(path, "a body file") as file:
+        Checksums(path, file).verify(lambda name: name.startswith(f"bodies/{body}/recovery/"))
         group = file.get(f"bodies/{body}/recovery")
         return None if group is None else read_recovery(group, stress=stress)
 
@@ -69,22 +73,11 @@ def read_arrays(path: Path) -> dict[str, Any]:
     Raises:
         InputError: not a readable HDF5 file, or one with groups, in which arrays would be overlooked.
     """
-    with _reading(path) as file:
+    with reading(path, "a trajectory in HDF5") as file:
         groups = [name for name, item in file.items() if not isinstance(item, h5py.Dataset)]
         if groups:
             raise InputError(f"{path} holds a group {groups[0]!r}; expected arrays only, none of them in a group")
         return {name: item[()] for name, item in file.items()}
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} cannot be read as HDF5 ({error}); if it is damaged, write it again") from error
 
 
 def write_series(

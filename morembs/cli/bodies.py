@@ -25,7 +25,7 @@ def info(file: BodyFile, as_json: AsJson = False) -> None:
     """Show what a body file holds."""
     failed: list[str] = []
     with messages(failed):
-        stored = read_body(file)
+        stored = read_body(file, whole=True)
         if as_json:
             print_json(stored_json(str(file), stored))
         else:

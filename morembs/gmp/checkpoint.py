@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.storage.checksums import Checksums, seal
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import check_writable, replacing
 
 Floats = NDArray[np.float64]
@@ -53,28 +55,24 @@ class Checkpoint:
     notes: tuple[str, ...]
 
     def _read(self) -> None:
-        try:
-            with h5py.File(self.path, "r") as file:
-                if file.attrs.get("kind") != _KIND:
-                    raise KeyError("kind")
-                signature, options = file["signature"][()], str(file["options"].asstr()[()])
-                values = {name: file[name][()] for name in ("keys", *_NAMES)}
-                reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
-                rows = {len(value) for value in values.values()}
-                if len(rows) > 1:
-                    raise KeyError("rows")
-                if values["keys"].dtype.kind not in "iu" or values["keys"].shape[1:] != (4,):
-                    raise ValueError("keys")
-                for name in _NAMES:
-                    if values[name].dtype.kind != "f" or not np.isfinite(values[name]).all():
-                        raise ValueError(name)
-                if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
-                    raise ValueError("notes")
-        except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
-            raise InputError(
-                f"{self.path} cannot be read as equilibria of an earlier run ({error}); give the name of such a file, "
-                "or of a new one"
-            ) from None
+        cure = "give the name of another such file, or of a new one"
+        with reading(self.path, "equilibria of an earlier run", cure) as file:
+            if file.attrs.get("kind") != _KIND:
+                raise KeyError("kind")
+            signature, options = file["signature"][()], str(file["options"].asstr()[()])
+            values = {name: file[name][()] for name in ("keys", *_NAMES)}
+            reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
+            rows = {len(value) for value in values.values()}
+            if len(rows) > 1:
+                raise KeyError("rows")
+            if values["keys"].dtype.kind not in "iu" or values["keys"].shape[1:] != (4,):
+                raise ValueError("keys")
+            for name in _NAMES:
+                if values[name].dtype.kind != "f" or not np.isfinite(values[name]).all():
+                    raise ValueError(name)
+            if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
+                raise ValueError("notes")
+            Checksums(self.path, file).verify()
         same = signature.shape == self.signature.shape and np.allclose(signature, self.signature, rtol=_SAME, atol=0)
         if not same or options != self.options:
             what = f"with the options {options}, not {self.options}" if same else "of another component"
@@ -120,5 +118,8 @@ class Checkpoint:
                 for row, values in enumerate(self.found.values()):
                     data[row] = values[name]
                 safe.check()
+            safe.doing = "the checksums"
+            seal(file)
+            safe.check()
         self._last, self._unsaved = time.monotonic(), False
         self._took = self._last - begin

@@ -16,6 +16,8 @@ from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.fields import Fields
+from morembs.storage.checksums import Checksums, seal
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import replacing
 from morembs.storage.storable import storable
 
@@ -117,6 +119,9 @@ def write_members(path: str | Path, members: Mapping[str, Parameterised]) -> Pat
 
         for name, its in members.items():
             write_parameterised(put, f"bodies/{name}/parameterised", its)
+        safe.doing = "the checksums"
+        seal(file)
+        safe.check()
     return target
 
 
@@ -126,13 +131,10 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
     Raises:
         InputError: no such file, or none with members.
     """
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read as HDF5 ({error}); expected a file of write_members") from None
-    with file:
+    with reading(Path(path), "a file of write_members") as file:
         bodies = file.get("bodies", {})
         found = {name: read_parameterised(b["parameterised"]) for name, b in bodies.items() if "parameterised" in b}
-    if not found:
-        raise InputError(f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members")
+        if not found:
+            raise InputError(f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members")
+        Checksums(path, file).verify()
     return found

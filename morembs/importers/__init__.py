@@ -27,6 +27,7 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
+from morembs.storage.hdf5 import reading
 from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
@@ -163,17 +164,12 @@ def _by_content(path: Path, format: str) -> str:
 
 def _hdf5_kind(path: Path) -> str:
     """What an HDF5 file says that it is."""
-    import h5py  # the formats that only their own files can tell apart
-
-    try:
-        with h5py.File(path, "r") as file:
-            for key in ("format", "type"):
-                item = file.get(key)
-                if isinstance(item, h5py.Dataset) and item.shape == ():
-                    value = item[()]
-                    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
-    except (OSError, RuntimeError, KeyError, ValueError):
-        pass
+    with reading(path, "an HDF5 file with matrices", "check the file") as file:
+        for key in ("format", "type"):
+            item = file.get(key)
+            if getattr(item, "shape", None) == ():
+                value = item[()]
+                return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
     return ""
 
 

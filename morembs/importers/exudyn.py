@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import sparse_group, stored
+from morembs.importers.hdf5_sparse import sparse_group
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
 from morembs.model import DofMap, Nodes
+from morembs.storage.hdf5 import reading, stored
 
 Ints = NDArray[np.int64]
 
@@ -25,24 +26,19 @@ def import_exudyn(path: Path) -> Imported:
         InputError: not such a file, damaged, or matrices that do not fit the nodes.
     """
     path = Path(path)
-    try:
-        with h5py.File(path, "r") as file:
-            kind = file.get("type")
-            if kind is None or _text(kind) != "FEMinterface":
-                raise InputError(f"{path.name} is not a FEMinterface of Exudyn (type is not 'FEMinterface')")
-            xyz = _numbers(path.name, file["nodes/Position"])
-            matrices = {}
-            for role, name in (("K", "stiffnessMatrix"), ("M", "massMatrix")):
-                matrix = sparse_group(f"{path.name}: {name}", file[name])
-                if matrix is None:
-                    raise InputError(f"{path.name}: {name} is not a CSR matrix; save the FEMinterface again")
-                matrices[role] = square_csr(path.name, name, matrix)
-            sets = _node_sets(path.name, file.get("nodeSets"), len(xyz))
-            other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _filled(file.get(name))]
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
-        raise InputError(f"{path.name} cannot be read as a FEMinterface of Exudyn ({error}); save it again") from error
+    with reading(path, "a FEMinterface of Exudyn", "save it again") as file:
+        kind = file.get("type")
+        if kind is None or _text(kind) != "FEMinterface":
+            raise InputError(f"{path.name} is not a FEMinterface of Exudyn (type is not 'FEMinterface')")
+        xyz = _numbers(path.name, file["nodes/Position"])
+        matrices = {}
+        for role, name in (("K", "stiffnessMatrix"), ("M", "massMatrix")):
+            matrix = sparse_group(f"{path.name}: {name}", file[name])
+            if matrix is None:
+                raise InputError(f"{path.name}: {name} is not a CSR matrix; save the FEMinterface again")
+            matrices[role] = square_csr(path.name, name, matrix)
+        sets = _node_sets(path.name, file.get("nodeSets"), len(xyz))
+        other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _filled(file.get(name))]
     if xyz.ndim != 2 or xyz.shape[1] != 3 or matrices["K"].shape[0] != xyz.size:
         raise InputError(
             f"{path.name} has K of {matrices['K'].shape[0]} rows and positions of the shape {xyz.shape}; expected "

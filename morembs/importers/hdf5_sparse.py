@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
+from morembs.storage.hdf5 import reading, stored
 
 Array = NDArray[Any]
-# How much smaller the compressions of HDF5 make data at best; below _SMALL bytes nobody asks.
-_RATIO = 1100
-_SMALL = 1 << 20
 
 
 def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
@@ -30,44 +28,12 @@ def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: st
         InputError: not an HDF5 file, no such matrix, or one that is damaged.
     """
     path = Path(path)
-    try:
-        with h5py.File(path, "r") as file:
-            if K is None:
-                _refuse_body(path.name, file)
-            found: Matrices = {}
-            _collect(path.name, file, "", found, {K, M, D} - {None})
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
-        raise InputError(f"{path.name} cannot be read as an HDF5 file ({error}); check the file") from error
+    with reading(path, "an HDF5 file with matrices", "check the file") as file:
+        if K is None:
+            _refuse_body(path.name, file)
+        found: Matrices = {}
+        _collect(path.name, file, "", found, {K, M, D} - {None})
     return matrices_by_name(path.name, found, K=K, M=M, D=D)
-
-
-def stored(item: Any) -> Array:
-    """All of a dataset, read once it is known that the file can hold so much.
-
-    Raises:
-        InputError: the dataset announces more than is stored, has no values, or is a group.
-    """
-    if not isinstance(item, h5py.Dataset) or item.shape is None:
-        raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again")
-    refuse_hollow(item)
-    return np.asarray(item[()])
-
-
-def refuse_hollow(item: h5py.Dataset) -> None:
-    """Refuse a dataset whose size is announced but not stored: it would fill the memory with nothing.
-
-    Raises:
-        InputError: it is one.
-    """
-    announced = int(np.prod([float(n) for n in item.shape or ()])) * item.dtype.itemsize
-    held = item.id.get_storage_size()
-    if announced > _SMALL and announced > _RATIO * held:
-        raise InputError(
-            f"{item.name} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
-            "filled, write it again"
-        )
 
 
 def _refuse_body(source: str, file: Any) -> None:
@@ -80,28 +46,6 @@ def _refuse_body(source: str, file: Any) -> None:
                 f"{source} is {what}, the result of a reduction and not a model; give the model it was made from "
                 "(morembs export and morembs recover use body files)"
             )
-
-
-def refuse_hollow_file(path: Path) -> None:
-    """``refuse_hollow`` for all datasets of a file that another reader will read; other files are left to it.
-
-    Raises:
-        InputError: a dataset announces much more than the file holds.
-    """
-    if not path.is_file() or not h5py.is_hdf5(path):
-        return
-
-    def look(_: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            refuse_hollow(item)
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(look)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from error
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
-        return  # damaged in another way, which the reader says
 
 
 def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str | None]) -> None:
@@ -117,7 +61,7 @@ def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str 
                 matrix = _dense(item["value"], "MATLAB_class" in item.attrs or "OCTAVE_NEW_FORMAT" in item.attrs)
             if matrix is not None:
                 found[here] = matrix
-            else:
+            elif not isinstance(group.get(name, getlink=True), h5py.SoftLink):  # which may lead back to here
                 _collect(source, item, f"{here}/", found, wanted)
         elif isinstance(item, h5py.Dataset):
             matrix = _dense(item, "MATLAB_class" in item.attrs)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshio
 import numpy as np
@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus import read_abaqus
-from morembs.importers.hdf5_sparse import refuse_hollow_file
 from morembs.importers.imported import Imported
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.elements import TYPES
+from morembs.storage.hdf5 import refuse_unsafe_file
 
 Ints = NDArray[np.int64]
 SOLIDS = {
     "tetra": "tet4", "tetra10": "tet10", "hexahedron": "hex8", "hexahedron20": "hex20",
     "hexahedron27": "hex27", "wedge": "wedge6", "wedge15": "wedge15",
 }  # fmt: skip
-_HDF5 = re.compile(rb"([^\s<>:]{1,200}\.(?:h5|hdf5)):")
 # meshio reads 15-node wedges but forgot their dimension, without which it stops.
 topological_dimension.setdefault("wedge15", 3)
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
@@ -89,7 +88,7 @@ def read_with_meshio(path: Path) -> Mesh:
 def _read(path: Path) -> meshio.Mesh:
     """meshio's mesh; it prints and ends the process on files that it cannot read, which is caught here."""
     for one in (path, *_beside(path)):
-        refuse_hollow_file(one)
+        refuse_unsafe_file(one)
     words = io.StringIO()
     try:
         with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
@@ -104,10 +103,23 @@ def _read(path: Path) -> meshio.Mesh:
 
 
 def _beside(path: Path) -> set[Path]:
-    """HDF5 files that an XDMF file takes its numbers from."""
-    if path.suffix.lower() != ".xdmf":
+    """Files that an XDMF file takes its numbers from.
+
+    Raises:
+        InputError: one of them lies elsewhere: the numbers of any file could be read in this way.
+    """
+    if path.suffix.lower() not in (".xdmf", ".xmf"):
         return set()
-    return {path.parent / name.decode("utf-8", "replace") for name in _HDF5.findall(path.read_bytes())}
+    try:
+        items = list(ElementTree.parse(path).iter("DataItem"))
+    except (OSError, SyntaxError, ValueError, LookupError):
+        return set()  # meshio says what is wrong
+    named = [(item.text or "").strip() for item in items if item.get("Format", "").upper() in ("HDF", "BINARY")]
+    beside = {path.parent / name.split(":")[0] for name in named}
+    for one in beside:
+        if not one.resolve().is_relative_to(path.parent.resolve()):
+            raise InputError(f"{path.name} takes numbers from {one}; expected files beside it, or in folders beside it")
+    return beside
 
 
 def _mirror(kind: str) -> Ints:

@@ -23,6 +23,8 @@ from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
 from morembs.model.constraints import AverageElement, RigidElement
 from morembs.progress import SILENT, Progress
+from morembs.storage.checksums import seal
+from morembs.storage.hdf5 import reading
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import storable, text
 
@@ -78,6 +80,9 @@ def write_model(
             out.put("materials/density", np.array([one.density for one in model.materials]), units="kg/m3")
         if model.couplings:
             _write_couplings(out, model)
+        safe.doing = "the checksums"
+        seal(file)
+        safe.check()
     return target
 
 
@@ -97,10 +102,10 @@ def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:
 def is_body_file(path: Path) -> bool:
     """Whether a file says that it holds reduced bodies."""
     try:
-        with h5py.File(path, "r") as file:
+        with reading(path, "a model file") as file:
             found = file.get("format")
             return isinstance(found, h5py.Dataset) and found.shape == () and found[()] == b"morembs-body"
-    except (OSError, RuntimeError, KeyError, ValueError):
+    except InputError:
         # Reading it as a model says what is wrong.
         return False
 

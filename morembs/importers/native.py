@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import checked_csr, refuse_hollow, stored
+from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
+from morembs.storage.checksums import Checksums
+from morembs.storage.hdf5 import reading, stored
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,37 +48,29 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
         dofs = DofMap(node=_whole(path, file["dofs/node"]), component=_whole(path, file["dofs/component"]))
         rigid, average = _couplings(path, file, len(nodes))
-        return Imported(
+        found = Imported(
             source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
             mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
             notes=tuple(_words(file["source/notes"])),
         )  # fmt: skip
+        Checksums(path, file).verify()
+        return found
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """The HDF5 file, open for reading, once it is known to be a model file of a known version."""
-    if not path.is_file():
-        raise InputError(f"{path} was given as a model file; there is no such file")
-    try:
-        if not h5py.is_hdf5(path):
-            path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} is not an HDF5 file; expected a model file that morembs import wrote")
-        with h5py.File(path, "r") as file:
-            found = file.get("format")
-            if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
-                raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
-            version = int(file["format_version"][()])
-            if not 1 <= version <= FORMAT_VERSION:
-                raise InputError(
-                    f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
-                    "newer one, or import the model again"
-                )
-            yield file
-    except InputError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError) as error:
-        raise InputError(f"{path} cannot be read ({error}); if it is damaged, import the model again") from error
+    with reading(path, "a model file", "import the model again") as file:
+        found = file.get("format")
+        if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
+            raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
+        version = int(file["format_version"][()])
+        if not 1 <= version <= FORMAT_VERSION:
+            raise InputError(
+                f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
+                "newer one, or import the model again"
+            )
+        yield file
 
 
 def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
@@ -85,7 +79,6 @@ def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.c
     group = file[f"matrices/{name}"]
     parts = []
     for part in ("data", "indices", "indptr"):
-        refuse_hollow(group[part])
         if group[part].dtype.kind not in ("f" if part == "data" else "iu"):
             raise InputError(f"{path}: {group[part].name} does not hold numbers of its kind; import the model again")
         array = budget.empty(group[part].shape, group[part].dtype)

@@ -1,8 +1,10 @@
-"""Files that are whole or not there, one or several together: written under other names, then renamed.
+"""Files that are whole or not there, one or several together: written in a private folder beside, then renamed.
 
-A library such as HDF5 does not survive a write that fails while it closes a file. ``SafeFile`` is
-therefore the file it sees: after the first failure it swallows all writes, the library closes in
-peace, and the failure is raised afterwards.
+What a killed run leaves behind, the next one that writes to the same folder removes (``morembs.scratch``). A link that
+was given as output stays, and the file that it leads to is replaced.
+
+A library such as HDF5 does not survive a write that fails while it closes a file. ``SafeFile`` is therefore the file it
+sees: after the first failure it swallows all writes, the library closes in peace, and the failure is raised afterwards.
 """
 
 from __future__ import annotations
@@ -17,8 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.errors import OutputError
+from morembs.scratch import PrivateFolder
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Of the private folders: hidden beside the output.
+PREFIX = ".morembs.tmp-"
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
@@ -29,7 +34,7 @@ class SafeFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = open(path, "w+b", buffering=0)  # noqa: SIM115  (closed in close)
+        self._file = open(path, "x+b", buffering=0)  # noqa: SIM115  (closed in close)
         self.error: BaseException | None = None
         self.doing = "the file"
 
@@ -97,10 +102,6 @@ class SafeFile:
             self.error = self.error or error
 
 
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.tmp-{os.getpid()}")
-
-
 @contextmanager
 def replacing(path: Path) -> Iterator[SafeFile]:
     """A file that takes the place of ``path`` when the ``with`` ends well; else ``path`` stays as it was.
@@ -122,17 +123,22 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     Raises:
         OutputError: a file cannot be written, or two of ``paths`` are one file.
     """
-    places = [_Place(path=path, target=_checked(path)) for path in paths]
-    for number, place in enumerate(places):
-        if any(place.target == other.target for other in places[:number]):
-            raise OutputError(f"{place.path} would be written twice; give each file its own name")
+    targets = [(path, _checked(path)) for path in paths]
+    for number, (path, target) in enumerate(targets):
+        if any(target == other for _, other in targets[:number]):
+            raise OutputError(f"{path} would be written twice; give each file its own name")
+    folders: dict[Path, PrivateFolder] = {}
+    places: list[_Place] = []
     files: list[SafeFile] = []
     try:
-        for place in places:
+        for number, (path, target) in enumerate(targets):
             try:
-                files.append(SafeFile(place.temporary))
+                if target.parent not in folders:
+                    folders[target.parent] = PrivateFolder(target.parent, PREFIX)
+                places.append(_Place(path=path, target=target, new=folders[target.parent].path / f"{number}.tmp"))
+                files.append(SafeFile(places[-1].new))
             except OSError as error:
-                raise _output_error(place.path, error, "the file", places) from error
+                raise _output_error(path, error, "the file", places) from error
         try:
             yield tuple(files)
         except Exception:
@@ -144,26 +150,23 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     finally:
         for file in files:
             file.close()
-        for place in places:
-            _drop(place.temporary)
-    for folder in {place.target.parent for place in places}:
-        _sync_folder(folder)
+        for folder in folders.values():
+            folder.close()
+    for place in folders:
+        _sync_folder(place)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Place:
-    """A file as it was asked for, where links lead to, and its names until all are there."""
+    """A file as it was asked for, where links lead to, and the names of the new and the old one until all are there."""
 
     path: Path
     target: Path
-
-    @property
-    def temporary(self) -> Path:
-        return _temporary(self.target)
+    new: Path
 
     @property
     def old(self) -> Path:
-        return self.target.with_name(f".{self.target.name}.old-{os.getpid()}")
+        return self.new.with_suffix(".old")
 
 
 def _refuse_failed(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
@@ -189,29 +192,21 @@ def _take_names(places: Sequence[_Place]) -> None:
     for place in places if len(places) > 1 else ():
         # Not every disk has second names; then the message says which files are new.
         with contextlib.suppress(OSError):
-            _drop(place.old)
             os.link(place.target, place.old)
     done: list[tuple[_Place, bool]] = []
     try:
         for place in places:
             existed = place.target.exists()
-            os.replace(place.temporary, place.target)
+            os.replace(place.new, place.target)
             done.append((place, existed))
     except BaseException as error:
         mixed = [place for place, existed in reversed(done) if not _undone(place, existed)]
-        for place in places:
-            if place not in mixed:
-                _drop(place.old)
+        for place in mixed:  # the old file, where there is a second name of it, is not lost with the folder
+            with contextlib.suppress(OSError):
+                os.replace(place.old, place.target.with_name(f"{place.target.name}.old{place.new.parent.suffix}"))
         if isinstance(error, OSError):
             raise _output_error(places[len(done)].path, error, "the end of the file", places, mixed) from error
         raise
-    for place in places:
-        _drop(place.old)
-
-
-def _drop(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
 
 
 def _undone(place: _Place, existed: bool) -> bool:
@@ -233,16 +228,19 @@ def check_writable(path: str | Path) -> None:
         OutputError: the folder is missing or read-only, or ``path`` is a folder or a device.
     """
     target = _checked(Path(path))
-    temporary = _temporary(target)
     try:
-        temporary.touch()
-        temporary.unlink()
+        folder = PrivateFolder(target.parent, PREFIX)
+        try:
+            (folder.path / "0.tmp").touch(exist_ok=False)
+        finally:
+            folder.close()
     except OSError as error:
         raise _output_error(Path(path), error, "a trial file") from error
 
 
 def _checked(path: Path) -> Path:
     """Where links lead to; a folder must be there and the name free or a file."""
+    _refuse_planted(path)
     target = Path(os.path.realpath(path))
     folder = target.parent
     if not folder.is_dir():
@@ -259,6 +257,23 @@ def _checked(path: Path) -> Path:
     if not stat.S_ISREG(mode):
         raise OutputError(f"{path} cannot be written: it is not a regular file; give another name")
     return target
+
+
+def _refuse_planted(path: Path) -> None:
+    """In a folder where everybody may write, a link of somebody else is a trap, as Linux sees it (protected_symlinks).
+
+    Raises:
+        OutputError: ``path`` is such a link.
+    """
+    try:
+        link, folder = path.lstat(), path.parent.stat()
+    except OSError:
+        return
+    shared = folder.st_mode & stat.S_ISVTX and folder.st_mode & stat.S_IWOTH
+    if stat.S_ISLNK(link.st_mode) and shared and link.st_uid not in (os.geteuid(), folder.st_uid):
+        raise OutputError(
+            f"{path} cannot be written: it is a link that another user made in a folder for all; give another name"
+        )
 
 
 def _output_error(

@@ -450,7 +450,7 @@ def test_a_bad_trajectory_is_one_message_and_the_old_file_stays(bar, tmp_path, m
         ("t.csv", "t,q1,x,y\n0,1,2,3\n", "position but not z"),
         ("t.csv", "t,q1\n", "no steps"),
         ("t.npz", "no zip", "cannot be read as an .npz"),
-        ("t.h5", "no hdf", "cannot be read as HDF5"),
+        ("t.h5", "no hdf", "is not an HDF5 file"),
         ("t.mat", "", "a trajectory is an .npz file"),
     ],
 )

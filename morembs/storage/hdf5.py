@@ -1,0 +1,140 @@
+"""HDF5 files of strangers, opened for reading: nothing in them may lead out of them, or fill the memory.
+
+The HDF5 library follows links to other files, takes the values of a dataset from any file that it names, and loads
+filters as plug-ins. Every reader therefore opens its file here, where all objects are looked at first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.budget import available_bytes
+from morembs.errors import InputError, MorembsError
+
+# What the libraries raise where a file is damaged.
+DAMAGE = (
+    OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, EOFError,
+)  # fmt: skip
+# How much smaller the compressions of HDF5 make data at best; below _SMALL bytes nobody asks.
+_RATIO = 1100
+_SMALL = 1 << 20
+# Data packed tighter than this are all alike; together they must fit into the free memory.
+_TIGHT = 100
+# Filters within the library: deflate, shuffle, fletcher32, szip, nbit, scaleoffset, and the LZF of h5py.
+_FILTERS = {1, 2, 3, 4, 5, 6, 32000}
+
+
+@contextmanager
+def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator[Any]:
+    """An HDF5 file, open for reading; what goes wrong while it is read becomes one message.
+
+    Args:
+        expected: what the file should be, in words; ``cure`` what to do with a damaged one.
+
+    Raises:
+        InputError: no such file, no HDF5 file, one that leads out of itself, or one that is damaged.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} was given as {expected}; there is no such file")
+    try:
+        if not h5py.is_hdf5(path):
+            path.open("rb").close()  # says why, where it cannot be read at all
+            raise InputError(f"{path} cannot be read as {expected}: it is not an HDF5 file; check the name")
+        with h5py.File(path, "r") as file:
+            _refuse_unsafe(path, file)
+            yield file
+    except MorembsError:
+        raise
+    except DAMAGE as error:
+        raise InputError(f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}") from error
+
+
+def refuse_unsafe_file(path: Path) -> None:
+    """Look at a file that another reader will open; what is no HDF5 file, or damaged, is left to that reader.
+
+    Raises:
+        InputError: the file leads out of itself, or announces much more than it holds.
+    """
+    try:
+        if path.is_file() and h5py.is_hdf5(path):
+            with h5py.File(path, "r") as file:
+                _refuse_unsafe(path, file)
+    except MorembsError:
+        raise
+    except DAMAGE:
+        return
+
+
+def stored(item: Any) -> NDArray[Any]:
+    """All of a dataset.
+
+    Raises:
+        InputError: it has no values, or is a group.
+    """
+    if not isinstance(item, h5py.Dataset) or item.shape is None:
+        raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again")
+    return np.asarray(item[()])
+
+
+def _reason(error: BaseException) -> str:
+    words = error.args[0] if isinstance(error, KeyError) and error.args else error
+    return " ".join(str(words).split())[:200] or type(error).__name__
+
+
+def _refuse_unsafe(path: Path, file: Any) -> None:
+    """Look at all links and datasets, without reading values."""
+    links: list[tuple[bytes, int, int]] = []
+    file.id.links.visit(lambda name, info: links.append((name, info.type, info.u)), info=True)
+    groups, unpacked = {h5py.h5o.get_info(file.id).addr}, 0
+    for name, kind, address in links:
+        words = f"{path}: /{name.decode(errors='replace')}"
+        if kind == h5py.h5l.TYPE_SOFT:
+            continue  # the name of another object in this file
+        if kind != h5py.h5l.TYPE_HARD:
+            raise InputError(f"{words} is a link to another file, which is not followed; give one file with all data")
+        item = h5py.h5o.open(file.id, name)
+        if isinstance(item, h5py.h5d.DatasetID):
+            unpacked += _refuse_strange(words, item)
+        elif isinstance(item, h5py.h5g.GroupID):
+            if address in groups:
+                raise InputError(f"{words} is a group that has another name too; the file is damaged, write it again")
+            groups.add(address)
+    free = available_bytes()
+    if free is not None and unpacked > free:
+        raise InputError(
+            f"{path} holds packed data of {unpacked:.3g} bytes that are nearly all alike; {free:.3g} bytes of memory "
+            "are free; check the file, or give more memory"
+        )
+
+
+def _refuse_strange(words: str, item: Any) -> int:
+    """Look at one dataset; returns its bytes in memory if it is packed so tight that its size says nothing."""
+    made = item.get_create_plist()
+    if made.get_external_count():
+        other = made.get_external(0)[0].decode(errors="replace")
+        raise InputError(f"{words} takes its values from the file {other!r}, which is not read; give one file with all")
+    if made.get_layout() == h5py.h5d.VIRTUAL:
+        raise InputError(f"{words} takes its values from other datasets (virtual); give one file with all data")
+    strange = {made.get_filter(i)[0] for i in range(made.get_nfilters())} - _FILTERS
+    if strange:
+        raise InputError(
+            f"{words} is packed with the filter {min(strange)}, which is not part of HDF5; pack it with gzip, or not "
+            "at all (h5repack -f GZIP=4)"
+        )
+    if item.get_space().get_simple_extent_type() != h5py.h5s.SIMPLE:
+        return 0
+    announced, held = math.prod(item.shape) * item.get_type().get_size(), item.get_storage_size()
+    if announced > _SMALL and announced > _RATIO * held:
+        raise InputError(
+            f"{words} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
+            "filled, write it again"
+        )
+    return announced if made.get_nfilters() and announced > max(_SMALL, _TIGHT * held) else 0
