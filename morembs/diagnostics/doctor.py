@@ -21,8 +21,10 @@ from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
 from morembs.diagnostics.rigid import (
     MANY,
+    MOST,
     fitting_order,
     free_motions,
+    mounted,
     residual,
     rigid_findings,
     rotation_factor,
@@ -258,13 +260,13 @@ def _ordered(case: _Case) -> None:
         at = np.arange(N, dtype=np.int64)
         given = DofMap(node=at // (N // n), component=at % (N // n))
     found = residual(case.K, case.nodes, given)
-    share = float(found.bad.mean())
-    other = fitting_order(case.K, case.nodes, given, share) if share > MANY else None
+    share = 0.0 if mounted(found, case.nodes, given) else float(found.bad.mean())
+    other = fitting_order(case.K, case.nodes, given) if share > MANY else None
     if case.dofs is None:
         case.dofs = given if other is None else other[1]
         words = "node by node (x, y, z of the first node, then of the next)" if other is None else other[0]
         case.facts["dof_order"] = words
-        if other is None and share > MANY:
+        if other is None and share > MOST:
             case.dofs = None
             sentence = "no known order of the dofs fits the geometry"
             cure = "give the dof map; and check that the coordinates belong to these matrices"
@@ -286,7 +288,8 @@ def _geometry(
         return
     names = case.names
     found = residual(case.K, nodes, dofs)
-    case.facts |= {"rigid_residual": float(found.worst.max(initial=0.0)), "free_motions": free_motions(found)}
+    free = free_motions(found, mounted(found, nodes, dofs))
+    case.facts |= {"rigid_residual": float(found.worst.max(initial=0.0)), "free_motions": free}
     case.facts["length"] = 2 * found.length
     factor = rotation_factor(case.K, found, dofs)
     if factor is not None:

@@ -178,6 +178,27 @@ def test_wrong_dof_order_is_found_and_named(order):
     assert grave(guessed) == set() and order in guessed.facts["dof_order"]
 
 
+@pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e7, 1e10])
+@pytest.mark.parametrize("mount", ["corners", "one end", "everywhere", "mean of one end"])
+def test_mounts_of_a_symmetric_mesh_are_no_other_order(mount, stiffness):
+    """The box is its own mirror image, so the reverse of its order fits K as well, and better where mounts count."""
+    model = bar()
+    xyz = model.nodes.xyz - model.nodes.xyz.mean(axis=0)
+    rows = {
+        "corners": np.flatnonzero((np.abs(xyz) > 0.499 * np.array(SIZE)).all(axis=1)),
+        "everywhere": np.arange(len(xyz)),
+    }.get(mount, np.flatnonzero(xyz[:, 0] < -0.499 * SIZE[0]))
+    springs = np.full((len(rows),) * 2, 1 / len(rows)) if mount == "mean of one end" else np.eye(len(rows))
+    place = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (len(xyz), len(rows)))
+    held = sp.csr_array(sp.kron(place @ sp.csr_array(stiffness * springs) @ place.T, sp.eye_array(3)))
+    for mapped in (known(model), {"nodes": model.nodes}):
+        found = examine(sp.csr_array(model.K + held), model.M, **mapped)
+        assert grave(found) <= {"grounded"} and not found.errors, found.text()
+        assert found.facts.get("dof_order", "node by node (x").startswith("node by node (x")
+        if mount != "everywhere" or stiffness > 1e3:  # else it might be numbers with few digits
+            assert "grounded" in found.codes and found.facts["free_motions"] < 6
+
+
 def test_a_mass_matrix_in_another_order_than_the_stiffness():
     model = bar()
     _, M = permuted(model, np.arange(model.size).reshape(-1, 3).T.ravel())
