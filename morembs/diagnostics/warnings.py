@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 
 from morembs.body import ElasticBody
+from morembs.body.stored import StoredBodies
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
 from morembs.diagnostics.findings import Diagnosis, Finding
 from morembs.diagnostics.units import unit_findings
-from morembs.errors import SolverError
+from morembs.errors import InputError, SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
 from morembs.model.coupled import CoupledModel, refuse_complex, refuse_unsymmetric
@@ -80,6 +81,22 @@ def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
             raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
         found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
     return tuple(found)
+
+
+def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
+    """What is wrong with each body of a file: whether what it says of itself is what follows from its matrices."""
+    return {name: check_delivery(body, file) for name, body in file.bodies.items()}
+
+
+def refuse_unsound(path: str, found: Mapping[str, Diagnosis]) -> None:
+    """Stop at bodies that contradict themselves.
+
+    Raises:
+        InputError: there are some; all errors are in the message.
+    """
+    wrong = [f"body {name!r}: {'; '.join(_sentences(one.errors))}" for name, one in found.items() if one.errors]
+    if wrong:
+        raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")
 
 
 def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
