@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics import matrices
+from morembs.diagnostics.elements import double_elements
 from morembs.diagnostics.findings import Diagnosis, Finding, Names, listed
 from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
@@ -96,7 +97,9 @@ def examine(
     _ordered(case)
     part = part_of_dofs(case.K, case.dofs)
     case.facts["parts"] = int(part.max(initial=-1)) + 1
-    case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names)
+    case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names, mesh)
+    if mesh is not None:
+        case.found += double_elements(mesh)
     if case.nodes is not None and case.dofs is not None:
         _geometry(case, mesh, tuple(materials), units, declared)
     if deep and not any(one.severity == "error" and one.code in _BLOCKING for one in case.found):

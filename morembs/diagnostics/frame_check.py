@@ -34,10 +34,13 @@ def frame_findings(given: Delivered) -> list[Finding]:
         name for name, held, left, A, right in pairs
         if not _agree(held, left.T @ A @ right, np.outer(_size(left, A), _size(right, A)))
     ]  # fmt: skip
+    # A frame that follows an interface holds it still: motions are measured by those of the whole body.
+    usual = _size(E, given.M) / np.sqrt(given.mass)
+    radius = float(np.sqrt(np.trace(given.inertia) / (2 * given.mass)))
     for name, rows in given.markers.items():
         if name in frame.markers:
             moved, size = given.C[rows] @ E, np.abs(given.C[rows]) @ np.abs(E)
-            scale = np.outer(size.max(axis=1), size.max(axis=0, initial=0.0)) / (size.max(initial=0.0) or 1.0)
+            scale = np.repeat([usual + size[:3].max(axis=0), usual / radius + size[3:].max(axis=0)], 3, axis=0)
             if not _agree(frame.markers[name].motion, moved, scale):
                 wrong.append(f"markers/{name}")
     if not wrong:

@@ -12,6 +12,7 @@ from morembs.body.stored import StoredBodies
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
+from morembs.diagnostics.elements import double_elements, open_seams
 from morembs.diagnostics.findings import Diagnosis, Finding
 from morembs.diagnostics.units import unit_findings
 from morembs.errors import InputError, SolverError
@@ -61,10 +62,13 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
 
-    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units.
+    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units; and elements
+    that are there twice, and nodes that were not merged.
     """
     size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
     found = unit_findings(None, model.materials, size, Units(), declared)
+    if model.mesh is not None:
+        found += [*double_elements(model.mesh), *open_seams(model.mesh)]
     return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
 
 

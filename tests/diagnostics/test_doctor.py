@@ -6,6 +6,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.diagnostics import examine, examine_model, repaired
+from morembs.diagnostics.warnings import examined_mesh
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
@@ -268,18 +269,71 @@ def test_unmerged_nodes():
     assert len(pairs) == 9 and np.abs(xyz[pairs[:, 0]] - xyz[pairs[:, 1]]).max() < 1e-12
 
 
-def test_an_open_seam_is_noted():
-    """A box of which one node on an edge was split: a crack that needs no cure, but the pair is named."""
-    mesh = box("hex8", (4, 2, 2), SIZE)
-    elements = mesh.blocks[0]
-    row = int(np.argmin(np.linalg.norm(mesh.nodes.xyz - np.array([SIZE[0] / 2, 0, 0]), axis=1)))
+def split(mesh, rows, label=777):
+    """The mesh with a copy of each node of ``rows`` for the elements beyond it along x."""
+    elements, xyz = mesh.blocks[0], mesh.nodes.xyz
     table = elements.nodes.copy()
-    second = np.flatnonzero((table == row).any(axis=1))[1]
-    table[second, table[second] == row] = len(mesh.nodes)
-    nodes = Nodes(ids=np.append(mesh.nodes.ids, 777), xyz=np.vstack([mesh.nodes.xyz, mesh.nodes.xyz[row]]))
-    model = steel(Mesh(nodes=nodes, blocks=(type(elements)(type="hex8", nodes=table, ids=elements.ids),)))
-    seen = examine_model(model, deep=True)
-    assert grave(seen) == set() and finding(seen, "coincident-nodes").where == (str(mesh.nodes.ids[row]), "777")
+    beyond = xyz[table, 0].mean(axis=1) > xyz[rows[0], 0]
+    for k, row in enumerate(rows):
+        table[beyond] = np.where(table[beyond] == row, len(xyz) + k, table[beyond])
+    nodes = Nodes(ids=np.append(mesh.nodes.ids, label + np.arange(len(rows))), xyz=np.vstack([xyz, xyz[rows]]))
+    return Mesh(nodes=nodes, blocks=(type(elements)(type=elements.type, nodes=table, ids=elements.ids),))
+
+
+@pytest.mark.parametrize("count", [1, 5, 8])
+def test_an_open_seam_is_named(count):
+    """Up to all but one of the nodes of a section are double, which opens a crack and makes the bar softer."""
+    mesh = box("hex8", (4, 2, 2), SIZE)
+    rows = np.flatnonzero(np.abs(mesh.nodes.xyz[:, 0] - SIZE[0] / 2) < 1e-9)[:count]
+    model = steel(split(mesh, rows))
+    pairs = np.stack([mesh.nodes.ids[rows], 777 + np.arange(count)], axis=1)
+    for seen in (examine_model(model, deep=True), examine(model.K, model.M, **known(model))):
+        one = finding(seen, "coincident-nodes")
+        assert one.severity == "warning" and grave(seen) <= {"coincident-nodes", "mechanism"}, seen.text()
+        assert {frozenset(pair) for pair in np.array(one.where, dtype=int).reshape(-1, 2).tolist()} == {
+            frozenset(pair) for pair in pairs.tolist()
+        }
+    (sentence,) = examined_mesh(model)
+    assert f"{count} pair" in sentence and f"{pairs[0, 0]} and 777" in sentence and "merge" in sentence
+    assert not examined_mesh(steel(mesh))
+
+
+def test_bodies_that_touch_are_no_seam():
+    """Two boxes face to face, joined by springs at their far ends only: the nodes between them may be a contact."""
+    mesh = box("hex8", (2, 1, 1), SIZE)
+    n, block = len(mesh.nodes), mesh.blocks[0]
+    xyz = np.vstack([mesh.nodes.xyz, mesh.nodes.xyz + np.array([SIZE[0], 0, 0])])
+    both = type(block)(type="hex8", nodes=np.vstack([block.nodes, block.nodes + n]), ids=np.arange(2 * len(block.ids)))
+    model = steel(Mesh(nodes=Nodes(ids=np.arange(1, 2 * n + 1), xyz=xyz), blocks=(both,)))
+    low, high = (np.flatnonzero(xyz[:, 0] == x) for x in (0.0, 2 * SIZE[0]))
+    joined = changed(model.K, [(3 * a + c, 3 * b + c, -1e6) for a in low for b in high for c in range(3)]
+                     + [(3 * a + c, 3 * a + c, 4e6) for a in (*low, *high) for c in range(3)])  # fmt: skip
+    seen = examine(joined, model.M, **known(model), mesh=model.mesh)
+    assert "coincident-nodes" not in seen.codes and finding(seen, "touching-bodies").severity == "note"
+    assert not any("at one place" in sentence for sentence in examined_mesh(model))
+
+
+@pytest.mark.parametrize("kind", ["hex8", "hex20", "tet10", "wedge6"])
+@pytest.mark.parametrize("merged_", [True, False])
+def test_elements_that_are_there_twice_are_named(kind, merged_):
+    """Copies with other labels, on the same nodes in another order or on copies of these, doubled mass in silence."""
+    mesh = box(kind, (3, 1, 1), SIZE)
+    block, n = mesh.blocks[0], len(mesh.nodes)
+    used, again = np.unique(block.nodes[1:3], return_inverse=True)
+    again = block.nodes[1:3] if merged_ else n + again.reshape(2, -1)
+    if kind == "hex8":
+        again = again[:, [1, 2, 3, 0, 5, 6, 7, 4]]
+    xyz = mesh.nodes.xyz if merged_ else np.vstack([mesh.nodes.xyz, mesh.nodes.xyz[used]])
+    twice = Mesh(
+        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        blocks=(block, type(block)(type=kind, nodes=again, ids=np.array([1001, 1002]))),
+    )
+    model = steel(twice)
+    one = finding(examine_model(model), "double-elements")
+    assert one.severity == "warning" and one.where == ("2", "1001", "3", "1002")
+    assert "2 solid elements" in one.sentence and ("on the same nodes" if merged_ else "copies") in one.sentence
+    assert any("2 and 1001" in sentence for sentence in examined_mesh(model))
+    assert "double-elements" not in examine_model(steel(mesh)).codes
 
 
 def test_many_parts_are_all_counted():
