@@ -311,7 +311,8 @@ def _geometry(
     estimated = estimate(case.K, case.M, nodes, dofs)
     if estimated is not None:
         case.facts["speed_of_sound"], case.facts["density"] = estimated
-    case.found += unit_findings(estimated, materials, 2 * found.length, units, declared)
+    extent = np.ptp(nodes.xyz[np.unique(dofs.node)], axis=0)
+    case.found += unit_findings(estimated, materials, extent, units, declared, float(case.facts.get("mass", np.nan)))
 
 
 def _grounded_damping(case: _Case, R: Floats) -> None:

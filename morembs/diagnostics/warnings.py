@@ -14,7 +14,7 @@ from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
 from morembs.diagnostics.elements import double_elements, open_seams
 from morembs.diagnostics.findings import Diagnosis, Finding
-from morembs.diagnostics.units import unit_findings
+from morembs.diagnostics.units import estimate, unit_findings
 from morembs.errors import InputError, SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
@@ -65,11 +65,24 @@ def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, .
     A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units; and elements
     that are there twice, and nodes that were not merged.
     """
-    size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
-    found = unit_findings(None, model.materials, size, Units(), declared)
+    found = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
     if model.mesh is not None:
         found += [*double_elements(model.mesh), *open_seams(model.mesh)]
     return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+
+
+def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
+    """Warnings about an imported model (SI, of an input in the units ``declared``) that cost next to nothing.
+
+    About its units, elements that are there twice and nodes that were not merged; ``diagnosis_of`` finds the rest.
+    """
+    if model.mesh is not None and model.materials:
+        return examined_mesh(model, declared)
+    if not np.ptp(model.nodes.xyz, axis=0).any() or np.iscomplexobj(model.K.data) or np.iscomplexobj(model.M.data):
+        return ()
+    estimated = estimate(model.K, model.M, model.nodes, model.dofs)
+    found = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
+    return _sentences([one for one in found if one.severity == "warning"])
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:

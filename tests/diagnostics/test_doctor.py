@@ -6,6 +6,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.diagnostics import examine, examine_model, repaired
+from morembs.diagnostics.units import model_outlook
 from morembs.diagnostics.warnings import examined_mesh
 from morembs.errors import InputError
 from morembs.importers import read_mesh
@@ -443,6 +444,34 @@ def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
         assert "again with --units m-kg-s" in unknown.cure
 
 
+@pytest.mark.parametrize("materials", [True, False])
+def test_metres_taken_for_millimetres_beside_a_proper_material(materials):
+    """Speed of sound and density are right, so that nothing but the size tells: half a millimetre of steel."""
+    model = bar(size=tuple(1e-3 * np.array(SIZE)))
+    given = {**known(model), "declared": parse_units("mm-t-s")}
+    if materials:
+        given |= {"mesh": model.mesh, "materials": model.materials}
+    one = finding(examine(model.K, model.M, **given), "size")
+    assert one.severity == "warning" and "0.0005 x 6e-05 x 4e-05 m, 9.42e-09 kg" in one.sentence
+    assert "if its longest side is 0.5 m" in one.cure and "m-kg-s" in one.cure
+    (sentence,) = examined_mesh(model, parse_units("mm-t-s"))
+    assert "the body is tiny: 0.0005 x" in sentence and "Hz" in sentence
+    assert not examined_mesh(model) and not examined_mesh(model, parse_units("um-kg-s"))
+    assert not examined_mesh(bar(), parse_units("mm-t-s"))
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_the_first_frequency_to_expect_is_about_right(scale):
+    model = bar("hex20", (10, 1, 1), tuple(scale * np.array(SIZE)))
+    seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
+    with Problem(model, []) as problem:
+        first = problem.elastic_modes(count=1).frequencies_hz[0]
+    assert seen.mass == pytest.approx(7850 * np.prod(scale * np.array(SIZE)))
+    assert 0.7 < seen.first_hz / first < 1.4
+    plain = model_outlook(model.K, model.M, model.nodes, model.dofs, ())
+    assert 0.5 < plain.first_hz / first < 2.0 and " kg, first elastic frequency about " in plain.words
+
+
 def test_a_material_in_si_beside_millimetres():
     """Two metres or two millimetres: metres. Of 50 both cures are named, as either may be meant; 500 m are too long."""
     mm = parse_units("mm-t-s")
@@ -536,6 +565,14 @@ def test_dampers_to_the_ground_are_noted():
     assert grave(seen) == set() and finding(seen, "grounded-damping").where == (str(model.nodes.ids[5]),)
     seen = examine(model.K, model.M, sp.csr_array(-1e-6 * model.K), **known(model))
     assert grave(seen) == {"indefinite"} and not seen.errors
+
+
+@pytest.mark.parametrize("factor", [1e-200, 1e200])
+def test_numbers_far_from_one_are_not_indefinite(factor):
+    """Products of two diagonal entries left the range of numbers, and sound matrices were called indefinite."""
+    model = bar()
+    for K, M in ((model.K * factor, model.M), (model.K, model.M * factor)):
+        assert "indefinite" not in examine(sp.csr_array(K), sp.csr_array(M), **known(model)).codes
 
 
 def test_values_that_are_not_numbers():
