@@ -21,7 +21,7 @@ from morembs.cli import app
 from morembs.importers import IMPORTERS, import_file
 from morembs.importers.model_file import read_model
 from morembs.model import FEModel
-from tests.support.decks import BEAM, folder
+from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel
 
 OLD = b"what was there before"
@@ -556,3 +556,18 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
     document = json.loads(run(blocks, *both, "-o", out, "--json"))
     assert document["nodes"] == 119 and [one.set for one in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]
+
+
+def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
+    """Coordinates in m, read as mm beside steel in MPa and t/mm3: everything is right but the size."""
+    text = deck(BEAM, size=0.1)
+    (tmp_path / "a.inp").write_text(text)
+    given = ("--material", "young=210e3,poisson=0.3,density=7.85e-9", "-o", tmp_path / "a.model.h5")
+    for unit, size in (("mm-t-s", "0.0006 x 0.0002 x 0.0002 m"), ("mm-t-s", "0.6 x 0.2 x 0.2 m")):
+        (tmp_path / "a.inp").write_text(text if size.startswith("0.0006") else deck(BEAM, size=100.0))
+        told = run(tmp_path / "a.inp", "--units", unit, *given)
+        assert f"the body: {size}, " in told and " kg, first elastic frequency about " in told
+        assert ("warning: taken in mm-t-s, the body is tiny" in told) == size.startswith("0.0006")
+    document = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
+    assert document["body"]["extent"] == pytest.approx([0.6, 0.2, 0.2]) and document["warnings"] == []
+    assert document["body"]["mass"] == pytest.approx(7850 * 0.6 * 0.2 * 0.2)
