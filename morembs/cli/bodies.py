@@ -11,6 +11,7 @@ import typer
 from morembs.body.file import read_body
 from morembs.cli.report_stored import print_stored, stored_json
 from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
+from morembs.diagnostics.warnings import refuse_unsound, stored_findings
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body, make_exporter
 from morembs.recovery.recover import recover as recover_series
@@ -26,10 +27,12 @@ def info(file: BodyFile, as_json: AsJson = False) -> None:
     failed: list[str] = []
     with messages(failed):
         stored = read_body(file, whole=True)
+        found = stored_findings(stored)
         if as_json:
-            print_json(stored_json(str(file), stored))
+            print_json(stored_json(str(file), stored, found))
         else:
-            print_stored(console(), str(file), stored)
+            print_stored(console(), str(file), stored, found)
+        refuse_unsound(str(file), found)
     if failed:
         raise typer.Exit(BAD_INPUT)
 

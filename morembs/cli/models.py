@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from morembs.cli.report import without_nan
 from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, messages, print_json, progress_line
 from morembs.errors import InputError
 from morembs.jobs.import_job import ImportJob, ImportResult, list_formats, material_of, run_import
@@ -92,6 +93,11 @@ def _document(done: ImportResult) -> dict[str, Any]:
         "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),
         "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
         "matrices": [name for name in ("K", "M", "D") if getattr(model, name) is not None],
+        "body": None if done.outlook is None else {
+            "extent": list(done.outlook.extent), "mass": without_nan(done.outlook.mass),
+            "first_hz": without_nan(done.outlook.first_hz),
+        },
+        "warnings": list(done.warnings),
         "sets": sorted(model.nodes.sets), "couplings": list(model.couplings), "notes": list(model.notes),
         "findings": [] if found is None else [
             {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
@@ -106,4 +112,7 @@ def _lines(done: ImportResult) -> list[str]:
     if model.couplings:
         lines.append(f"couplings: {', '.join(model.couplings)}")
     lines += [f"note: {note}" for note in model.notes]
+    if done.outlook is not None:
+        lines.insert(1, f"the body: {done.outlook.words}")
+    lines += [f"warning: {text}" for text in done.warnings]
     return lines + ([done.diagnosis.text()] if done.diagnosis is not None else [])

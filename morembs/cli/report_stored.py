@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from morembs.body.stored import StoredBodies
 from morembs.cli.tables import frame_words, listed, mass_table, ranking_words, titled, words
+from morembs.diagnostics.findings import Diagnosis
 
 SHOWN_FREQUENCIES = 10
 
 
-def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
-    """A body file as plain values, SI units."""
+def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> dict[str, Any]:
+    """A body file as plain values, SI units; ``found`` says for each body what is wrong with it."""
     first = next(iter(stored.bodies.values()))
     origin = stored.provenance
     return {
@@ -50,6 +53,10 @@ def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
                 "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
                 "stress_recovery": body.has_recovery,
                 "switching": body.has_switching,
+                "findings": [
+                    {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
+                    for one in found[name].findings
+                ],
             }
             for name, body in stored.bodies.items()
         },
@@ -58,9 +65,9 @@ def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
     }
 
 
-def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
-    """What a body file holds."""
-    values = stored_json(path, stored)
+def print_stored(console: Console, path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> None:
+    """What a body file holds, and warnings of what is ``found`` wrong with each body."""
+    values = stored_json(path, stored, found)
     console.print(
         f"[bold]{path}[/]: {values['source'] or 'model'}, "
         + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
@@ -89,4 +96,6 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
                 f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
                 highlight=False, soft_wrap=True,
             )  # fmt: skip
+        for one in found[name].warnings:
+            console.print(f"    {escape(str(one))}", highlight=False, soft_wrap=True)
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))

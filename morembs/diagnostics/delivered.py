@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from morembs.body import ElasticBody, Part
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.diagnostics.findings import MOTIONS
 from morembs.errors import InputError
+from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
 from morembs.reducers.base import ReducedModel
 
@@ -23,7 +24,8 @@ Ints = NDArray[np.int64]
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Delivered:
     """What is checked: M, K, D (n, n); interface motions C q (m, n) with their rigid motion ``frame`` (m, 6) about the
-    origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says of its mass."""
+    origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says of its mass;
+    the ``floating`` frame, and ``markers`` interface -> rows of C that are all six motions of its frame."""
 
     M: Floats
     K: Floats
@@ -40,6 +42,8 @@ class Delivered:
     mass: float
     center: Floats
     inertia: Floats
+    floating: FloatingFrame | None = None
+    markers: Mapping[str, Ints] = field(default_factory=dict)
 
 
 def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None) -> Delivered:
@@ -84,7 +88,11 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         M=r.M, K=r.K, D=r.D, B=r.B, C=r.C, frame=None if np.isnan(frame).any() else frame, motions=tuple(names),
         rigid=_about_model(body.floating), rigid_count=r.rigid_count, symmetric=r.symmetric,
         hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
-        mass=part.mass, center=part.center_of_mass, inertia=part.inertia,
+        mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
+        markers={
+            one.name: np.arange(r.B.shape[1])[part.columns[one.name]]
+            for one in part.interfaces if one.coupling != "direct" and tuple(one.components) == tuple(range(6))
+        },
     )  # fmt: skip
 
 
@@ -105,7 +113,12 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,
         motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
         symmetric=bool(np.array_equal(B.T, C)), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
-        mass=file.mass, center=file.center_of_mass, inertia=file.inertia,
+        mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
+        markers={
+            name: np.flatnonzero(file.input_interface == which)
+            for which, (name, one) in enumerate(kept)
+            if one.coupling != "direct" and tuple(one.components) == tuple(range(6))
+        },
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from morembs.body import ElasticBody, Part
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.diagnostics.delivered import Delivered, delivered
 from morembs.diagnostics.findings import MOTIONS, Diagnosis, Finding, listed
+from morembs.diagnostics.frame_check import frame_findings
 from morembs.model import skew
 from morembs.model.mass import mass_properties
 from morembs.reducers.base import ReducedModel
@@ -60,12 +61,18 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
     _definite(given, found, facts)
     if any(one.code == "indefinite" and "M " in one.sentence for one in found):
         return Diagnosis(findings=tuple(found), facts=facts)
-    values, Y = _modes(given)
+    try:
+        values, Y = _modes(given)
+    except np.linalg.LinAlgError as error:
+        sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
+        found.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
+        return Diagnosis(findings=tuple(found), facts=facts)
     _frequencies(given, values, found, facts)
     ways = _rigid(given, values, Y, found, facts)
     if given.symmetric and ways and len(given.C):
         _effective(given, next(iter(ways.values())), found, facts)
     _damping(given, values, Y, found, facts)
+    found += frame_findings(given)
     return Diagnosis(findings=tuple(found), facts=facts)
 
 
@@ -153,7 +160,9 @@ def _frequencies(given: Delivered, values: Floats, found: list[Finding], facts: 
         cure = "multibody programs expect a free body; reduce a model without supports"
         found.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
     elastic = slice(given.rigid_count, None)
-    if given.hz.shape != hz.shape or not np.allclose(given.hz[elastic], hz[elastic], rtol=FREQUENCY):
+    squares = (2 * np.pi * given.hz) ** 2
+    slack = 2 * FREQUENCY * np.maximum(values, 0.0) + ROUND_OFF * np.abs(values).max(initial=0.0)
+    if given.hz.shape != hz.shape or not (np.abs(squares - values) <= slack)[elastic].all():
         sentence = "the frequencies that come with the body are not those of its matrices"
         found.append(Finding(code="frequencies", severity="error", sentence=sentence, cure="write it again"))
     if given.full_hz is None or not given.symmetric:
@@ -180,7 +189,9 @@ def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
     C, R = given.C[reference], given.frame[reference] if given.frame is not None else np.eye(6)
     if given.symmetric:
         # Least energy under the six motions; both blocks scaled to one.
-        s = 1 / _scale(given.K + 1e-12 * np.abs(given.K).max() * np.eye(len(given.K)))
+        # Coordinates without stiffness are measured by their mass: whether they turn or move, in large or small units.
+        softest = ROUND_OFF * float((np.abs(np.diag(given.K)) / np.diag(given.M)).max())
+        s = 1 / _scale(given.K + softest * np.diag(np.diag(given.M)))
         A, G = s[:, None] * given.K * s, C * s
         g = np.abs(G).max(axis=1, keepdims=True)
         border = np.block([[A, (G / g).T], [G / g, np.zeros((6, 6))]])
@@ -286,8 +297,11 @@ def _interfaces_follow(given: Delivered, q: Floats, found: list[Finding]) -> Non
         return
     moved = given.C @ q
     length = float(np.sqrt(np.trace(given.inertia) / (2 * given.mass)) + np.linalg.norm(given.center))
+    # Displacements are 1 or an arm, rotations 0 or 1.
     size = np.array([1.0] * 3 + [length] * 3)
-    bad = np.flatnonzero((np.abs(moved - given.frame) > 1e-6 * np.maximum(size, 1.0)).any(axis=1))
+    turning = np.linalg.norm(given.frame[:, :3], axis=1) < 0.5
+    size = np.where(turning[:, None], size / length, size)
+    bad = np.flatnonzero((np.abs(moved - given.frame) > 1e-6 * size).any(axis=1))
     if len(bad):
         labels = tuple(given.motions[row] for row in bad.tolist())
         sentence = f"{len(bad)} interface motions do not follow rigid motion of the body: {listed(labels)}"

@@ -15,14 +15,17 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics import matrices
+from morembs.diagnostics.elements import double_elements
 from morembs.diagnostics.findings import Diagnosis, Finding, Names, listed
 from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
 from morembs.diagnostics.rigid import (
     MANY,
+    MOST,
     fitting_order,
     free_motions,
+    mounted,
     residual,
     rigid_findings,
     rotation_factor,
@@ -94,7 +97,9 @@ def examine(
     _ordered(case)
     part = part_of_dofs(case.K, case.dofs)
     case.facts["parts"] = int(part.max(initial=-1)) + 1
-    case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names)
+    case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names, mesh)
+    if mesh is not None:
+        case.found += double_elements(mesh)
     if case.nodes is not None and case.dofs is not None:
         _geometry(case, mesh, tuple(materials), units, declared)
     if deep and not any(one.severity == "error" and one.code in _BLOCKING for one in case.found):
@@ -258,13 +263,13 @@ def _ordered(case: _Case) -> None:
         at = np.arange(N, dtype=np.int64)
         given = DofMap(node=at // (N // n), component=at % (N // n))
     found = residual(case.K, case.nodes, given)
-    share = float(found.bad.mean())
-    other = fitting_order(case.K, case.nodes, given, share) if share > MANY else None
+    share = 0.0 if mounted(found, case.nodes, given) else float(found.bad.mean())
+    other = fitting_order(case.K, case.nodes, given) if share > MANY else None
     if case.dofs is None:
         case.dofs = given if other is None else other[1]
         words = "node by node (x, y, z of the first node, then of the next)" if other is None else other[0]
         case.facts["dof_order"] = words
-        if other is None and share > MANY:
+        if other is None and share > MOST:
             case.dofs = None
             sentence = "no known order of the dofs fits the geometry"
             cure = "give the dof map; and check that the coordinates belong to these matrices"
@@ -286,7 +291,8 @@ def _geometry(
         return
     names = case.names
     found = residual(case.K, nodes, dofs)
-    case.facts |= {"rigid_residual": float(found.worst.max(initial=0.0)), "free_motions": free_motions(found)}
+    free = free_motions(found, mounted(found, nodes, dofs))
+    case.facts |= {"rigid_residual": float(found.worst.max(initial=0.0)), "free_motions": free}
     case.facts["length"] = 2 * found.length
     factor = rotation_factor(case.K, found, dofs)
     if factor is not None:
@@ -305,7 +311,8 @@ def _geometry(
     estimated = estimate(case.K, case.M, nodes, dofs)
     if estimated is not None:
         case.facts["speed_of_sound"], case.facts["density"] = estimated
-    case.found += unit_findings(estimated, materials, 2 * found.length, units, declared)
+    extent = np.ptp(nodes.xyz[np.unique(dofs.node)], axis=0)
+    case.found += unit_findings(estimated, materials, extent, units, declared, float(case.facts.get("mass", np.nan)))
 
 
 def _grounded_damping(case: _Case, R: Floats) -> None:

@@ -183,9 +183,10 @@ def definiteness(A: sp.csr_array, name: str, names: Names, budget: Budget = UNLI
         labels, words = names.places(negative)
         sentence = f"{WORDS[name]} is indefinite: its diagonal is negative at {words}, down to {d[negative].min():.4g}"
         return [Finding(code="indefinite", severity=severity, sentence=sentence, cure=_CURES[name], where=labels)]
-    minors = []
+    minors, root = [], np.sqrt(d)
     for _, _, row, column, value in pieces(A):
-        bad = (row != column) & (np.abs(value) > (1 + NEGATIVE) * np.sqrt(d[row] * d[column])) & (value != 0)
+        # Roots first: their product neither overflows nor underflows.
+        bad = (row != column) & (np.abs(value) > (1 + NEGATIVE) * root[row] * root[column]) & (value != 0)
         minors.append(row[bad])
     rows = np.unique(np.concatenate(minors))
     if len(rows):

@@ -6,14 +6,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
+from morembs.diagnostics.elements import bodies_of_nodes, close_pairs, seam_finding
 from morembs.diagnostics.findings import Finding, Names, listed
-from morembs.model import DofMap, Nodes
+from morembs.model import DofMap, Mesh, Nodes
 
 Ints = NDArray[np.int64]
-# Nodes closer than this part of the model are at one place.
-COINCIDENT = 1e-8
 
 
 def part_of_dofs(K: sp.csr_array, dofs: DofMap | None) -> Ints:
@@ -42,18 +40,14 @@ def part_of_dofs(K: sp.csr_array, dofs: DofMap | None) -> Ints:
 
 
 def parts_findings(
-    K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | None, names: Names
+    K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | None, names: Names, mesh: Mesh | None = None
 ) -> list[Finding]:
-    """Unconnected parts, and nodes at one place that are not joined."""
+    """Unconnected parts, and nodes at one place that are not joined; a ``mesh`` tells seams from bodies that touch."""
     count = int(part.max(initial=-1)) + 1
     pairs, apart = coincident(K, part, nodes, dofs)
+    seams = _seams(pairs[~apart], names, nodes, mesh)
     if count < 2:
-        if not len(pairs):
-            return []
-        labels, words = _pairs(pairs, names)
-        sentence = f"{len(pairs)} pairs of nodes are at one place and not joined: {words}"
-        cure = "merge them, unless there is a gap or a crack"
-        return [Finding(code="coincident-nodes", severity="note", sentence=sentence, cure=cure, where=labels)]
+        return seams
     if dofs is None:
         sentence = f"the stiffness matrix K falls into {count} groups of dofs that do not touch"
         cure = "give nodes and the map of the dofs to tell parts from directions"
@@ -66,10 +60,29 @@ def parts_findings(
     sentence = f"the model falls into {count} unconnected parts (of {words} dofs, at nodes {listed(labels)})"
     if not apart.any():
         cure = "join the parts, or reduce them one by one"
-        return [Finding(code="parts", severity="error", sentence=sentence, cure=cure, where=labels)]
+        return [Finding(code="parts", severity="error", sentence=sentence, cure=cure, where=labels), *seams]
     flat, both = _pairs(pairs[apart], names)
     sentence += f"; {int(apart.sum())} pairs of their nodes are at one place: {both}"
-    return [Finding(code="parts", severity="error", sentence=sentence, cure="merge these nodes", where=flat)]
+    return [Finding(code="parts", severity="error", sentence=sentence, cure="merge these nodes", where=flat), *seams]
+
+
+def _seams(pairs: Ints, names: Names, nodes: Nodes | None, mesh: Mesh | None) -> list[Finding]:
+    """Pairs of nodes within one part that K does not join: a seam of a body, or two bodies that touch."""
+    if not len(pairs) or nodes is None:
+        return []
+    open_ = np.ones(len(pairs), dtype=bool)
+    if mesh is not None:
+        body = bodies_of_nodes(mesh, len(nodes))
+        open_ = body[pairs[:, 0]] == body[pairs[:, 1]]
+    found = []
+    if open_.any():
+        found.append(seam_finding(*_pairs(pairs[open_], names), int(open_.sum())))
+    if not open_.all():
+        labels, words = _pairs(pairs[~open_], names)
+        sentence = f"{int((~open_).sum())} pairs of nodes of bodies that touch are at one place and not joined: {words}"
+        cure = "merge them if the bodies are one; a contact is not in a linear model"
+        found.append(Finding(code="touching-bodies", severity="note", sentence=sentence, cure=cure, where=labels))
+    return found
 
 
 def _pairs(pairs: Ints, names: Names) -> tuple[tuple[str, ...], str]:
@@ -85,13 +98,7 @@ def coincident(K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | 
     of_node = np.full(len(nodes), -1, dtype=np.int64)
     np.maximum.at(of_node, dofs.node, part)
     used = np.flatnonzero(of_node >= 0)
-    xyz = nodes.xyz[used]
-    reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max(initial=0.0)), np.finfo(float).tiny) if len(used) else 0.0
-    # The nearest few are enough: a search for all pairs grows without bounds where many nodes coincide.
-    distance, other = cKDTree(xyz).query(xyz, k=min(4, max(len(xyz), 2)), distance_upper_bound=reach)
-    one, place = np.nonzero(np.isfinite(distance))
-    two = other[one, place]
-    pairs = np.stack([used[one[one < two]], used[two[one < two]]], axis=1)
+    pairs = used[close_pairs(nodes.xyz[used])]
     apart = of_node[pairs[:, 0]] != of_node[pairs[:, 1]]
     keep = apart | ~_joined(K, pairs, dofs)
     return pairs[keep], apart[keep]

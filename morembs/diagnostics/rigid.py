@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.diagnostics.matrices import pieces, sizes
-from morembs.model import DofMap, Nodes, rigid_motion
+from morembs.model import DofMap, Nodes, rigid_motion, skew
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,6 +25,12 @@ FEW_DIGITS = 1e-3
 OUTLIER = 100.0
 # Part of the dofs with a residual above which other orders of the dofs are tried, on so many rows.
 MANY, SAMPLE = 0.05, 3000
+# Part of the dofs with a residual above which the whole body does not fit, not only what holds it.
+MOST = 0.5
+# In a wrong order most of what should cancel does not; a residual below this comes from soft mounts.
+WRONG = 1e-3
+# Part of the force that springs at the nodes may leave unexplained, and of the dofs at which they may do so.
+LEFT, FEW = 1e-3, 0.05
 # Largest dense system in the search for nodes with wrong coordinates.
 DENSE = 4_000_000
 
@@ -71,6 +77,19 @@ def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 
 
+def mounted(found: Residual, nodes: Nodes, dofs: DofMap) -> bool:
+    """Whether springs between nodes and the ground explain all force under rigid motion.
+
+    Then turning gives the force that the same springs give under the displacement which turning means at their node.
+    In a wrong order of the dofs it does not.
+    """
+    rows = np.flatnonzero(found.bad & (dofs.component < 3))
+    arms = -skew(nodes.xyz[dofs.node[rows]] - found.center) / found.length
+    force = found.force[rows]
+    left = np.abs(force[:, 3:] - np.einsum("nc,ncr->nr", force[:, :3], arms)).max(axis=1, initial=0.0)
+    return bool(len(rows) and (left > LEFT * np.abs(force).max(axis=1)).mean() <= FEW)
+
+
 def orders(nodes: Nodes, dofs: DofMap) -> Iterator[tuple[str, DofMap]]:
     """The known orders of the same dofs, other than the given one, each once."""
     node, component = dofs.node, dofs.component
@@ -94,18 +113,26 @@ def orders(nodes: Nodes, dofs: DofMap) -> Iterator[tuple[str, DofMap]]:
             yield words, DofMap(node=node[order], component=component[order])
 
 
-def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap, share: float) -> tuple[str, DofMap] | None:
-    """The known order in which far fewer dofs than ``share`` (a part of all) carry force under rigid motion."""
+def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, DofMap] | None:
+    """The known order in which far fewer dofs carry force under rigid motion than clearly do so in the given one.
+
+    A soft ground gives some force in every order, and a mesh that is its own mirror image fits the reverse of its
+    order as well as its order.
+    """
     rows = np.sort(np.random.default_rng(8).permutation(K.shape[0])[:SAMPLE])
     some = sp.csr_array(K[rows, :])
-    best: tuple[float, str, DofMap] | None = None
-    for words, other in orders(nodes, dofs):
-        R, _, _ = motion(nodes, other)
+
+    def forces(order: DofMap, above: float) -> float:
+        R, _, _ = motion(nodes, order)
         ratio = np.abs(some @ R).max(axis=1) / np.maximum(sizes(some, R).max(axis=1), np.finfo(float).tiny)
-        part = float((ratio > STRAINED).mean())
-        if part < 0.1 * share and (best is None or part < best[0]):
-            best = part, words, other
-    return None if best is None else best[1:]
+        return float((ratio > above).mean())
+
+    share = forces(dofs, WRONG)
+    if share <= MANY:
+        return None
+    tried = [(forces(other, STRAINED), words, other) for words, other in orders(nodes, dofs)]
+    best = min(tried, key=lambda one: one[0], default=None)
+    return best[1:] if best is not None and best[0] < 0.1 * share else None
 
 
 def rotation_factor(K: sp.csr_array, found: Residual, dofs: DofMap) -> float | None:
@@ -146,7 +173,7 @@ def doubled_diagonal(K: sp.csr_array, found: Residual) -> bool:
     force = found.force - 0.5 * K.diagonal()[:, None] * found.R
     size = sizes(K, found.R).max(axis=1)
     good = np.abs(force).max(axis=1) <= STRAINED * size
-    return bool(found.bad.mean() > 0.5 and good.mean() > 0.95)
+    return bool(found.bad.mean() > MOST and good.mean() > 0.95)
 
 
 def rigid_findings(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> list[Finding]:
@@ -163,17 +190,18 @@ def rigid_findings(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap,
         cure = "subtract the diagonal once where a triangle is added to its mirror image"
         sentence = "the diagonal of the stiffness matrix K counts twice"
         return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
-    if share > 0.5 and worst < FEW_DIGITS:
+    held = mounted(found, nodes, dofs)
+    if share > MOST and worst < FEW_DIGITS and not held:
         sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel, all over the model"
         cure = "export it with more digits (15); or a preload is in it, which is no mistake"
         return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
     shifted = float(found.ratio[:, :3].max())
     if shifted < 1e-3 * worst or shifted <= STRAINED < worst:
         return [_misplaced(K, found, nodes, dofs, names)]
-    return [_grounded(K, found, nodes, dofs, names)]
+    return [_grounded(K, found, nodes, dofs, names, held)]
 
 
-def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
+def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names, held: bool) -> Finding:
     rows = np.flatnonzero(found.bad)
     labels, words = names.places(rows[np.argsort(-found.worst[rows], kind="stable")])
     turned = local_systems(K, found, nodes, dofs)
@@ -184,7 +212,7 @@ def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, name
         return Finding(code="local-axes", severity="error", sentence=sentence, cure=cure, where=labels)
     share = float(found.bad.mean())
     hold = found.R[:, :3].T @ found.force[:, :3]
-    if share > 0.5:
+    if share > MOST and not held:
         sentence = (
             f"the stiffness matrix K does not fit the geometry: {share:.0%} of the dofs carry force under rigid motion"
         )
@@ -194,21 +222,21 @@ def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, name
         )
         return Finding(code="not-this-geometry", severity="error", sentence=sentence, cure=cure, where=labels)
     stiff = ", ".join(f"{value:.3g}" for value in np.diag(hold))
-    free = free_motions(found)
+    free = free_motions(found, held)
     sentence = (
         f"the body is held to the ground: rigid motion gives force at {words}, {stiff} N/m against translations along "
         f"x, y, z; {free} of 6 rigid-body motions are free"
     )
     missing = np.setdiff1d(np.arange(len(nodes)), dofs.node)
-    held = f" ({len(missing)} nodes have no dofs, such as {names.node_labels(missing)[0]})" if len(missing) else ""
-    cure = f"export without boundary conditions and springs to the ground{held}; check local systems at these nodes"
+    bare = f" ({len(missing)} nodes have no dofs, such as {names.node_labels(missing)[0]})" if len(missing) else ""
+    cure = f"export without boundary conditions and springs to the ground{bare}; check local systems at these nodes"
     return Finding(code="grounded", severity="warning", sentence=sentence, cure=cure, where=labels)
 
 
-def free_motions(found: Residual) -> int:
-    """How many of the six rigid motions give no force, round-off and few digits aside."""
+def free_motions(found: Residual, held: bool) -> int:
+    """How many of the six rigid motions give no force, round-off and few digits aside; ``held`` as ``mounted``."""
     worst, bad = float(found.worst.max(initial=0.0)), found.bad
-    if not bad.any() or (bad.mean() > 0.5 and worst < FEW_DIGITS):
+    if not bad.any() or (bad.mean() > MOST and worst < FEW_DIGITS and not held):
         return 6
     with np.errstate(over="ignore"):
         size = np.divide(found.ratio, np.abs(found.force), out=np.zeros_like(found.ratio), where=found.force != 0)

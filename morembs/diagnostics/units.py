@@ -8,6 +8,7 @@ volume of its neighbourhood; h is the distance to the nearest node that a node i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,9 +23,15 @@ Floats = NDArray[np.float64]
 # Beyond these the units are wrong, as wide as the estimates are rough: m/s and kg/m3.
 SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
 # Narrower for materials, which are exact.
-MATERIAL_SPEED, MATERIAL_DENSITY = (8.0, 3e4), (0.5, 3e4)
+MATERIAL_SPEED, MATERIAL_DENSITY, MATERIAL_MODULUS = (8.0, 3e4), (0.5, 3e4), (1e4, 1.5e12)
 # A body larger than this is a mistake, one larger than that is worth a note (m).
 TOO_LARGE, LARGE = 2000.0, 100.0
+# A body smaller than this whose coordinates would be usual in metres: most often these were taken for millimetres.
+SMALL, IN_METRES = 2e-3, (0.01, 100.0)
+# Units of length of which so small a body is meant.
+MICRO = 1e-5
+# Of a free bar: first bending frequency times length squared, over speed of sound and radius of gyration.
+BENDING = 22.373 / (2 * np.pi)
 # Beyond this length two mistakes are likely, and both are named.
 LONG = 5.0
 METAL_SPEED, METAL_DENSITY = 5000.0, 5000.0
@@ -75,16 +82,65 @@ def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tu
     return (float(np.median(speed)), float(np.median(density))) if speed else None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Outlook:
+    """What a body is by its numbers (SI): ``extent`` (3,) along x, y, z, ``mass`` (nan where not known), and about
+    which first elastic frequency such a body has when it is free."""
+
+    extent: tuple[float, float, float]
+    mass: float
+    first_hz: float
+
+    @property
+    def words(self) -> str:
+        """A line for people."""
+        known = f", {self.mass:.4g} kg" if np.isfinite(self.mass) else ""
+        hz = f", first elastic frequency about {_one_digit(self.first_hz)} Hz" if np.isfinite(self.first_hz) else ""
+        return f"{' x '.join(f'{one:.4g}' for one in self.extent)} m{known}{hz}"
+
+
+def _one_digit(value: float) -> str:
+    return f"{float(f'{value:.0e}'):g}"
+
+
+def outlook(speed: float, extent: Floats, mass: float) -> Outlook:
+    """What to expect of a body in a box of ``extent`` (3,): bending of a bar as thin as its box, or waves along it.
+
+    A body that is curved, hollow or not along the axes may be several times softer.
+    """
+    low, high = float(extent.min()), float(extent.max())
+    waves = speed / (2 * high) if high else np.nan
+    bending = BENDING * speed * low / np.sqrt(12) / high**2 if low else waves
+    return Outlook(extent=tuple(extent.tolist()), mass=mass, first_hz=float(min(waves, bending)))
+
+
+def model_outlook(
+    K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap, materials: Sequence[Material]
+) -> Outlook:
+    """``outlook`` of a model (SI), by its materials where it has some, else by its matrices."""
+    estimated = None if materials else estimate(K, M, nodes, dofs)
+    speed = float(np.mean([wave_speed(one) for one in materials])) if materials else (estimated or (np.nan,))[0]
+    along = (dofs.component == 0).astype(float)
+    used = nodes.xyz[np.unique(dofs.node)]
+    return outlook(speed, np.ptp(used, axis=0) if len(used) else np.zeros(3), float((along @ (M @ along)).real))
+
+
+def wave_speed(material: Material) -> float:
+    """Speed of compression waves."""
+    return float(np.sqrt(max(material.stiffness[0, 0], 0.0) / material.density))
+
+
 def unit_findings(
-    estimated: tuple[float, float] | None, materials: Sequence[Material], size: float, units: Units,
-    declared: Units | None = None,
+    estimated: tuple[float, float] | None, materials: Sequence[Material], extent: Floats, units: Units,
+    declared: Units | None = None, mass: float = np.nan,
 ) -> list[Finding]:  # fmt: skip
-    """Whether numbers in ``units`` can be those of an elastic body of ``size`` (in the same units).
+    """Whether numbers in ``units`` can be those of an elastic body of ``extent`` (3,) and ``mass`` (in the same units).
 
     ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.
     """
+    size = float(np.linalg.norm(extent))
     if materials:
-        pairs = [(float(np.sqrt(max(m.stiffness[0, 0], 0) / m.density)), m.density) for m in materials]
+        pairs = [(wave_speed(one), one.density) for one in materials]
         speeds, densities = MATERIAL_SPEED, MATERIAL_DENSITY
     elif estimated is not None:
         pairs, speeds, densities = [estimated], SPEED, DENSITY
@@ -95,7 +151,8 @@ def unit_findings(
         slow, light = not speeds[0] <= c <= speeds[1], not densities[0] <= rho <= densities[1]
         # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
         light = light or (rho < MATERIAL_DENSITY[0] and size * units.length > LARGE)
-        if slow or light:
+        low, high = MATERIAL_MODULUS
+        if slow or light or (materials and not low <= rho * c**2 <= high):
             return [_wrong(c, rho, size * units.length, units, declared)]
     meters = size * units.length
     if meters > LARGE:
@@ -106,6 +163,15 @@ def unit_findings(
             "210e3 MPa and 7.85e-9 t/mm3)"
         )
         return [Finding(code="size", severity=severity, sentence=sentence, cure=cure)]
+    taken = declared or units
+    if meters < SMALL and IN_METRES[0] <= meters / taken.length <= IN_METRES[1] and taken.length > MICRO:
+        seen = outlook(pairs[0][0] * units.length / units.time, extent * units.length, mass * units.mass)
+        sentence = f"taken in {taken.name}, the body is tiny: {seen.words}"
+        cure = (
+            f"if its longest side is {max(seen.extent) / taken.length:.3g} m, its coordinates are in m: give units "
+            "m-kg-s and the material in Pa and kg/m3, or the coordinates in the units that were declared"
+        )
+        return [Finding(code="size", severity="warning", sentence=sentence, cure=cure)]
     return []
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 
 from morembs.body import ElasticBody
+from morembs.body.stored import StoredBodies
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
+from morembs.diagnostics.elements import double_elements, open_seams
 from morembs.diagnostics.findings import Diagnosis, Finding
-from morembs.diagnostics.units import unit_findings
-from morembs.errors import SolverError
+from morembs.diagnostics.units import estimate, unit_findings
+from morembs.errors import InputError, SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
 from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
@@ -60,11 +62,27 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
 
-    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units.
+    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units; and elements
+    that are there twice, and nodes that were not merged.
     """
-    size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
-    found = unit_findings(None, model.materials, size, Units(), declared)
+    found = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
+    if model.mesh is not None:
+        found += [*double_elements(model.mesh), *open_seams(model.mesh)]
     return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+
+
+def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
+    """Warnings about an imported model (SI, of an input in the units ``declared``) that cost next to nothing.
+
+    About its units, elements that are there twice and nodes that were not merged; ``diagnosis_of`` finds the rest.
+    """
+    if model.mesh is not None and model.materials:
+        return examined_mesh(model, declared)
+    if not np.ptp(model.nodes.xyz, axis=0).any() or np.iscomplexobj(model.K.data) or np.iscomplexobj(model.M.data):
+        return ()
+    estimated = estimate(model.K, model.M, model.nodes, model.dofs)
+    found = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
+    return _sentences([one for one in found if one.severity == "warning"])
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
@@ -80,6 +98,22 @@ def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
             raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
         found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
     return tuple(found)
+
+
+def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
+    """What is wrong with each body of a file: whether what it says of itself is what follows from its matrices."""
+    return {name: check_delivery(body, file) for name, body in file.bodies.items()}
+
+
+def refuse_unsound(path: str, found: Mapping[str, Diagnosis]) -> None:
+    """Stop at bodies that contradict themselves.
+
+    Raises:
+        InputError: there are some; all errors are in the message.
+    """
+    wrong = [f"body {name!r}: {'; '.join(_sentences(one.errors))}" for name, one in found.items() if one.errors]
+    if wrong:
+        raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")
 
 
 def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,14 @@ from morembs.importers.text_matrices import ahead, numbers, opened, table, text_
 from morembs.importers.triplets import (
     SAME,
     Numbering,
+    Place,
     Renumbered,
     Spool,
     Triplets,
     assembled,
     asymmetry,
     completed,
+    row_and_column,
     unique,
 )
 
@@ -88,8 +91,8 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
             order = np.lexsort((dof, np.abs(node), node < 0))
             places = Numbering(codes, order)
             placed = Renumbered(spool=spool, rows=places, columns=places)
-            half, matrix = _matrix(placed, len(codes), path.name, keywords)
             node, dof = node[order], dof[order]
+            half, matrix = _matrix(placed, len(codes), path.name, keywords, partial(_place, node, dof))
     symmetric = asymmetry(matrix) <= SAME
     if "TYPE=SYMMETRIC," in keywords and not symmetric:
         raise InputError(f"{path.name} says TYPE=SYMMETRIC, but its entries (i, j) and (j, i) differ; write it again")
@@ -97,10 +100,16 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
     return AbaqusMatrix(matrix=matrix, node=node, dof=dof, symmetric=symmetric, half=half, internal=internal)
 
 
-def _matrix(spool: Iterable[Triplets], size: int, name: str, keywords: str) -> tuple[bool, sp.csr_array]:
+def _matrix(
+    spool: Iterable[Triplets], size: int, name: str, keywords: str, place: Place = row_and_column
+) -> tuple[bool, sp.csr_array]:
     if "TYPE=UNSYMMETRIC" in keywords:
-        return False, assembled(spool, (size, size), mirror=False, name=name)
-    return completed(spool, size, name)
+        return False, assembled(spool, (size, size), mirror=False, name=name, place=place)
+    return completed(spool, size, name, place)
+
+
+def _place(node: Ints, dof: Ints, row: int, column: int) -> str:
+    return f"the row of node {node[row]}, dof {dof[row]}, the column of node {node[column]}, dof {dof[column]}"
 
 
 def _spooled(path: Path, spool: Spool) -> tuple[int, str]:

@@ -213,17 +213,14 @@ class _File:
                 raise self.damaged("a number is not finite")
             return sp.csr_array(sp.diags_array(kept))
         rows = _Rows(self, which, at, terms, place)
-        matrix = assembled(rows, (size, size), mirror=True, name=self.name)
-        if matrix.nnz != rows.stored:
-            raise self.damaged(f"{which} has entries twice")
-        return matrix
+        return assembled(rows, (size, size), mirror=True, name=f"{self.name}: {which}")
 
 
 class _Rows:
     """Entries of one matrix as triplets, rows and columns at their ``place``, those without one left out."""
 
     def __init__(self, file: _File, which: str, at: int, terms: int, place: Ints) -> None:
-        self.file, self.which, self.place, self.stored = file, which, place, 0
+        self.file, self.which, self.place = file, which, place
         # Where the columns and values of each row start, and how many there are.
         self.columns, self.values, self.counts = (np.empty(file.rows, dtype=np.int64) for _ in range(3))
         for row in range(file.rows):
@@ -242,7 +239,6 @@ class _Rows:
 
     def __iter__(self) -> Iterator[Triplets]:
         words = np.asarray(self.file.array)
-        self.stored = 0
         for begin in range(0, self.file.rows, _ROWS):
             part = slice(begin, begin + _ROWS)
             counts = self.counts[part]
@@ -257,5 +253,4 @@ class _Rows:
             row, column, value = self.place[row[kept]], self.place[column[kept]], value[kept]
             if not np.isfinite(value).all():
                 raise self.file.damaged("a number is not finite")
-            self.stored += 2 * len(row) - int((row == column).sum())
             yield row, column, value

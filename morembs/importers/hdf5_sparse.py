@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
+from morembs.importers.triplets import Place, refuse_twice, row_and_column
 from morembs.storage.hdf5 import reading, stored
 
 Array = NDArray[Any]
@@ -125,15 +126,28 @@ def sparse_group(source: str, group: Any) -> sp.csr_array | None:
         raise InputError(f"{source} does not hold numbers; expected a sparse matrix")
     if not csc:
         return checked_csr(source, data, indices, indptr, shape)
-    turned = checked_csr(source, data, indices, indptr, (shape[1], shape[0]))
+    return checked_csc(source, data, indices, indptr, shape)
+
+
+def checked_csc(source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int]) -> sp.csr_array:
+    """CSR matrix of the arrays of a CSC one.
+
+    Raises:
+        InputError: as ``checked_csr``.
+    """
+    turned = checked_csr(
+        source, data, indices, indptr, (shape[1], shape[0]), lambda column, row: row_and_column(row, column)
+    )
     return sp.csr_array(turned.T)
 
 
-def checked_csr(source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int]) -> sp.csr_array:
-    """CSR matrix of arrays that were looked at.
+def checked_csr(
+    source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int], place: Place = row_and_column
+) -> sp.csr_array:
+    """CSR matrix of arrays that were looked at; ``place`` are words for a row and a column.
 
     Raises:
-        InputError: lengths that do not fit, or indices outside the matrix.
+        InputError: lengths that do not fit, indices outside the matrix, or a place given twice.
     """
     bad = (
         indptr.ndim != 1 or len(indptr) != shape[0] + 1 or indices.shape != data.shape or data.ndim != 1
@@ -146,4 +160,6 @@ def checked_csr(source: str, data: Array, indices: Array, indptr: Array, shape: 
     number = np.int32 if max(len(data), *shape) < np.iinfo(np.int32).max else np.int64
     if indices.dtype not in (np.int32, np.int64) or indices.dtype != indptr.dtype:
         indices, indptr = indices.astype(number), indptr.astype(number)
-    return sp.csr_array((data, indices, indptr), shape=shape)
+    matrix = sp.csr_array((data, indices, indptr), shape=shape)
+    refuse_twice(matrix, source, place)
+    return matrix

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import scipy.io
 import scipy.sparse as sp
 
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.hdf5_sparse import checked_csr, import_hdf5
 from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.named import matrices_by_name
@@ -35,7 +36,7 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
         else:
             found = read_matlab_v5(path)
             held, other = dict(found.matrices), found.other
-        square = {name: sp.csr_array(value) for name, value in held.items() if _is_square(value)}
+        square = {name: _once(f"{path.name}: {name}", value) for name, value in held.items() if _is_square(value)}
     except InputError:
         raise
     except Exception as error:  # damage shows in every kind of error here, some without a base of their own
@@ -44,6 +45,16 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
     left = [f"{name} ({kind})" for name, kind in other.items()]
     notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()
     return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
+
+
+def _once(source: str, value: Any) -> sp.csr_array:
+    """The matrix of a variable; those of v4 come as triplets, each of which MATLAB writes once."""
+    if not sp.issparse(value) or value.format != "coo":
+        return sp.csr_array(value)
+    row, column = value.coords
+    order = np.argsort(row, kind="stable")
+    start = np.searchsorted(row[order], np.arange(value.shape[0] + 1))
+    return checked_csr(source, value.data[order], column[order], start, value.shape)
 
 
 def _is_square(value: Any) -> bool:

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import checked_csr
+from morembs.importers.hdf5_sparse import checked_csc
 
 Array = NDArray[Any]
 _HEADER = 128
@@ -176,5 +176,4 @@ def _sparse(reader: _Reader, name: str, shape: tuple[int, int], complex_: bool, 
     # There may be room for more entries than there are.
     used = max(0, min(int(start[-1]), len(values)))
     rows, values = rows[:used].astype(np.int64), values[:used].astype(np.complex128 if complex_ else np.float64)
-    turned = checked_csr(f"{reader.name}: {name}", values, rows, start.astype(np.int64), (shape[1], shape[0]))
-    return sp.csr_array(turned.T)
+    return checked_csc(f"{reader.name}: {name}", values, rows, start.astype(np.int64), shape)

@@ -142,6 +142,9 @@ class _Writer:
 
     def matrix(self, name: str, matrix: sp.csr_array, units: str) -> None:
         """A CSR matrix as scipy keeps it; indices keep their width, imaginary parts have a dataset of their own."""
+        if not matrix.has_canonical_format:
+            matrix = matrix.copy()
+            matrix.sum_duplicates()
         data = matrix.data
         self.put(f"{name}/data", np.ascontiguousarray(data.real), units=units)
         if data.dtype.kind == "c":

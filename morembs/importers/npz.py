@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import available_bytes
 from morembs.errors import InputError
-from morembs.importers.hdf5_sparse import checked_csr
+from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
 
@@ -36,6 +36,7 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
         InputError: not such a file, damaged, or no matrix of a name.
     """
     path = Path(path)
+    notes: tuple[str, ...] = ()
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             if not isinstance(held, np.lib.npyio.NpzFile):
@@ -43,7 +44,8 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
             _refuse_too_large(path.name, held.zip)
             names = set(held.files)
             if "format" in names and "shape" in names:
-                found: Matrices = {"the matrix": _saved(path.name, held)}
+                matrix, notes = _saved(path.name, held)
+                found: Matrices = {"the matrix": matrix}
             else:
                 found = _by_name(path.name, held, names)
     except InputError:
@@ -51,7 +53,7 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
     except _DAMAGED as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
-    return matrices_by_name(path.name, found, K=K, M=M, D=D)
+    return matrices_by_name(path.name, found, K=K, M=M, D=D, notes=notes)
 
 
 def _refuse_too_large(source: str, archive: Any) -> None:
@@ -82,23 +84,45 @@ def _sizes(source: str, shape: Array) -> tuple[int, int]:
     return int(shape[0]), int(shape[1])
 
 
-def _saved(source: str, held: Mapping[str, Array]) -> sp.csr_array:
-    """The matrix of ``scipy.sparse.save_npz`` in any of its formats."""
+def _saved(source: str, held: Mapping[str, Array]) -> tuple[sp.csr_array, tuple[str, ...]]:
+    """The matrix of ``scipy.sparse.save_npz`` in any of its formats, and what to say of it."""
     kind = held["format"].item()
     kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
     shape, data = _sizes(source, held["shape"]), held["data"]
     if max(shape) > _SPARSEST * (1 + data.size):
         raise InputError(f"{source} has the shape {shape} but only {data.size} entries; it is damaged, save it again")
     if kind in ("csr", "csc"):
-        turned = shape if kind == "csr" else (shape[1], shape[0])
-        A = checked_csr(source, data, held["indices"], held["indptr"], turned)
-        return A if kind == "csr" else sp.csr_array(A.T)
+        checked = checked_csr if kind == "csr" else checked_csc
+        return checked(source, data, held["indices"], held["indptr"], shape), ()
     if kind == "coo":
-        return sp.csr_array(sp.coo_array((data, (held["row"], held["col"])), shape=shape))
+        return _added(source, sp.coo_array((data, (held["row"], held["col"])), shape=shape))
     if kind == "dia":
-        return sp.csr_array(sp.dia_array((data, held["offsets"]), shape=shape))
+        return sp.csr_array(sp.dia_array((data, held["offsets"]), shape=shape)), ()
     if kind == "bsr":
         blocks = sp.bsr_array((data, held["indices"], held["indptr"]), shape=shape)
         blocks.check_format(full_check=True)
-        return sp.csr_array(blocks)
+        return sp.csr_array(blocks), ()
     raise InputError(f"{source} is of the sparse format {kind[:20]!r}; expected csr, csc, coo, dia or bsr")
+
+
+def _added(source: str, triplets: sp.coo_array) -> tuple[sp.csr_array, tuple[str, ...]]:
+    """The sum of triplets, which is what SciPy means by them, as those of element matrices.
+
+    Raises:
+        InputError: all of them are there twice, which no assembly gives.
+    """
+    row, column = triplets.coords
+    order = np.lexsort((np.abs(triplets.data), column, row))
+    row, column, value = row[order], column[order], triplets.data[order]
+    first = np.concatenate([[True], (np.diff(row) != 0) | (np.diff(column) != 0)])[: len(row)]
+    more = int((~first).sum())
+    if not more:
+        return sp.csr_array(triplets), ()
+    place = np.cumsum(first) - 1
+    same = value == value[np.flatnonzero(first)][place]
+    if same.all() and np.bincount(place).min() > 1:
+        raise InputError(
+            f"{source} gives every entry {np.bincount(place).min()} times with the same value, the first in row "
+            f"{row[0] + 1}, column {column[0] + 1} ({value[0]:.6g}); it was appended to itself, save it again"
+        )
+    return sp.csr_array(triplets), (f"{more} triplets at places of others were added to them, as COO matrices are",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,8 @@ from morembs.errors import InputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Triplets = tuple[Ints, Ints, Floats]
+# Words for a row and a column counted from 0.
+Place = Callable[[int, int], str]
 
 # Asymmetry that is round-off.
 SAME = 1e-9
@@ -61,14 +63,21 @@ class Spool:
         self._file.close()
 
 
-def assembled(spool: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str) -> sp.csr_array:
-    """Matrix of triplets counted from 0; repeated entries are added.
+def row_and_column(row: int, column: int) -> str:
+    """Words for a place in a matrix, counted from 1 as files do."""
+    return f"row {row + 1}, column {column + 1}"
+
+
+def assembled(
+    spool: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str, place: Place = row_and_column
+) -> sp.csr_array:
+    """Matrix of triplets counted from 0, each place given once.
 
     Holds nothing but the result and a block, for which ``spool`` is read twice: to count and to fill. With
-    ``mirror`` each entry off the diagonal stands for two.
+    ``mirror`` each entry off the diagonal stands for two. ``place`` are words for a row and a column of the file.
 
     Raises:
-        InputError: an index lies outside.
+        InputError: an index lies outside, or a place is given twice.
     """
     size = shape[0]
     counts = np.zeros(size + 1, dtype=np.int64)
@@ -84,12 +93,44 @@ def assembled(spool: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool
         ascending = rows[order]
         first = np.flatnonzero(np.diff(ascending, prepend=-1))
         length = np.diff(first, append=len(rows))
-        place = free[ascending] + np.arange(len(rows)) - np.repeat(first, length)
-        indices[place], data[place] = columns[order], values[order]
+        at = free[ascending] + np.arange(len(rows)) - np.repeat(first, length)
+        indices[at], data[at] = columns[order], values[order]
         free[ascending[first]] += length
     matrix = sp.csr_array((data, indices, indptr.astype(indices.dtype)), shape=shape)
-    matrix.sum_duplicates()
+    refuse_twice(matrix, name, place, mirror)
     return matrix
+
+
+def refuse_twice(matrix: sp.csr_array, name: str, place: Place = row_and_column, mirrored: bool = False) -> None:
+    """Sort the entries of a matrix of a file, each of which a program writes once.
+
+    The sum of a file that was appended to itself is twice the matrix, which no later check can tell from a stiffer
+    one. ``mirrored`` says that one of each pair of entries was filled in, which does not count.
+
+    Raises:
+        InputError: entries at one place; their number, the first place and its values are in the message.
+    """
+    matrix.sort_indices()
+    if matrix.has_canonical_format:
+        return
+    count, first, equal = 0, None, True
+    for begin in range(0, matrix.shape[0], _ROWS):
+        low, high = matrix.indptr[begin], matrix.indptr[min(begin + _ROWS, matrix.shape[0])]
+        row = np.repeat(np.arange(begin, begin + _ROWS)[: matrix.shape[0] - begin],
+                        np.diff(matrix.indptr[begin : begin + _ROWS + 1]))  # fmt: skip
+        column, value = matrix.indices[low:high], matrix.data[low:high]
+        twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(column) == 0) & ~(mirrored & (column < row)[1:]))
+        count += len(twice)
+        equal = equal and bool((value[twice] == value[twice + 1]).all())
+        if first is None and len(twice):
+            k = int(twice[0])
+            first = f"{place(int(row[k]), int(column[k]))} ({value[k]:.6g} and {value[k + 1]:.6g})"
+    entries = "entry" if count == 1 else "entries"
+    raise InputError(
+        f"{name} gives {count} {entries} twice{', with the same value' if equal else ''}: the first in {first}; "
+        "expected each once, as their sum would be another matrix; two files may stand in one, or one twice: write it "
+        "again"
+    )
 
 
 def _both(spool: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name: str) -> Iterator[Triplets]:
@@ -160,14 +201,20 @@ class Renumbered:
             yield self.rows(rows), self.columns(columns), values
 
 
-def completed(spool: Iterable[Triplets], size: int, name: str) -> tuple[bool, sp.csr_array]:
-    """Whether the file holds one entry of each pair only, and the whole matrix."""
+def completed(
+    spool: Iterable[Triplets], size: int, name: str, place: Place = row_and_column
+) -> tuple[bool, sp.csr_array]:
+    """Whether the file holds one entry of each pair only, and the whole matrix.
+
+    Raises:
+        InputError: as ``assembled``.
+    """
     above = below = False
     for rows, columns, _ in spool:
         above, below = above or bool((rows < columns).any()), below or bool((rows > columns).any())
     if above != below:
-        return True, assembled(spool, (size, size), mirror=True, name=name)
-    matrix = assembled(spool, (size, size), mirror=False, name=name)
+        return True, assembled(spool, (size, size), mirror=True, name=name, place=place)
+    matrix = assembled(spool, (size, size), mirror=False, name=name, place=place)
     if asymmetry(matrix) > SAME:
         # Entries of a half may lie in both triangles, as the order of the equations is not that of the labels.
         pattern = sp.csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), matrix.shape)

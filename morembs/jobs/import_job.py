@@ -11,7 +11,8 @@ import numpy as np
 
 from morembs.diagnostics import repaired
 from morembs.diagnostics.findings import Diagnosis
-from morembs.diagnostics.warnings import diagnosis_of
+from morembs.diagnostics.units import Outlook, model_outlook
+from morembs.diagnostics.warnings import diagnosis_of, imported_warnings
 from morembs.errors import InputError
 from morembs.importers import IMPORTERS, format_of, import_file
 from morembs.importers.dof_map import read_dof_map
@@ -57,12 +58,15 @@ class ImportJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportResult:
-    """A model that was read and written; ``diagnosis`` where it was examined."""
+    """A model that was read and written; ``outlook`` says what body it is by its units, None for matrices without a
+    place in space; ``diagnosis`` where it was examined, else the ``warnings`` that are to be had without."""
 
     path: Path
     model: FEModel
     format: str
     diagnosis: Diagnosis | None = None
+    outlook: Outlook | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def run_import(
@@ -99,7 +103,14 @@ def run_import(
     write_model(
         job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
     )
-    return ImportResult(path=job.out, model=model, format=format, diagnosis=diagnosis)
+    real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
+    seen = None
+    if real and np.ptp(model.nodes.xyz, axis=0).any():
+        seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
+    warnings = imported_warnings(model, units) if diagnosis is None else ()
+    return ImportResult(
+        path=job.out, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings
+    )
 
 
 def _read(job: ImportJob) -> tuple[Imported, str]:

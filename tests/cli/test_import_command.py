@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 
 from morembs import CraigBampton, Damping, Problem, make_interface, read_body
 from morembs.cli import app
-from morembs.importers import IMPORTERS
+from morembs.importers import IMPORTERS, import_file
 from morembs.importers.model_file import read_model
 from morembs.model import FEModel
-from tests.support.decks import BEAM, folder
+from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel
 
 OLD = b"what was there before"
@@ -338,6 +338,73 @@ def test_bad_files_and_options(tmp_path: Path, name: str, content: bytes, argume
     assert words in refused(tmp_path, tmp_path / name, *arguments)
 
 
+TWICE = "1 1 2\n2 1 -1\n2 2 2\n"
+LABELLED = "7,1,7,1,2\n9,1,7,1,-1\n9,1,9,1,2\n"
+CARDS = "DMIG,K,0,6,2,0\nDMIG,K,7,1,,7,1,2.\nDMIG,K,7,1,,7,1,2.\n"
+LOWER = b"%%MatrixMarket matrix coordinate real symmetric\n2 2 6\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("k.mtx", LOWER + 2 * TWICE.encode(), "3 entries twice, with the same value: the first in row 1, column 1"),
+        ("k.mtx", LOWER.replace(b"symmetric", b"general").replace(b"6", b"4") + TWICE.encode() + b"2 1 -3\n",
+         "1 entry twice: the first in row 2, column 1 (-1 and -3)"),
+        ("k.mtx", LOWER.replace(b"6", b"4").replace(b"real", b"complex") + b"1 1 2 1\n2 1 -1 1\n2 2 2 1\n2 2 2 1\n",
+         "1 entry twice, with the same value: the first in row 2, column 2"),
+        ("k_STIF1.mtx", 2 * TWICE.encode(), "3 entries twice, with the same value: the first in row 1, column 1"),
+        ("k_STIF1.mtx", 2 * LABELLED.encode(), "the first in the row of node 7, dof 1, the column of node 7, dof 1"),
+        ("k.pch", CARDS.encode(), "the first in the row of grid 7, component 1, the column of grid 7, component 1"),
+    ],
+)  # fmt: skip
+def test_entries_that_a_text_gives_twice_are_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    """The sum would be a part of twice the stiffness, whose frequencies are too high by 41 %."""
+    (tmp_path / name).write_bytes(content)
+    format = ["--format", "abaqus-matrix"] if "STIF" in name else []
+    assert words in refused(tmp_path, tmp_path / name, *format)
+
+
+def test_entries_that_calculix_gives_twice_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.dof").write_text("7.1\n9.1\n")
+    upper = "1 1 2.0\n1 2 -1.0\n2 2 2.0\n"
+    for end, text in (("sti", 2 * upper), ("mas", upper)):
+        (tmp_path / f"a.{end}").write_text(text)
+    assert "3 entries twice, with the same value" in refused(tmp_path, tmp_path / "a.sti")
+
+
+@pytest.mark.parametrize("kind", ["csr", "csc", "named", "h5", "v4.mat"])
+def test_stored_matrices_with_a_place_given_twice_are_refused(tmp_path: Path, kind: str) -> None:
+    data, indices, indptr = np.array([2.0, -1.0, 5.0, 1.0, 2.0]), np.array([0, 1, 0, 0, 1]), np.array([0, 2, 5])
+    path = tmp_path / f"a.{ {'h5': 'h5', 'v4.mat': 'mat'}.get(kind, 'npz') }"
+    if kind == "h5":
+        with h5py.File(path, "w") as file:
+            for name, value in (("data", data), ("indices", indices), ("indptr", indptr)):
+                file[f"K/{name}"] = value
+    elif kind == "named":
+        np.savez(path, K_data=data, K_indices=indices, K_indptr=indptr, K_shape=(2, 2))
+    elif kind == "v4.mat":
+        row = np.repeat([0, 1], np.diff(indptr))
+        scipy.io.savemat(path, {"K": sp.coo_matrix((data, (row, indices)), (2, 2))}, format="4")
+    else:
+        np.savez(path, format=kind.encode(), shape=(2, 2), data=data, indices=indices, indptr=indptr)
+    places = "row 1, column 2" if kind == "csc" else "row 2, column 1"
+    assert f"1 entry twice: the first in {places} (5 and 1)" in refused(tmp_path, path)
+
+
+def test_triplets_are_added_unless_all_come_twice(tmp_path: Path) -> None:
+    """SciPy means the sum; but no assembly of elements gives every entry twice with the same value."""
+    row, column, value = np.array([0, 1, 1, 1]), np.array([0, 0, 1, 1]), np.array([2.0, -1.0, 1.0, 1.0])
+    once = sp.coo_array((value, (row, column)), (2, 2))
+    sp.save_npz(tmp_path / "a.npz", once)
+    found = import_file(tmp_path / "a.npz")
+    assert found.K is not None and np.array_equal(found.K.toarray(), [[2, 0], [-1, 2]])
+    assert "1 triplets at places of others were added" in found.notes[0]
+    once = sp.coo_array((value[:3], (row[:3], column[:3])), (2, 2))
+    both = sp.coo_array(tuple((np.tile(once.data, 2), (np.tile(once.row, 2), np.tile(once.col, 2)))), (2, 2))
+    sp.save_npz(tmp_path / "a.npz", both)
+    assert "gives every entry 2 times with the same value" in refused(tmp_path, tmp_path / "a.npz")
+
+
 def test_more_ways_to_be_wrong(tmp_path: Path) -> None:
     assert "does not exist" in refused(tmp_path, tmp_path / "none.mat")
     assert "is not a file" in refused(tmp_path, tmp_path)
@@ -489,3 +556,18 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
     document = json.loads(run(blocks, *both, "-o", out, "--json"))
     assert document["nodes"] == 119 and [one.set for one in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]
+
+
+def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
+    """Coordinates in m, read as mm beside steel in MPa and t/mm3: everything is right but the size."""
+    text = deck(BEAM, size=0.1)
+    (tmp_path / "a.inp").write_text(text)
+    given = ("--material", "young=210e3,poisson=0.3,density=7.85e-9", "-o", tmp_path / "a.model.h5")
+    for unit, size in (("mm-t-s", "0.0006 x 0.0002 x 0.0002 m"), ("mm-t-s", "0.6 x 0.2 x 0.2 m")):
+        (tmp_path / "a.inp").write_text(text if size.startswith("0.0006") else deck(BEAM, size=100.0))
+        told = run(tmp_path / "a.inp", "--units", unit, *given)
+        assert f"the body: {size}, " in told and " kg, first elastic frequency about " in told
+        assert ("warning: taken in mm-t-s, the body is tiny" in told) == size.startswith("0.0006")
+    document = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
+    assert document["body"]["extent"] == pytest.approx([0.6, 0.2, 0.2]) and document["warnings"] == []
+    assert document["body"]["mass"] == pytest.approx(7850 * 0.6 * 0.2 * 0.2)

@@ -3,17 +3,20 @@
 import io
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
+from morembs.cli import app
 from morembs.diagnostics.delivery_check import check_delivery
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
-from morembs.reducers import CraigBampton, FreeInterface, Guyan
+from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov
 from tests.support.meshes import STEEL, box, steel, where
 
 SIZE = (0.5, 0.06, 0.04)
@@ -143,7 +146,8 @@ def test_defects_of_the_matrices():
     assert {"mass", "frequencies"} <= grave(seen)
     assert seen.facts["mass"] == pytest.approx(1.01 * body.part.mass)
     dragged = with_matrices(body, D=3.0 * r.M)
-    assert grave(check_delivery(dragged)) == {"grounded-damping"}
+    assert grave(check_delivery(dragged)) == {"grounded-damping", "frame"}
+    assert "De are not what follows" in finding(check_delivery(dragged), "frame").sentence
     assert "3 1/s" in finding(check_delivery(dragged), "grounded-damping").sentence
 
 
@@ -195,6 +199,82 @@ def test_stored_bodies_are_checked_alike(tmp_path):
     assert there.facts["effective_mass"] == pytest.approx(here.facts["effective_mass"], rel=1e-9, abs=1e-12)
     assert tuple(there.facts["rigid_hz"]) == WAYS
     spoilt = replace(stored, stiffness_matrix=stored.stiffness_matrix * 1.1)
-    assert grave(check_delivery(spoilt, file)) == {"frequencies"}
+    assert grave(check_delivery(spoilt, file)) == {"frequencies", "frame"}
     with pytest.raises(InputError, match="file"):
         check_delivery(stored)
+
+
+@pytest.mark.parametrize("size", [1.3e-5, 1e-6, 1e3])
+@pytest.mark.parametrize("coupling", ["rigid", "average"])
+def test_bodies_of_any_size_are_judged_alike(size, coupling):
+    """Rigid motion by stiffness was swamped in bodies of some micrometres, and interfaces could be anywhere in them."""
+    model = steel(box("hex8", (6, 2, 2), tuple(size * np.array(SIZE))))
+    ends = [make_interface(model, name=name, nodes=where(model, 0, x * size), coupling=coupling)
+            for name, x in (("left", 0.0), ("right", SIZE[0]))]  # fmt: skip
+    with Problem(model, ends, damping=Damping(modal=0.02)) as problem:
+        body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
+    assert grave(check_delivery(body)) == set(), check_delivery(body).text()
+    left, right = body.part.interfaces
+    moved = replace(right, point=right.point + np.array([0, 1e-3 * size, 0]))
+    seen = check_delivery(replace(body, part=replace(body.part, interfaces=(left, moved))))
+    assert finding(seen, "interfaces").where == ("right x", "right z")
+
+
+def scaled(name, factor):
+    def change(file):
+        file[name][...] = file[name][()] * factor
+
+    return change
+
+
+def uneven(name):
+    def change(file):
+        A = file[name][()]
+        A[-1, -2] += 1e-3 * np.sqrt(A[-1, -1] * A[-2, -2])
+        file[name][...] = A
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (scaled("bodies/BODY/stiffness_matrix", 1.1), "frequencies that come with the body are not those"),
+        (scaled("bodies/BODY/mass_matrix", 1.1), "has another mass than the model"),
+        (scaled("bodies/BODY/mass_matrix", -1.0), "M of the reduced body is not positive definite"),
+        (scaled("mass_properties/mass", 1.01), "has another mass than the model"),
+        (scaled("bodies/BODY/frequencies_hz", 1.001), "frequencies that come with the body are not those"),
+        (uneven("bodies/BODY/stiffness_matrix"), "K is not symmetric"),
+        (uneven("bodies/BODY/damping_matrix"), "D is not symmetric"),
+        (scaled("bodies/BODY/floating_frame/Ke", 1.001), "floating frame does not belong to the matrices: Ke are"),
+        (scaled("bodies/BODY/floating_frame/integrals/Me", 1.001), "integrals/Me"),
+        (scaled("bodies/BODY/floating_frame/integrals/mass", 1.001), "integrals/mass, first and inertia"),
+        (scaled("bodies/BODY/floating_frame/markers/left/motion", 1.001), "markers/left"),
+        (scaled("interfaces/left/point", 0.9), "interface motions do not follow rigid motion"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused_by_info(tmp_path, change, words):
+    """Every number is readable and finite, and the file is wrong all the same."""
+    body = body_of(damping=Damping(modal=0.01))
+    path = tmp_path / "body.h5"
+    write_body(path, [body], recipe={})
+    assert CliRunner().invoke(app, ["info", str(path)]).exit_code == 0
+    with h5py.File(path, "r+") as file:
+        names = list(file["bodies"])
+
+        class Named:
+            def __getitem__(self, name):
+                return file[name.replace("BODY", names[0])]
+
+        change(Named())
+    for more in ([], ["--json"]):
+        seen = CliRunner().invoke(app, ["info", str(path), *more])
+        assert seen.exit_code == 2 and words in seen.stderr and len(seen.stderr.strip().splitlines()) == 1, seen.stderr
+
+
+def test_two_sided_bodies_need_not_be_symmetric(tmp_path):
+    body = body_of(Krylov(shifts_hz=[2000.0], two_sided=True, inputs=["left"], outputs=["right"]))
+    assert not body.reduced.symmetric
+    write_body(tmp_path / "body.h5", [body], recipe={})
+    seen = CliRunner().invoke(app, ["info", str(tmp_path / "body.h5")])
+    assert seen.exit_code == 0, seen.stderr

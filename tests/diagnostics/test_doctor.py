@@ -6,6 +6,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.diagnostics import examine, examine_model, repaired
+from morembs.diagnostics.units import model_outlook
+from morembs.diagnostics.warnings import examined_mesh
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
@@ -178,6 +180,27 @@ def test_wrong_dof_order_is_found_and_named(order):
     assert grave(guessed) == set() and order in guessed.facts["dof_order"]
 
 
+@pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e7, 1e10])
+@pytest.mark.parametrize("mount", ["corners", "one end", "everywhere", "mean of one end"])
+def test_mounts_of_a_symmetric_mesh_are_no_other_order(mount, stiffness):
+    """The box is its own mirror image, so the reverse of its order fits K as well, and better where mounts count."""
+    model = bar()
+    xyz = model.nodes.xyz - model.nodes.xyz.mean(axis=0)
+    rows = {
+        "corners": np.flatnonzero((np.abs(xyz) > 0.499 * np.array(SIZE)).all(axis=1)),
+        "everywhere": np.arange(len(xyz)),
+    }.get(mount, np.flatnonzero(xyz[:, 0] < -0.499 * SIZE[0]))
+    springs = np.full((len(rows),) * 2, 1 / len(rows)) if mount == "mean of one end" else np.eye(len(rows))
+    place = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (len(xyz), len(rows)))
+    held = sp.csr_array(sp.kron(place @ sp.csr_array(stiffness * springs) @ place.T, sp.eye_array(3)))
+    for mapped in (known(model), {"nodes": model.nodes}):
+        found = examine(sp.csr_array(model.K + held), model.M, **mapped)
+        assert grave(found) <= {"grounded"} and not found.errors, found.text()
+        assert found.facts.get("dof_order", "node by node (x").startswith("node by node (x")
+        if mount != "everywhere" or stiffness > 1e3:  # else it might be numbers with few digits
+            assert "grounded" in found.codes and found.facts["free_motions"] < 6
+
+
 def test_a_mass_matrix_in_another_order_than_the_stiffness():
     model = bar()
     _, M = permuted(model, np.arange(model.size).reshape(-1, 3).T.ravel())
@@ -247,18 +270,71 @@ def test_unmerged_nodes():
     assert len(pairs) == 9 and np.abs(xyz[pairs[:, 0]] - xyz[pairs[:, 1]]).max() < 1e-12
 
 
-def test_an_open_seam_is_noted():
-    """A box of which one node on an edge was split: a crack that needs no cure, but the pair is named."""
-    mesh = box("hex8", (4, 2, 2), SIZE)
-    elements = mesh.blocks[0]
-    row = int(np.argmin(np.linalg.norm(mesh.nodes.xyz - np.array([SIZE[0] / 2, 0, 0]), axis=1)))
+def split(mesh, rows, label=777):
+    """The mesh with a copy of each node of ``rows`` for the elements beyond it along x."""
+    elements, xyz = mesh.blocks[0], mesh.nodes.xyz
     table = elements.nodes.copy()
-    second = np.flatnonzero((table == row).any(axis=1))[1]
-    table[second, table[second] == row] = len(mesh.nodes)
-    nodes = Nodes(ids=np.append(mesh.nodes.ids, 777), xyz=np.vstack([mesh.nodes.xyz, mesh.nodes.xyz[row]]))
-    model = steel(Mesh(nodes=nodes, blocks=(type(elements)(type="hex8", nodes=table, ids=elements.ids),)))
-    seen = examine_model(model, deep=True)
-    assert grave(seen) == set() and finding(seen, "coincident-nodes").where == (str(mesh.nodes.ids[row]), "777")
+    beyond = xyz[table, 0].mean(axis=1) > xyz[rows[0], 0]
+    for k, row in enumerate(rows):
+        table[beyond] = np.where(table[beyond] == row, len(xyz) + k, table[beyond])
+    nodes = Nodes(ids=np.append(mesh.nodes.ids, label + np.arange(len(rows))), xyz=np.vstack([xyz, xyz[rows]]))
+    return Mesh(nodes=nodes, blocks=(type(elements)(type=elements.type, nodes=table, ids=elements.ids),))
+
+
+@pytest.mark.parametrize("count", [1, 5, 8])
+def test_an_open_seam_is_named(count):
+    """Up to all but one of the nodes of a section are double, which opens a crack and makes the bar softer."""
+    mesh = box("hex8", (4, 2, 2), SIZE)
+    rows = np.flatnonzero(np.abs(mesh.nodes.xyz[:, 0] - SIZE[0] / 2) < 1e-9)[:count]
+    model = steel(split(mesh, rows))
+    pairs = np.stack([mesh.nodes.ids[rows], 777 + np.arange(count)], axis=1)
+    for seen in (examine_model(model, deep=True), examine(model.K, model.M, **known(model))):
+        one = finding(seen, "coincident-nodes")
+        assert one.severity == "warning" and grave(seen) <= {"coincident-nodes", "mechanism"}, seen.text()
+        assert {frozenset(pair) for pair in np.array(one.where, dtype=int).reshape(-1, 2).tolist()} == {
+            frozenset(pair) for pair in pairs.tolist()
+        }
+    (sentence,) = examined_mesh(model)
+    assert f"{count} pair" in sentence and f"{pairs[0, 0]} and 777" in sentence and "merge" in sentence
+    assert not examined_mesh(steel(mesh))
+
+
+def test_bodies_that_touch_are_no_seam():
+    """Two boxes face to face, joined by springs at their far ends only: the nodes between them may be a contact."""
+    mesh = box("hex8", (2, 1, 1), SIZE)
+    n, block = len(mesh.nodes), mesh.blocks[0]
+    xyz = np.vstack([mesh.nodes.xyz, mesh.nodes.xyz + np.array([SIZE[0], 0, 0])])
+    both = type(block)(type="hex8", nodes=np.vstack([block.nodes, block.nodes + n]), ids=np.arange(2 * len(block.ids)))
+    model = steel(Mesh(nodes=Nodes(ids=np.arange(1, 2 * n + 1), xyz=xyz), blocks=(both,)))
+    low, high = (np.flatnonzero(xyz[:, 0] == x) for x in (0.0, 2 * SIZE[0]))
+    joined = changed(model.K, [(3 * a + c, 3 * b + c, -1e6) for a in low for b in high for c in range(3)]
+                     + [(3 * a + c, 3 * a + c, 4e6) for a in (*low, *high) for c in range(3)])  # fmt: skip
+    seen = examine(joined, model.M, **known(model), mesh=model.mesh)
+    assert "coincident-nodes" not in seen.codes and finding(seen, "touching-bodies").severity == "note"
+    assert not any("at one place" in sentence for sentence in examined_mesh(model))
+
+
+@pytest.mark.parametrize("kind", ["hex8", "hex20", "tet10", "wedge6"])
+@pytest.mark.parametrize("merged_", [True, False])
+def test_elements_that_are_there_twice_are_named(kind, merged_):
+    """Copies with other labels, on the same nodes in another order or on copies of these, doubled mass in silence."""
+    mesh = box(kind, (3, 1, 1), SIZE)
+    block, n = mesh.blocks[0], len(mesh.nodes)
+    used, again = np.unique(block.nodes[1:3], return_inverse=True)
+    again = block.nodes[1:3] if merged_ else n + again.reshape(2, -1)
+    if kind == "hex8":
+        again = again[:, [1, 2, 3, 0, 5, 6, 7, 4]]
+    xyz = mesh.nodes.xyz if merged_ else np.vstack([mesh.nodes.xyz, mesh.nodes.xyz[used]])
+    twice = Mesh(
+        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        blocks=(block, type(block)(type=kind, nodes=again, ids=np.array([1001, 1002]))),
+    )
+    model = steel(twice)
+    one = finding(examine_model(model), "double-elements")
+    assert one.severity == "warning" and one.where == ("2", "1001", "3", "1002")
+    assert "2 solid elements" in one.sentence and ("on the same nodes" if merged_ else "copies") in one.sentence
+    assert any("2 and 1001" in sentence for sentence in examined_mesh(model))
+    assert "double-elements" not in examine_model(steel(mesh)).codes
 
 
 def test_many_parts_are_all_counted():
@@ -368,6 +444,34 @@ def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
         assert "again with --units m-kg-s" in unknown.cure
 
 
+@pytest.mark.parametrize("materials", [True, False])
+def test_metres_taken_for_millimetres_beside_a_proper_material(materials):
+    """Speed of sound and density are right, so that nothing but the size tells: half a millimetre of steel."""
+    model = bar(size=tuple(1e-3 * np.array(SIZE)))
+    given = {**known(model), "declared": parse_units("mm-t-s")}
+    if materials:
+        given |= {"mesh": model.mesh, "materials": model.materials}
+    one = finding(examine(model.K, model.M, **given), "size")
+    assert one.severity == "warning" and "0.0005 x 6e-05 x 4e-05 m, 9.42e-09 kg" in one.sentence
+    assert "if its longest side is 0.5 m" in one.cure and "m-kg-s" in one.cure
+    (sentence,) = examined_mesh(model, parse_units("mm-t-s"))
+    assert "the body is tiny: 0.0005 x" in sentence and "Hz" in sentence
+    assert not examined_mesh(model) and not examined_mesh(model, parse_units("um-kg-s"))
+    assert not examined_mesh(bar(), parse_units("mm-t-s"))
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_the_first_frequency_to_expect_is_about_right(scale):
+    model = bar("hex20", (10, 1, 1), tuple(scale * np.array(SIZE)))
+    seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
+    with Problem(model, []) as problem:
+        first = problem.elastic_modes(count=1).frequencies_hz[0]
+    assert seen.mass == pytest.approx(7850 * np.prod(scale * np.array(SIZE)))
+    assert 0.7 < seen.first_hz / first < 1.4
+    plain = model_outlook(model.K, model.M, model.nodes, model.dofs, ())
+    assert 0.5 < plain.first_hz / first < 2.0 and " kg, first elastic frequency about " in plain.words
+
+
 def test_a_material_in_si_beside_millimetres():
     """Two metres or two millimetres: metres. Of 50 both cures are named, as either may be meant; 500 m are too long."""
     mm = parse_units("mm-t-s")
@@ -461,6 +565,14 @@ def test_dampers_to_the_ground_are_noted():
     assert grave(seen) == set() and finding(seen, "grounded-damping").where == (str(model.nodes.ids[5]),)
     seen = examine(model.K, model.M, sp.csr_array(-1e-6 * model.K), **known(model))
     assert grave(seen) == {"indefinite"} and not seen.errors
+
+
+@pytest.mark.parametrize("factor", [1e-200, 1e200])
+def test_numbers_far_from_one_are_not_indefinite(factor):
+    """Products of two diagonal entries left the range of numbers, and sound matrices were called indefinite."""
+    model = bar()
+    for K, M in ((model.K * factor, model.M), (model.K, model.M * factor)):
+        assert "indefinite" not in examine(sp.csr_array(K), sp.csr_array(M), **known(model)).codes
 
 
 def test_values_that_are_not_numbers():

@@ -195,7 +195,7 @@ def test_entries_given_twice_in_a_full_file_are_refused(model, tmp_path):
     repeated = record(np.append(np.where(row == row[1], row[0], row), 0) + 1, INTEGER)
     assert path.read_bytes().count(given) >= 1
     path.write_bytes(path.read_bytes().replace(given, repeated, 1))
-    with pytest.raises(InputError, match="K has entries twice"):
+    with pytest.raises(InputError, match="K gives 1 entry twice: the first in row"):
         read_ansys_full(path)
 
 
