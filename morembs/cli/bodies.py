@@ -10,9 +10,10 @@ import typer
 
 from morembs.body.file import read_body
 from morembs.cli.report_stored import print_stored, stored_json
-from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
+from morembs.cli.terminal import EPILOG, AsJson, console, messages, print_json, printing, progress_line
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body, make_exporter
+from morembs.recovery.recover import Recovered
 from morembs.recovery.recover import recover as recover_series
 
 app = typer.Typer()
@@ -23,15 +24,13 @@ BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where 
 @app.command(epilog=EPILOG)
 def info(file: BodyFile, as_json: AsJson = False) -> None:
     """Show what a body file holds."""
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         stored = read_body(file)
-        if as_json:
-            print_json(stored_json(str(file), stored))
-        else:
-            print_stored(console(), str(file), stored)
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing():
+            if as_json:
+                print_json(stored_json(str(file), stored))
+            else:
+                print_stored(console(), str(file), stored)
 
 
 @app.command(epilog=EPILOG)
@@ -50,23 +49,22 @@ def export(
     """Write a body for another program."""
     if listed:
         targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
-        if as_json:
-            print_json(targets)
-        else:
-            typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
+        with messages(), printing():
+            if as_json:
+                print_json(targets)
+            else:
+                typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
         return
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         if file is None or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
         done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
         paths = [str(path) for path in done.paths]
-        if as_json:
-            print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
-        else:
-            typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing(paths):
+            if as_json:
+                print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
+            else:
+                typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
 
 
 def _options(to: str, given: list[str]) -> dict[str, Any]:
@@ -103,26 +101,28 @@ def recover(
     as_json: AsJson = False,
 ) -> None:
     """Expand a reduced motion to all nodes, with stresses, for ParaView."""
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         with progress_line() as progress:
             done = recover_series(
                 file, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
             )
-        peak = None if done.peak is None else dict(zip(("von_mises_pa", "node", "time_s"), done.peak, strict=True))
-        if as_json:
-            print_json({
-                "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
-                "notes": list(done.notes),
-            })  # fmt: skip
-            return
-        typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
-        if peak is not None:
-            typer.echo(
-                f"largest von Mises stress: {peak['von_mises_pa'] / 1e6:,.4g} MPa at node {peak['node']}, "
-                f"{peak['time_s']:g} s"
-            )
-        for note in done.notes:
-            typer.echo(f"note: {note}")
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing([str(done.path)]):
+            _print_recovered(done, as_json)
+
+
+def _print_recovered(done: Recovered, as_json: bool) -> None:
+    peak = None if done.peak is None else dict(zip(("von_mises_pa", "node", "time_s"), done.peak, strict=True))
+    if as_json:
+        print_json({
+            "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
+            "notes": list(done.notes),
+        })  # fmt: skip
+        return
+    typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
+    if peak is not None:
+        typer.echo(
+            f"largest von Mises stress: {peak['von_mises_pa'] / 1e6:,.4g} MPa at node {peak['node']}, "
+            f"{peak['time_s']:g} s"
+        )
+    for note in done.notes:
+        typer.echo(f"note: {note}")
