@@ -20,6 +20,7 @@ from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs import __version__, stopping
 from morembs.errors import InputError, MorembsError, OutputError
+from morembs.memory import release
 from morembs.progress import SILENT, Progress
 
 FAULT, BAD_INPUT = 1, 2
@@ -86,9 +87,9 @@ class LineProgress:
     Work that takes less than ``PATIENCE_OF_LINES`` writes nothing.
     """
 
-    def __init__(self, write: Callable[[str], object]) -> None:
-        self._write = write
-        self._start = time.monotonic()
+    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
+        self._write, self._clock = write, clock
+        self._start = clock()
         self._stage, self._news, self._told = "", "", ""
         self._last = -REPEAT_SECONDS
         self._lock, self._end = Lock(), Event()
@@ -97,18 +98,18 @@ class LineProgress:
         """A new stage begins."""
         with self._lock:
             self._stage, self._news = name, ""
-        self._look()
+        self.look()
 
     def update(self, text: str) -> None:
         """News within the stage."""
         with self._lock:
             self._news = text
-        self._look()
+        self.look()
 
-    def _look(self) -> None:
+    def look(self) -> None:
         """Write a line if one is due."""
         with self._lock:
-            elapsed = time.monotonic() - self._start
+            elapsed = self._clock() - self._start
             since = elapsed - self._last
             due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
             if elapsed < PATIENCE_OF_LINES or not due or not (self._stage or self._news):
@@ -118,7 +119,7 @@ class LineProgress:
 
     def _watch(self) -> None:
         while not self._end.wait(min(STAGE_SECONDS, REPEAT_SECONDS) / 2):
-            self._look()
+            self.look()
 
     @contextmanager
     def shown(self) -> Iterator[Progress]:
@@ -157,7 +158,7 @@ def progress_line(quiet: bool = False) -> Iterator[Progress]:
         yield Heeding(SILENT)
         return
     seen = sys.stderr is not None and sys.stderr.isatty()
-    shown = TerminalProgress(Console(stderr=True), True).shown() if seen else LineProgress(tell).shown()
+    shown = TerminalProgress(Screen(stderr=True), True).shown() if seen else LineProgress(tell).shown()
     with shown as progress:
         yield Heeding(progress)
 
@@ -255,18 +256,14 @@ def each_job(
     reasons = refused or {}
     for number, path in enumerate(jobs):
         stopping.check()
-        faults = len(failed)
         with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
             if number in reasons:
                 raise InputError(reasons[number])
-            with progress_line(quiet) as progress:
-                document, show = work(path, progress)
-            documents.append(document)
-            if not as_json:
-                with printing(_written(document)):
-                    show()
-        if len(failed) > faults and len(documents) == number:
+            _do(work, path, as_json, quiet, documents)
+        if len(documents) == number:
             documents.append({"job": str(path), "error": failed[-1].message})
+        # The next job shall not hold, nor report, what this one needed.
+        release()
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json(documents if len(jobs) > 1 else documents[0])
@@ -274,14 +271,31 @@ def each_job(
         raise typer.Exit(min(one.code for one in failed))
 
 
+def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:
+    with progress_line(quiet) as progress:
+        document, show = work(path, progress)
+    documents.append(document)
+    if not as_json:
+        with printing(_written(document)):
+            show()
+
+
 def _written(document: Mapping[str, Any]) -> list[str]:
     """The files of a finished job."""
     return [document[key] for key in ("output", "picture") if document.get(key)]
 
 
+class Screen(Console):
+    """A console that leaves a pipe without a reader to its caller, instead of ending the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Called while the error is handled."""
+        raise
+
+
 def console() -> Console:
     """Standard output; a pipe or a file has no width that tables must fit."""
-    return Console() if sys.stdout.isatty() else Console(width=PIPE_WIDTH)
+    return Screen() if sys.stdout.isatty() else Screen(width=PIPE_WIDTH)
 
 
 def print_json(document: object) -> None:

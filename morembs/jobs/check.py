@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from morembs.budget import Budget, available_bytes, resident_bytes
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
@@ -32,6 +32,7 @@ from morembs.jobs.preflight import model_warnings, preflight
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import blas_threads, limit_threads
+from morembs.memory import available_bytes, resident_bytes
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
 from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
@@ -145,7 +146,7 @@ def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
     """What may go wrong on this machine."""
     found = []
     available = available_bytes()
-    if available is not None and cost.peak > available:
+    if cost.peak > available:
         found.append(
             f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
             "memory budget and a scratch folder"

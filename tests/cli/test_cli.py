@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -270,24 +269,50 @@ def test_lines_without_a_terminal(tmp_path: Path) -> None:
             assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {one[1] for one in told if one}
 
 
+class Clock:
+    """Time that passes only when the test says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 def test_long_work_goes_on_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call that reports nothing for long is told all the same, and one that reports a lot is not told each time."""
-    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 0.0)
-    monkeypatch.setattr(terminal, "STAGE_SECONDS", 0.05)
-    monkeypatch.setattr(terminal, "REPEAT_SECONDS", 0.2)
-    lines: list[str] = []
-    with terminal.LineProgress(lines.append).shown() as progress:
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 5.0)
+    clock, lines = Clock(), list[str]()
+    progress = terminal.LineProgress(lines.append, clock)
+
+    def pass_time(seconds: int) -> None:
+        for _ in range(2 * seconds):
+            clock.now += 0.5
+            progress.look()
+
+    progress.stage("factorise")
+    pass_time(4)
+    assert lines == []
+    pass_time(36)
+    assert lines == ["[5 s] factorise", "[20 s] factorise", "[35 s] factorise"]
+    del lines[:]
+    progress.stage("solve modes")
+    for step in range(700):
+        clock.now += 0.0625
+        progress.update(f"{step} converged")
+    assert lines == ["[40 s] solve modes", "[55 s] solve modes: 239 converged", "[70 s] solve modes: 479 converged"]
+
+
+def test_a_thread_looks_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the work does not tell, and for no longer than the work."""
+    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 5.0)
+    clock, told = Clock(), threading.Event()
+    lines = terminal.LineProgress(lambda _: told.set(), clock)
+    with lines.shown() as progress:
         progress.stage("factorise")
-        time.sleep(0.7)
-        silent = len(lines)
-        progress.stage("solve modes")
-        for step in range(700):
-            progress.update(f"{step} converged")
-            time.sleep(0.001)
-    assert 3 <= silent <= 5 and all(line.endswith(" s] factorise") for line in lines[:silent])
-    told = lines[silent:]
-    assert 3 <= len(told) <= 6 and "solve modes" in told[0]
-    assert all("converged" in line for line in told[1:])
+        clock.now = 100.0
+        assert told.wait()
+        assert len(progress_threads()) == 1
     assert not progress_threads()
 
 
@@ -298,12 +323,20 @@ def progress_threads() -> list[str]:
 @pytest.mark.parametrize("visible", [True, False])
 def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) -> None:
     monkeypatch.setattr(terminal, "PATIENCE_SECONDS", 0.0)
-    screen = io.StringIO()
+
+    class Screen(io.StringIO):
+        def write(self, text: str) -> int:
+            written = super().write(text)
+            if "factorise: half" in self.getvalue():
+                seen.set()
+            return written
+
+    seen, screen = threading.Event(), Screen()
     with terminal.TerminalProgress(Console(file=screen, force_terminal=True), visible).shown() as progress:
         progress.stage("factorise")
         progress.update("half")
-        time.sleep(0.4)
-    assert ("factorise: half" in screen.getvalue()) == visible
+        assert seen.wait() if visible else not seen.is_set()
+    assert seen.is_set() == visible
 
 
 def test_stages_are_reported(tmp_path: Path) -> None:
