@@ -28,7 +28,7 @@ from morembs.jobs.inputs import (
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
-from morembs.jobs.preflight import model_warnings, preflight
+from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import blas_threads, limit_threads
@@ -58,11 +58,13 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
+    require_room(solver.memory, start)
     progress.stage("read")
     if job.tables.model.file is not None:
         return _check_file(job, solver, start, progress)
     mesh = read_mesh(source_of(job), units_of(job))
     progress.stage("check elements")
+    require_room(solver.memory, start, 3 * len(mesh.nodes))
     graph = check_mesh(mesh, materials, progress)
     progress.stage("check interfaces")
     size = 3 * len(mesh.nodes)
@@ -109,6 +111,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         model = read_model(source_of(job), budget=budget)
+        require_room(solver.memory, start, model.size)
         progress.stage("examine")
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from morembs.body.build import Delivery
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
-from morembs.errors import InputError, nearest
+from morembs.errors import BudgetError, InputError, nearest
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
@@ -35,8 +35,35 @@ MANY_MOTIONS = 60
 MANY_MODES, MOST_MODES = 0.1, 1000
 # Models that take seconds whatever is asked of them.
 SMALL = 3000
+# What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured.
+RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
 # Variants of balanced truncation with one space for trial and test.
 ONE_SIDED = ("fv", "pv")
+
+
+def require_room(memory: int | None, start: int, dofs: int = 0) -> None:
+    """Refuse a budget of ``memory`` bytes that a job with a model of ``dofs`` exceeds whatever it does.
+
+    Args:
+        start: resident memory of the process before any model was read.
+
+    Raises:
+        BudgetError: as said.
+    """
+    beside = resting_bytes(dofs)
+    needed = start + beside
+    if memory is not None and memory < needed:
+        raise BudgetError(
+            f"[solver]: memory = {memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} MB "
+            f"before it reads a model, and {beside / 1e6:.0f} MB for the smallest part of a job that has to stay in "
+            f"memory; give at least {needed // 1_000_000 + 1} MB",
+            needed=needed,
+        )
+
+
+def resting_bytes(dofs: int) -> int:
+    """What a job with ``dofs`` keeps in memory even when all that can rest does."""
+    return RESTING_BYTES + RESTING_COLUMNS * 8 * dofs
 
 
 def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tuple[str, ...]:

@@ -35,10 +35,10 @@ from morembs.jobs.inputs import (
 )  # fmt: skip
 from morembs.jobs.job import Job
 from morembs.jobs.picture import draw
-from morembs.jobs.preflight import model_warnings, preflight
+from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
-from morembs.memory import PeakMemory
+from morembs.memory import PeakMemory, resident_bytes
 from morembs.model import FEModel, Mesh
 from morembs.model.assembly import assemble
 from morembs.model.material import Material
@@ -92,21 +92,23 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     Raises:
         MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
     """
+    start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
+    require_room(solver.memory, start)
     with (
         limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget,
         PeakMemory() as memory,
     ):  # fmt: skip
-        return _run(job, solver, materials, budget, Stopwatch(progress, memory), warn)
+        return _run(job, solver, materials, budget, start, Stopwatch(progress, memory), warn)
 
 
 def _run(
-    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch,
+    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch,
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model = _read(job, materials, budget, watch)
+    model = _read(job, materials, budget, start, watch)
     warnings = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -152,14 +154,17 @@ def _run(
     )  # fmt: skip
 
 
-def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> FEModel:
+def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch) -> FEModel:
     """The model of the job, from its model file or assembled from its mesh."""
     asked, progress = job.tables.model, watch.progress
     if asked.file is not None:
         with watch.stage("read"):
-            return read_model(job.resolve(asked.file), budget=budget)
+            model = read_model(job.resolve(asked.file), budget=budget)
+        require_room(budget.memory, start, model.size)
+        return model
     with watch.stage("read"):
         mesh = read_mesh(source_of(job), units_of(job))
+    require_room(budget.memory, start, 3 * len(mesh.nodes))
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
