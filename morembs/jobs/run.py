@@ -95,7 +95,7 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
-    require_room(solver.memory, start)
+    require_room(job, start)
     with (
         limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget,
         PeakMemory() as memory,
@@ -160,11 +160,11 @@ def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, w
     if asked.file is not None:
         with watch.stage("read"):
             model = read_model(job.resolve(asked.file), budget=budget)
-        require_room(budget.memory, start, model.size)
+        require_room(job, start, model.size)
         return model
     with watch.stage("read"):
         mesh = read_mesh(source_of(job), units_of(job))
-    require_room(budget.memory, start, 3 * len(mesh.nodes))
+    require_room(job, start, 3 * len(mesh.nodes))
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
