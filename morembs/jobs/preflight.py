@@ -40,7 +40,7 @@ SMALL = 3000
 # What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured. Of
 # the bytes this much is there before modes are counted, and so much more takes the smallest count.
 RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
-LOADED_BYTES, LEAST_COUNT = 25_000_000, 6_000_000
+LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
 # Variants of balanced truncation with one space for trial and test.
 ONE_SIDED = ("fv", "pv")
 
@@ -63,7 +63,7 @@ def require_room(job: Job, start: int, dofs: int = 0) -> None:
         raise BudgetError(
             f"[solver]: memory = {job.memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} "
             f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of the smallest "
-            f"such job; give at least {needed // 1_000_000 + 1} MB",
+            f"such job; give at least {needed // 1_000_000 + 2} MB",
             needed=needed,
         )
 
