@@ -26,7 +26,6 @@ import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from morembs.budget import resident_bytes
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import sprung
 from morembs.linalg.sparse.mixed import Mixed
@@ -36,8 +35,8 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads
 from morembs.linalg.statics import support_dofs
+from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.progress import peak_memory_bytes
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]

@@ -11,13 +11,12 @@ import numpy as np
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 
-from morembs.budget import resident_bytes
 from morembs.linalg.dynamic_stiffness import sprung
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.statics import Restricted, support_dofs
+from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.problem import Problem
-from morembs.progress import peak_memory_bytes
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]

@@ -16,12 +16,11 @@ import scipy.linalg as sl
 from measure import Report, Row, Settings, child, in_rounds, ratios
 from numpy.typing import NDArray
 
-from morembs.budget import resident_bytes
 from morembs.floating.frame import floating_frame
 from morembs.floating.integrals import ShapeIntegrals
+from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.problem import Problem
-from morembs.progress import peak_memory_bytes
 from morembs.reducers.base import ReducedModel, projected
 
 Floats = NDArray[np.float64]

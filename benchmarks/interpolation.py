@@ -19,14 +19,13 @@ from models import interfaces
 from numpy.typing import NDArray
 
 from morembs import Problem, full_response, make_interface
-from morembs.budget import resident_bytes
 from morembs.certificate.response import reduced_response
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.model.selection import select_nodes
 from morembs.problem import Damping
-from morembs.progress import peak_memory_bytes
 from morembs.reducers.krylov import Krylov
 
 Floats = NDArray[np.float64]

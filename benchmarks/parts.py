@@ -83,7 +83,7 @@ def average_interface(mesh: Any) -> Row:
 
     from morembs import assemble, isotropic, make_interface
     from morembs.interface import couple
-    from morembs.progress import peak_memory_bytes
+    from morembs.memory import peak_memory_bytes
 
     model = assemble(mesh, [isotropic(**_STEEL)])
     top = np.flatnonzero(model.nodes.xyz[:, 2] > model.nodes.xyz[:, 2].mean())

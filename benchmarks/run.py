@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import budgets
 import frames
 import jobs
 import killed
@@ -26,7 +27,10 @@ import solvers
 import switching
 from measure import HERE, Settings, required
 
-CASES = {**solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, "killed": killed.killed}
+CASES = {
+    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
+    "killed": killed.killed,
+}  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
 ROUNDS = 3

@@ -6,20 +6,18 @@ stay in the file (and in the cache of the operating system), the resident memory
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from morembs.errors import OutputError
+from morembs.memory import resident_bytes, trim
 from morembs.scratch import ScratchFolder
 
 Values = NDArray[Any]
@@ -32,42 +30,6 @@ _BLOCK_SHARE = 0.25
 _WIDEST = 256
 # Less than this part of the budget left is tight.
 _TIGHT = 0.3
-
-
-def resident_bytes() -> int:
-    """Resident memory of this process now; 0 where the system does not tell."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * mmap.PAGESIZE
-    except OSError:
-        return 0
-
-
-def available_bytes() -> int | None:
-    """Memory that this machine has free, None where it does not tell."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            fields = dict(line.split(":", 1) for line in file)
-        return int(fields["MemAvailable"].split()[0]) * 1024
-    except (OSError, KeyError, ValueError):
-        return None
-
-
-@cache
-def _malloc_trim() -> Callable[[int], int] | None:
-    """The call of the GNU C library that returns freed memory to the system; None elsewhere."""
-    try:
-        trim = ctypes.CDLL(None).malloc_trim
-    except (OSError, AttributeError, TypeError):
-        return None
-    trim.argtypes = [ctypes.c_size_t]
-    return cast(Callable[[int], int], trim)
-
-
-def _trim() -> None:
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
 
 
 @dataclass(eq=False)
@@ -120,7 +82,7 @@ class Budget:
         for mapped in self._maps:
             if hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
-        _trim()
+        trim()
 
     def relax(self) -> None:
         """As ``rest``, where the budget is nearly used up: for loops over large arrays."""

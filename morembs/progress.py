@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
+
+from morembs.memory import PeakMemory
 
 
 class Progress(Protocol):
@@ -34,15 +34,9 @@ class Silent:
 SILENT = Silent()
 
 
-def peak_memory_bytes() -> int:
-    """Peak resident memory of this process so far, as the operating system counts it."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """Cost of one finished stage; ``peak_memory_bytes`` is that of the process up to its end."""
+    """Cost of one finished stage; ``peak_memory_bytes`` is the peak resident memory of the process during it."""
 
     name: str
     seconds: float
@@ -51,15 +45,24 @@ class Stage:
 
 @dataclass(eq=False)
 class Stopwatch:
-    """Measures stages and passes them on to a ``Progress``."""
+    """Measures stages and passes them on to a ``Progress``; ``peak_memory_bytes`` is that of all since the first."""
 
     progress: Progress = SILENT
+    memory: PeakMemory = field(default_factory=PeakMemory)
     stages: list[Stage] = field(default_factory=list)
+    peak_memory_bytes: int = 0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure what happens inside the ``with``."""
         self.progress.stage(name)
+        self._take()
         start = time.perf_counter()
         yield
-        self.stages.append(Stage(name=name, seconds=time.perf_counter() - start, peak_memory_bytes=peak_memory_bytes()))
+        seconds = time.perf_counter() - start
+        self.stages.append(Stage(name=name, seconds=seconds, peak_memory_bytes=self._take()))
+
+    def _take(self) -> int:
+        peak = self.memory.take()
+        self.peak_memory_bytes = max(self.peak_memory_bytes, peak)
+        return peak

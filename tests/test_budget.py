@@ -65,7 +65,8 @@ REST = """
 import sys
 from pathlib import Path
 import numpy as np
-from morembs.budget import Budget, resident_bytes
+from morembs.budget import Budget
+from morembs.memory import resident_bytes
 memory = resident_bytes() + int(sys.argv[2])
 budget = Budget(memory, Path(sys.argv[1]))
 A = budget.empty(10_000_000)

@@ -10,10 +10,11 @@ import typer
 
 from morembs.body.file import read_body
 from morembs.cli.report_stored import print_stored, stored_json
-from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, console, messages, print_json, progress_line
+from morembs.cli.terminal import EPILOG, AsJson, console, messages, print_json, printing, progress_line
 from morembs.diagnostics.warnings import refuse_unsound, stored_findings
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body, make_exporter
+from morembs.recovery.recover import Recovered
 from morembs.recovery.recover import recover as recover_series
 
 app = typer.Typer()
@@ -24,17 +25,15 @@ BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where 
 @app.command(epilog=EPILOG)
 def info(file: BodyFile, as_json: AsJson = False) -> None:
     """Show what a body file holds."""
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         stored = read_body(file, whole=True)
         found = stored_findings(stored)
-        if as_json:
-            print_json(stored_json(str(file), stored, found))
-        else:
-            print_stored(console(), str(file), stored, found)
+        with printing():
+            if as_json:
+                print_json(stored_json(str(file), stored, found))
+            else:
+                print_stored(console(), str(file), stored, found)
         refuse_unsound(str(file), found)
-    if failed:
-        raise typer.Exit(BAD_INPUT)
 
 
 @app.command(epilog=EPILOG)
@@ -53,23 +52,22 @@ def export(
     """Write a body for another program."""
     if listed:
         targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
-        if as_json:
-            print_json(targets)
-        else:
-            typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
+        with messages(), printing():
+            if as_json:
+                print_json(targets)
+            else:
+                typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
         return
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         if file is None or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
         done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
         paths = [str(path) for path in done.paths]
-        if as_json:
-            print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
-        else:
-            typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing(paths):
+            if as_json:
+                print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
+            else:
+                typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
 
 
 def _options(to: str, given: list[str]) -> dict[str, Any]:
@@ -106,38 +104,40 @@ def recover(
     as_json: AsJson = False,
 ) -> None:
     """Expand a reduced motion to all nodes, with stresses, for ParaView."""
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         with progress_line() as progress:
             done = recover_series(
                 file, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
             )
-        peak, worst = (_placed(one, key) for one, key in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
-        if as_json:
-            if peak is not None:
-                peak["jump_pa"] = done.peak_jump
-            print_json({
-                "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
-                "worst_jump": worst, "notes": list(done.notes),
-            })  # fmt: skip
-            return
-        typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
-        if done.peak is not None:
-            stress, node, time = done.peak
-            near = ""
-            if done.peak_jump is not None and stress > 0:
-                near = f"; elements around it miss the average by {done.peak_jump / stress:.1%}"
-            typer.echo(f"largest von Mises stress: {stress / 1e6:,.4g} MPa at node {node}, {time:g} s{near}")
-        if done.peak is not None and done.worst_jump is not None and done.peak[0] > 0:
-            jump, node, time = done.worst_jump
-            typer.echo(
-                f"largest jump between elements: {jump / 1e6:,.4g} MPa ({jump / done.peak[0]:.1%} of that stress) at "
-                f"node {node}, {time:g} s"
-            )
-        for note in done.notes:
-            typer.echo(f"note: {note}")
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing([str(done.path)]):
+            _print_recovered(done, as_json)
+
+
+def _print_recovered(done: Recovered, as_json: bool) -> None:
+    peak, worst = (_placed(one, key) for one, key in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
+    if as_json:
+        if peak is not None:
+            peak["jump_pa"] = done.peak_jump
+        print_json({
+            "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
+            "worst_jump": worst, "notes": list(done.notes),
+        })  # fmt: skip
+        return
+    typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
+    if done.peak is not None:
+        stress, node, time = done.peak
+        near = ""
+        if done.peak_jump is not None and stress > 0:
+            near = f"; elements around it miss the average by {done.peak_jump / stress:.1%}"
+        typer.echo(f"largest von Mises stress: {stress / 1e6:,.4g} MPa at node {node}, {time:g} s{near}")
+    if done.peak is not None and done.worst_jump is not None and done.peak[0] > 0:
+        jump, node, time = done.worst_jump
+        typer.echo(
+            f"largest jump between elements: {jump / 1e6:,.4g} MPa ({jump / done.peak[0]:.1%} of that stress) at "
+            f"node {node}, {time:g} s"
+        )
+    for note in done.notes:
+        typer.echo(f"note: {note}")
 
 
 def _placed(found: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:

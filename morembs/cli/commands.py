@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from morembs import stopping
 from morembs.body.file import check_writable
 from morembs.cli.bodies import app as bodies
 from morembs.cli.models import app as models
@@ -21,10 +24,26 @@ from morembs.cli.report import (
     result_json,
     without_nan,
 )
-from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, Done, Jobs, Quiet, console, each_job, print_json, warn
-from morembs.errors import InputError
+from morembs.cli.terminal import (
+    BAD_INPUT,
+    EPILOG,
+    AsJson,
+    Done,
+    Jobs,
+    Quiet,
+    console,
+    each_job,
+    failure,
+    messages,
+    print_json,
+    printing,
+    tell,
+    warn,
+)
+from morembs.errors import InputError, MorembsError
 from morembs.jobs.check import check_job
-from morembs.jobs.job import load_job
+from morembs.jobs.inputs import clashes, source_of
+from morembs.jobs.job import Job, load_job
 from morembs.jobs.pareto import contenders, draw_contenders
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.interruptible import calls_running
@@ -42,13 +61,8 @@ app = typer.Typer(
 def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
     """Reduce the models of job files and write their bodies."""
 
-    owner: dict[Path, Path] = {}
-
     def work(path: Path, progress: Progress) -> Done:
         job = load_job(path)
-        other = owner.setdefault(job.output.resolve(), path)
-        if other is not path:
-            raise InputError(f"the output {job.output} is that of {other} too; give each job its own [output] path")
         told: list[str] = []
 
         def tell(sentence: str) -> None:
@@ -58,7 +72,7 @@ def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
         result = run_job(job, progress, tell)
         return result_json(result), lambda: print_result(console(), result, told)
 
-    each_job(jobs, as_json, work, quiet)
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
 
 
 @app.command(epilog=EPILOG)
@@ -77,7 +91,7 @@ def compare(
             check_writable(picture)
         loaded = load_job(path)
         if picture is not None and picture.resolve() in {
-            one.resolve() for one in (loaded.path, loaded.output, loaded.picture) if one is not None
+            one.resolve() for one in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if one is not None
         }:
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
@@ -102,7 +116,16 @@ def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
         forecast = check_job(load_job(path), progress)
         return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    each_job(jobs, as_json, work, quiet)
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
+
+
+def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
+    """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
+    loaded: dict[int, Job] = {}
+    for number, path in enumerate(jobs):
+        with suppress(MorembsError):
+            loaded[number] = load_job(path)
+    return clashes(loaded)
 
 
 app.add_typer(bodies)
@@ -112,12 +135,13 @@ app.add_typer(models)
 @app.command(epilog=EPILOG)
 def solvers(as_json: AsJson = False) -> None:
     """List the sparse solvers, the best first, and why some cannot run here."""
-    found = available_solvers()
-    if as_json:
-        print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
-        return
-    for name, reason in found.items():
-        typer.echo(f"{name}: {reason or 'available'}")
+    with messages(), printing():
+        found = available_solvers()
+        if as_json:
+            print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
+            return
+        for name, reason in found.items():
+            typer.echo(f"{name}: {reason or 'available'}")
 
 
 def _show_version(wanted: bool) -> None:
@@ -137,25 +161,37 @@ def _options(
 
 def main() -> None:
     """Entry point of the command ``morembs``."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _stop)
+    with stopping.heeded():
+        code = _exit_code()
+        number = stopping.asked()
+        if number is not None:
+            code = 128 + number
+            end = "interrupted" if number == signal.SIGINT else "terminated"
+            tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
+    if calls_running():
+        # A library still computes in another thread; ending as usual would take its memory from under it.
+        with suppress(OSError):
+            sys.stdout.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def _exit_code() -> int:
+    """Run the command; the code that it ends with if no signal came."""
     try:
         app()
     except SystemExit as end:
-        if calls_running():
-            # A library still computes in another thread; ending as usual would take its memory from under it.
-            sys.stdout.flush()
-            os._exit(end.code if isinstance(end.code, int) else BAD_INPUT)
-        raise
-    except OSError as error:
-        # Everything else that cannot be written has its own message: this is standard output.
-        typer.echo(f"error: the output cannot be printed ({error.strerror}); the results are written", err=True)
-        sys.exit(BAD_INPUT)
-
-
-def _stop(number: int, _: object) -> None:
-    """Leave through every ``with``, so that temporary files and factors on disk go."""
-    sys.exit(128 + number)
+        if isinstance(end.__context__, OSError):
+            # Typer leaves without a word where nobody reads its help.
+            return BAD_INPUT
+        return end.code if isinstance(end.code, int) else BAD_INPUT
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    except Exception as error:
+        found = failure(error)
+        tell(f"error: {found.message}")
+        return found.code
+    return 0
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from morembs.cli.report import without_nan
-from morembs.cli.terminal import BAD_INPUT, EPILOG, AsJson, messages, print_json, progress_line
+from morembs.cli.terminal import EPILOG, AsJson, messages, print_json, printing, progress_line
 from morembs.errors import InputError
 from morembs.jobs.import_job import ImportJob, ImportResult, list_formats, material_of, run_import
 from morembs.units import parse_units
@@ -42,13 +42,13 @@ def import_model(
     """Convert a model of another program into a model file that jobs read."""
     if listed:
         formats = list_formats()
-        if as_json:
-            print_json(formats)
-        else:
-            typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
+        with messages(), printing():
+            if as_json:
+                print_json(formats)
+            else:
+                typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
         return
-    failed: list[str] = []
-    with messages(failed):
+    with messages():
         if out is None:
             raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
         if not out.name.endswith((".h5", ".hdf5")):
@@ -68,12 +68,11 @@ def import_model(
         )  # fmt: skip
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)
-        if as_json:
-            print_json(_document(done))
-        else:
-            typer.echo("\n".join(_lines(done)))
-    if failed:
-        raise typer.Exit(BAD_INPUT)
+        with printing([str(done.path)]):
+            if as_json:
+                print_json(_document(done))
+            else:
+                typer.echo("\n".join(_lines(done)))
 
 
 def _options(given: list[str]) -> dict[str, Any]:

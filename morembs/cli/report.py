@@ -71,6 +71,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "seconds": {stage.name: stage.seconds for stage in result.stages},
         "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
+        "job_peak_memory_bytes": result.peak_memory_bytes,
     }
 
 
@@ -185,7 +186,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
 
 def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
-    heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak so far")
+    heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak memory")
     table = plain_table("body", *heads)
     for one in found:
         table.add_row(
@@ -196,7 +197,7 @@ def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> 
     titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     console.print(
         "held: with one interface held still, median over the band, worst interface; seconds: what reductions share "
-        "(modes, the reference model) counts for the first that needs it; peak so far: of the whole process",
+        "(modes, the reference model) counts for the first that needs it; peak memory: of the process during it",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
 
@@ -232,5 +233,6 @@ def _cost(result: JobResult) -> Table:
     table = plain_table("stage", "seconds", "peak memory")
     for stage in result.stages:
         table.add_row(stage.name, f"{stage.seconds:.2f}", bytes_words(stage.peak_memory_bytes))
-    table.add_row("all", f"{sum(stage.seconds for stage in result.stages):.2f}", "")
+    seconds = sum(stage.seconds for stage in result.stages)
+    table.add_row("all", f"{seconds:.2f}", bytes_words(result.peak_memory_bytes))
     return table

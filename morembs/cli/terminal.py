@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread, Timer
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
 from rich.progress import Progress as Bar
 from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from morembs.errors import MorembsError
+from morembs import stopping
+from morembs.errors import InputError, MorembsError, OutputError
+from morembs.memory import release
 from morembs.progress import SILENT, Progress
+from morembs.version import VERSION
 
-# Bad input, and the usual code of a process that Ctrl-C ends.
-BAD_INPUT, INTERRUPTED = 2, 130
+FAULT, BAD_INPUT = 1, 2
 # Shorter work shows no progress: on a terminal, and where lines are written.
 PATIENCE_SECONDS, PATIENCE_OF_LINES = 1.0, 5.0
 # Lines: a new stage is told after this, and a stage that goes on is told again each so many seconds.
@@ -28,9 +32,10 @@ STAGE_SECONDS, REPEAT_SECONDS = 1.0, 15.0
 PIPE_WIDTH = 160
 
 EPILOG = (
-    "Exit codes: 0 done; 1 a fault of this program; 2 input that cannot be used, a model that cannot be solved, or "
-    "a result that cannot be written (one message on standard error); 130 interrupted; 143 terminated. Of several "
-    "jobs one that fails does not stop the others; the exit code is then 2."
+    "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
+    "that cannot be solved, or a result that cannot be written (one message on standard error); 130 interrupted; 143 "
+    "terminated; a second signal ends the run without cleaning up. Of several jobs one that fails does not stop the "
+    "others; the exit code is then 2, or 1 where one was a fault of this program."
 )
 
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
@@ -71,7 +76,9 @@ class TerminalProgress:
         finally:
             self._timer.cancel()
             self._timer.join()
-            self._bar.stop()
+            # A terminal that has gone does not end the work.
+            with suppress(OSError):
+                self._bar.stop()
 
 
 class LineProgress:
@@ -81,9 +88,9 @@ class LineProgress:
     Work that takes less than ``PATIENCE_OF_LINES`` writes nothing.
     """
 
-    def __init__(self, write: Callable[[str], object]) -> None:
-        self._write = write
-        self._start = time.monotonic()
+    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
+        self._write, self._clock = write, clock
+        self._start = clock()
         self._stage, self._news, self._told = "", "", ""
         self._last = -REPEAT_SECONDS
         self._lock, self._end = Lock(), Event()
@@ -92,18 +99,18 @@ class LineProgress:
         """A new stage begins."""
         with self._lock:
             self._stage, self._news = name, ""
-        self._look()
+        self.look()
 
     def update(self, text: str) -> None:
         """News within the stage."""
         with self._lock:
             self._news = text
-        self._look()
+        self.look()
 
-    def _look(self) -> None:
+    def look(self) -> None:
         """Write a line if one is due."""
         with self._lock:
-            elapsed = time.monotonic() - self._start
+            elapsed = self._clock() - self._start
             since = elapsed - self._last
             due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
             if elapsed < PATIENCE_OF_LINES or not due or not (self._stage or self._news):
@@ -113,7 +120,7 @@ class LineProgress:
 
     def _watch(self) -> None:
         while not self._end.wait(min(STAGE_SECONDS, REPEAT_SECONDS) / 2):
-            self._look()
+            self.look()
 
     @contextmanager
     def shown(self) -> Iterator[Progress]:
@@ -127,68 +134,169 @@ class LineProgress:
             watcher.join()
 
 
+class Heeding:
+    """Passes progress on, and ends the work where a signal has asked for that and its exception was lost."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def stage(self, name: str) -> None:
+        """A new stage begins."""
+        stopping.check()
+        self._progress.stage(name)
+
+    def update(self, text: str) -> None:
+        """News within the stage."""
+        stopping.check()
+        self._progress.update(text)
+
+
 @contextmanager
 def progress_line(quiet: bool = False) -> Iterator[Progress]:
     """Progress on standard error while work goes on: one line that changes where somebody watches, else lines."""
+    stopping.check()
     if quiet:
-        yield SILENT
-    elif sys.stderr.isatty():
-        with TerminalProgress(Console(stderr=True), True).shown() as progress:
-            yield progress
-    else:
-        with LineProgress(lambda line: typer.echo(line, err=True)).shown() as progress:
-            yield progress
+        yield Heeding(SILENT)
+        return
+    seen = sys.stderr is not None and sys.stderr.isatty()
+    shown = TerminalProgress(Screen(stderr=True), True).shown() if seen else LineProgress(tell).shown()
+    with shown as progress:
+        yield Heeding(progress)
+
+
+def tell(line: str) -> None:
+    """A line on standard error; where that cannot be written there is nobody to tell, and the work goes on."""
+    with suppress(OSError):
+        typer.echo(line, err=True)
 
 
 def warn(sentence: str) -> None:
     """A warning on standard error, before the work that it is about."""
-    typer.echo(f"warning: {sentence}", err=True)
+    tell(f"warning: {sentence}")
+
+
+class Failure(NamedTuple):
+    """What went wrong in words, and the exit code for it."""
+
+    message: str
+    code: int
+
+
+def failure(error: Exception) -> Failure:
+    """What a user is told of ``error``; the traceback of a fault of the program goes to a file."""
+    if isinstance(error, MorembsError):
+        return Failure(str(error), BAD_INPUT)
+    if isinstance(error, MemoryError):
+        return Failure(
+            "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
+            'or see "morembs check" for a forecast',
+            BAD_INPUT,
+        )
+    if isinstance(error, OSError):
+        where = "" if error.filename is None else f" at {str(error.filename)!r}"
+        reason = error.strerror or str(error) or type(error).__name__
+        return Failure(f"the operating system refused a request{where}: {reason}", BAD_INPUT)
+    return Failure(_fault(error), FAULT)
+
+
+def _fault(error: Exception) -> str:
+    first = (str(error).strip().splitlines() or [""])[0][:200]
+    words = f"a fault of this program, {type(error).__name__}{first and ': '}{first}"
+    trace = "".join(traceback.format_exception(error))
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="morembs-fault-", suffix=".txt", encoding="utf-8", errors="replace", delete=False
+        ) as file:
+            file.write(f"morembs {VERSION}, {sys.platform}, Python {sys.version}\n{' '.join(sys.argv)}\n\n{trace}")
+    except OSError:
+        tell(trace)
+        return f"{words}; please send the traceback above and the input to the authors of morembs"
+    return f"{words}; please send {file.name}, which holds the full traceback, and the input to the authors of morembs"
 
 
 @contextmanager
-def messages(failed: list[str], prefix: str = "") -> Iterator[None]:
-    """Turn errors that a user can meet into one message on standard error."""
+def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[None]:
+    """Turn errors into one message on standard error, and into an exit code or, for many jobs, an entry of ``failed``.
+
+    Raises:
+        typer.Exit: there was an error, and no list to keep it in.
+    """
     try:
         yield
-    except MorembsError as error:
-        message = str(error)
-    except MemoryError:
-        message = (
-            "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
-            'or see "morembs check" for a forecast'
-        )
-    except KeyboardInterrupt:
-        typer.echo("interrupted; no result was written by the running job", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    else:
-        return
-    failed.append(message)
-    typer.echo(f"error: {prefix}{message}", err=True)
+    except typer.Exit:
+        raise
+    except Exception as error:
+        found = failure(error)
+        tell(f"error: {prefix}{found.message}")
+        if failed is None:
+            raise typer.Exit(found.code) from None
+        failed.append(found)
 
 
-def each_job(jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False) -> None:
-    """Do ``work`` for each job."""
+@contextmanager
+def printing(written: Sequence[str] = ()) -> Iterator[None]:
+    """Around whatever prints results, once the files ``written`` are there.
+
+    Raises:
+        OutputError: standard output cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        there = f"; written: {', '.join(written)}" if written else ""
+        reason = error.strerror or type(error).__name__
+        raise OutputError(f"the output cannot be printed ({reason}){there}") from error
+
+
+def each_job(
+    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None
+) -> None:
+    """Do ``work`` for each job but for those that are ``refused``: place among the jobs -> reason."""
     documents: list[dict[str, Any]] = []
-    failed: list[str] = []
-    for path in jobs:
-        faults = len(failed)
+    failed: list[Failure] = []
+    reasons = refused or {}
+    for number, path in enumerate(jobs):
+        stopping.check()
         with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
-            with progress_line(quiet) as progress:
-                document, show = work(path, progress)
-            documents.append(document)
-            if not as_json:
-                show()
-        if len(failed) > faults:
-            documents.append({"job": str(path), "error": failed[-1]})
+            if number in reasons:
+                raise InputError(reasons[number])
+            _do(work, path, as_json, quiet, documents)
+        if len(documents) == number:
+            documents.append({"job": str(path), "error": failed[-1].message})
+        # The next job shall not hold, nor report, what this one needed.
+        release()
     if as_json:
-        print_json(documents if len(jobs) > 1 else documents[0])
+        with messages(failed), printing([name for document in documents for name in _written(document)]):
+            print_json(documents if len(jobs) > 1 else documents[0])
     if failed:
-        raise typer.Exit(BAD_INPUT)
+        raise typer.Exit(min(one.code for one in failed))
+
+
+def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:
+    with progress_line(quiet) as progress:
+        document, show = work(path, progress)
+    documents.append(document)
+    if not as_json:
+        with printing(_written(document)):
+            show()
+
+
+def _written(document: Mapping[str, Any]) -> list[str]:
+    """The files of a finished job."""
+    return [document[key] for key in ("output", "picture") if document.get(key)]
+
+
+class Screen(Console):
+    """A console that leaves a pipe without a reader to its caller, instead of ending the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Called while the error is handled."""
+        raise
 
 
 def console() -> Console:
     """Standard output; a pipe or a file has no width that tables must fit."""
-    return Console() if sys.stdout.isatty() else Console(width=PIPE_WIDTH)
+    return Screen() if sys.stdout.isatty() else Screen(width=PIPE_WIDTH)
 
 
 def print_json(document: object) -> None:

@@ -12,11 +12,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.budget import available_bytes
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
+from morembs.memory import available_bytes
 
 Array = NDArray[Any]
 _DAMAGED = (

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from morembs.budget import Budget, available_bytes, resident_bytes
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
@@ -28,10 +28,11 @@ from morembs.jobs.inputs import (
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
-from morembs.jobs.preflight import model_warnings, preflight
+from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import blas_threads, limit_threads
+from morembs.memory import available_bytes, resident_bytes
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
 from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
@@ -57,11 +58,13 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
+    require_room(job, start)
     progress.stage("read")
     if job.tables.model.file is not None:
         return _check_file(job, solver, start, progress)
     mesh = read_mesh(source_of(job), units_of(job))
     progress.stage("check elements")
+    require_room(job, start, 3 * len(mesh.nodes))
     graph = check_mesh(mesh, materials, progress)
     progress.stage("check interfaces")
     size = 3 * len(mesh.nodes)
@@ -108,6 +111,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         model = read_model(source_of(job), budget=budget)
+        require_room(job, start, model.size)
         progress.stage("examine")
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
@@ -145,7 +149,7 @@ def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
     """What may go wrong on this machine."""
     found = []
     available = available_bytes()
-    if available is not None and cost.peak > available:
+    if cost.peak > available:
         found.append(
             f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
             "memory budget and a scratch folder"

@@ -12,6 +12,7 @@ from typing import Any
 import scipy.sparse as sp
 
 from morembs.budget import Budget
+from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, resting_bytes
 from morembs.linalg.congruence import congruence
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -22,8 +23,6 @@ from morembs.linalg.statics import require_room_to_count
 _ENTRY, _TRIANGLE = 12, 12
 # A Krylov space has about this many columns for each mode, beside blocks in use; measured.
 _SPACE, _BLOCKS = 3, 160
-# What stays resident of a job when all that can rest does: bytes, and columns of length n; measured.
-_RESTING, _COLUMNS = 70_000_000, 12
 # Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
 # on top; of compact bodies of 100 to 300 thousand dofs, PARDISO's taken to be that of MUMPS.
 _EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
@@ -98,9 +97,12 @@ def forecast_cost(
     held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
     del K
     triangle = _TRIANGLE * (lower.nnz + mass)
-    room = None if budget.memory is None else max(0, budget.memory - start - _RESTING - _COLUMNS * 8 * n)
-    count = require_room_to_count(solver, lower, room) if modes else None
-    with solver.with_memory(room).analyse(lower, "spd", "the stiffness matrix") as analysis:
+    room = None if budget.memory is None else budget.memory - start - resting_bytes(n)
+    # What reduce loads and keeps later is not there yet when it looks at this.
+    first = None if room is None else room + RESTING_BYTES - LOADED_BYTES
+    count = require_room_to_count(solver, lower, first) if modes else None
+    limited = solver.with_memory(None if room is None else max(0, room))
+    with limited.analyse(lower, "spd", "the stiffness matrix") as analysis:
         plan, choice = analysis.forecast, analysis.choice
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
     before = start + held + triangle

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,14 +170,40 @@ def solver_of(job: Job) -> LinearSolver:
 
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
-    inputs = {"the job file": job.path, "the mesh" if job.tables.model.mesh else "the model file": source_of(job)}
-    results = {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
-    for name, path in results.items():
+    inputs = _inputs(job)
+    for name, path in _results(job).items():
         for other, taken in inputs.items():
             if path.resolve() == taken.resolve():
                 raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
         check_writable(path)
         inputs[name] = path
+
+
+def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
+    """Key of each job that must not be run with the others -> why: its results and a file of another are one file."""
+    used: dict[Path, list[tuple[int, str, bool]]] = {}
+    for key, job in jobs.items():
+        for name, path in _inputs(job).items():
+            used.setdefault(path.resolve(), []).append((key, name, False))
+        for name, path in _results(job).items():
+            used.setdefault(path.resolve(), []).append((key, name, True))
+    found: dict[int, str] = {}
+    for path, uses in used.items():
+        for key, name, written in uses:
+            others = [(other, what) for other, what, _ in uses if other != key]
+            if written and others:
+                other, what = others[0]
+                reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
+                found.setdefault(key, reason)
+    return found
+
+
+def _inputs(job: Job) -> dict[str, Path]:
+    return {"the job file": job.path, "the mesh" if job.tables.model.mesh else "the model file": source_of(job)}
+
+
+def _results(job: Job) -> dict[str, Path]:
+    return {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
 
 
 def check_candidates(job: Job, model: FEModel, interfaces: Sequence[Interface]) -> None:

@@ -20,7 +20,8 @@ LEAST = 1e-16
 
 @dataclass(frozen=True, kw_only=True)
 class Contender:
-    """One reduction: ``order`` coordinates, ``seconds`` of its own work and ``peak_memory_bytes`` until its end.
+    """One reduction: ``order`` coordinates, ``seconds`` of its own work, and the peak resident
+    memory ``peak_memory_bytes`` of the process during it.
 
     Relative errors of the transfer matrix: ``error`` and ``mean_error`` over the band, ``bound`` (None without one),
     ``static_error``, ``held_error`` the worst median over the band with one interface held still. What reductions
@@ -86,7 +87,7 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
     panels = [figure.add_subplot(1, 3, number) for number in (1, 2, 3)]
     scales: tuple[tuple[str, list[float]], ...] = (
         ("reduced coordinates", [one.order for one in found]), ("seconds", [one.seconds for one in found]),
-        ("peak memory of the process so far, GB", [one.peak_memory_bytes / 1e9 for one in found]),
+        ("peak memory of the process, GB", [one.peak_memory_bytes / 1e9 for one in found]),
     )  # fmt: skip
     for panel, (label, x) in zip(panels, scales, strict=True):
         for number, one in enumerate(found):

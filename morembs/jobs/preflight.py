@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from morembs.body.build import Delivery
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
-from morembs.errors import InputError, nearest
+from morembs.errors import BudgetError, InputError, nearest
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
@@ -21,8 +21,10 @@ from morembs.jobs.inputs import (
     preload_of,
     refuse_reductions_that_do_not_fit,
     units_of,
-)
+    wants_modes,
+)  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
 from morembs.model import FEModel
 from morembs.model.selection import select_nodes
 from morembs.problem.damping import Damping
@@ -35,8 +37,40 @@ MANY_MOTIONS = 60
 MANY_MODES, MOST_MODES = 0.1, 1000
 # Models that take seconds whatever is asked of them.
 SMALL = 3000
+# What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured. Of
+# the bytes this much is there before modes are counted, and so much more takes the smallest count.
+RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
+LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
 # Variants of balanced truncation with one space for trial and test.
 ONE_SIDED = ("fv", "pv")
+
+
+def require_room(job: Job, start: int, dofs: int = 0) -> None:
+    """Refuse a memory budget that ``job`` with a model of ``dofs`` exceeds whatever it does.
+
+    Args:
+        start: resident memory of the process before any model was read.
+
+    Raises:
+        BudgetError: as said.
+    """
+    beside = resting_bytes(dofs)
+    if wants_modes(job):
+        count = COUNT_BYTES + LEAST_COUNT + 8 * COUNT_COLUMNS * dofs
+        beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
+    needed = start + beside
+    if job.memory is not None and job.memory < needed:
+        raise BudgetError(
+            f"[solver]: memory = {job.memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} "
+            f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of the smallest "
+            f"such job; give at least {needed // 1_000_000 + 2} MB",
+            needed=needed,
+        )
+
+
+def resting_bytes(dofs: int) -> int:
+    """What a job with ``dofs`` keeps in memory even when all that can rest does."""
+    return RESTING_BYTES + RESTING_COLUMNS * 8 * dofs
 
 
 def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tuple[str, ...]:

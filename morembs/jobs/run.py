@@ -35,9 +35,10 @@ from morembs.jobs.inputs import (
 )  # fmt: skip
 from morembs.jobs.job import Job
 from morembs.jobs.picture import draw
-from morembs.jobs.preflight import model_warnings, preflight
+from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
+from morembs.memory import PeakMemory, resident_bytes
 from morembs.model import FEModel, Mesh
 from morembs.model.assembly import assemble
 from morembs.model.material import Material
@@ -56,8 +57,9 @@ BAND_POINTS = 400
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
-    ``factor`` is the cost of the one factorisation and ``choice`` says why this solver made it; ``warnings`` are
-    sentences about the model and the bodies."""
+    ``peak_memory_bytes`` is the peak resident memory of the process during the job, ``factor`` the cost of the one
+    factorisation and ``choice`` says why this solver made it; ``warnings`` are sentences about the model and the
+    bodies."""
 
     job: Job
     nodes: int
@@ -67,6 +69,7 @@ class JobResult:
     factor: FactorStats
     choice: str
     stages: tuple[Stage, ...]
+    peak_memory_bytes: int
     response: FrequencyResponse | None = None
     shapes: Shapes | None = None
     warnings: tuple[str, ...] = ()
@@ -89,19 +92,23 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     Raises:
         MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
     """
-    watch = Stopwatch(progress)
+    start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
-    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
-        return _run(job, solver, materials, budget, watch, warn)
+    require_room(job, start)
+    with (
+        limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget,
+        PeakMemory() as memory,
+    ):  # fmt: skip
+        return _run(job, solver, materials, budget, start, Stopwatch(progress, memory), warn)
 
 
 def _run(
-    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, watch: Stopwatch,
+    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch,
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model = _read(job, materials, budget, watch)
+    model = _read(job, materials, budget, start, watch)
     warnings = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -133,7 +140,7 @@ def _run(
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
     with watch.stage("write"):
-        provenance = _provenance(job, factor, watch.stages)
+        provenance = _provenance(job, factor, watch)
         write_body(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance, progress=progress
         )
@@ -142,19 +149,22 @@ def _run(
             draw(job.picture, bodies, shapes, response)
     return JobResult(
         job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
-        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages), response=response,
-        shapes=shapes, warnings=warnings,
+        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages),
+        peak_memory_bytes=watch.peak_memory_bytes, response=response, shapes=shapes, warnings=warnings,
     )  # fmt: skip
 
 
-def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwatch) -> FEModel:
+def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch) -> FEModel:
     """The model of the job, from its model file or assembled from its mesh."""
     asked, progress = job.tables.model, watch.progress
     if asked.file is not None:
         with watch.stage("read"):
-            return read_model(job.resolve(asked.file), budget=budget)
+            model = read_model(job.resolve(asked.file), budget=budget)
+        require_room(job, start, model.size)
+        return model
     with watch.stage("read"):
         mesh = read_mesh(source_of(job), units_of(job))
+    require_room(job, start, 3 * len(mesh.nodes))
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
@@ -241,11 +251,12 @@ def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     return {**asked, "dofs": model.size, "source": model.source}
 
 
-def _provenance(job: Job, factor: FactorStats, stages: Sequence[Stage]) -> dict[str, object]:
+def _provenance(job: Job, factor: FactorStats, watch: Stopwatch) -> dict[str, object]:
     return {
         "job": job.text,
         "solver": factor.backend,
         "factor": asdict(factor),
-        "seconds": {stage.name: stage.seconds for stage in stages},
-        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in stages},
+        "seconds": {stage.name: stage.seconds for stage in watch.stages},
+        "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in watch.stages},
+        "job_peak_memory_bytes": watch.peak_memory_bytes,
     }

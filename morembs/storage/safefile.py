@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from morembs import stopping
 from morembs.errors import OutputError
 from morembs.scratch import PrivateFolder
 
@@ -188,7 +189,8 @@ def _complete(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
 
 
 def _take_names(places: Sequence[_Place]) -> None:
-    """Take the names, all or none: a second name of the old file brings it back."""
+    """Take the names, all or none: a second name of the old file brings it back; none after a signal to end."""
+    stopping.check()
     for place in places if len(places) > 1 else ():
         # Not every disk has second names; then the message says which files are new.
         with contextlib.suppress(OSError):

@@ -93,16 +93,6 @@ def test_results_never_overwrite_what_they_come_from(small_meshes, tmp_path, fau
     assert (tmp_path / "job.toml").read_text() == text and not (tmp_path / "same.png").exists()
 
 
-def test_two_jobs_with_one_output_are_refused(small_meshes, tmp_path):
-    for name in ("a", "b"):
-        text = JOB.format(name="same", mesh=small_meshes / "beam.msh", **SI)
-        (tmp_path / f"{name}.toml").write_text(text)
-    done = subprocess.run([sys.executable, "-m", "morembs", "reduce", "a.toml", "b.toml"], cwd=tmp_path,
-                          capture_output=True, text=True)  # fmt: skip
-    assert done.returncode == 2 and "that of a.toml too" in done.stderr
-    assert "cb" in read_body(tmp_path / "same.h5").bodies
-
-
 def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
     """SIGTERM while factors are on disk: no scratch, no temporary file, the old result untouched."""
     if reason := EmbeddedMumps.unavailable():

@@ -13,7 +13,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.budget import Budget, resident_bytes
+from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse import mumps_library
 from morembs.linalg.sparse.mumps import Mumps
@@ -21,6 +21,7 @@ from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.memory import resident_bytes
 from tests.support.matrices import (
     backward_error,
     badly_scaled,

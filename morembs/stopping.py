@@ -1,0 +1,90 @@
+"""Signals that end a run, remembered so that none is lost.
+
+The handler of a signal raises an exception, and Python drops exceptions where nobody could catch them: in callbacks of
+weak references, in ``__del__``, in callbacks from foreign libraries; libraries turn them into errors of their own. So
+the signal is kept too: what was dropped is raised again a moment later, work looks at ``check`` between its steps and
+before it gives a file its name, and ``asked`` tells at the end how the run has to end.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+# One request may arrive twice, as from ``timeout``; what comes later than this is a second request. Seconds.
+_SAME = 1.0
+# How long after it was dropped an exception is raised again, in seconds.
+_AGAIN = 0.05
+# SIGHUP is none of Windows, nor is the timer.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+_HAS_TIMER = hasattr(signal, "setitimer")
+
+_asked: list[tuple[int, float]] = []
+
+
+def asked() -> int | None:
+    """The signal that asks this process to end, None without one."""
+    return _asked[0][0] if _asked else None
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt or SystemExit if a signal has come that was not heeded."""
+    if _asked:
+        _set_timer(0.0)
+        _stop()
+
+
+@contextmanager
+def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
+    """Heed SIGINT, SIGTERM and SIGHUP within; those that this process was told to ignore stay ignored.
+
+    A second request ends the process at once. Afterwards the system ends the process when a signal comes.
+    """
+
+    def handle(number: int, _: object) -> None:
+        now = clock()
+        if not _asked:
+            _asked.append((number, now))
+        elif now - _asked[0][1] >= _SAME:
+            os._exit(128 + _asked[0][0])
+        else:
+            return
+        _stop()
+
+    def dropped(what: Any) -> None:
+        if _asked and isinstance(what.exc_value, KeyboardInterrupt | SystemExit):
+            _set_timer(_AGAIN)
+        else:
+            before(what)
+
+    numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    numbers = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before, sys.unraisablehook = sys.unraisablehook, dropped
+    for number in numbers:
+        signal.signal(number, handle)
+    if _HAS_TIMER:
+        signal.signal(signal.SIGALRM, lambda *_: check())
+    try:
+        yield
+    finally:
+        _set_timer(0.0)
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+        sys.unraisablehook = before
+
+
+def _stop() -> None:
+    number = _asked[0][0]
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise SystemExit(128 + number)
+
+
+def _set_timer(seconds: float) -> None:
+    if _HAS_TIMER:
+        signal.setitimer(signal.ITIMER_REAL, seconds)

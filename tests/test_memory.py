@@ -1,0 +1,97 @@
+"""The memory that a job is said to take is its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from morembs import memory
+from morembs.body.file import read_body
+from tests.support.decks import folder
+
+MB = 1_000_000
+
+BATCH = """
+import sys
+import numpy as np
+from morembs.cli import commands as cli
+real, calls = cli.run_job, []
+
+def large_first(*args):
+    calls.append(1)
+    if len(calls) == 1:
+        np.ones(75_000_000)
+    if len(calls) == 2:
+        # A cycle of references keeps what is large until it is collected.
+        holder = [np.ones(1000) for _ in range(75_000)]
+        holder.append(holder)
+    return real(*args)
+
+cli.run_job = large_first
+sys.argv = ["morembs", "reduce", *sys.argv[1:], "--json"]
+cli.main()
+"""
+
+
+def test_a_job_after_a_large_one_tells_its_own_memory(tmp_path: Path) -> None:
+    """Against the same job in a process of its own, whose peak is counted by the operating system."""
+    jobs = []
+    for name in "abc":
+        (tmp_path / name).mkdir()
+        jobs.append(str(folder(tmp_path / name)))
+    alone = subprocess.run(
+        [sys.executable, "-m", "morembs", "reduce", jobs[0], "--json"], capture_output=True, text=True, check=True
+    )
+    truth = json.loads(alone.stdout)["job_peak_memory_bytes"]
+    done = subprocess.run([sys.executable, "-c", BATCH, *jobs], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    for one in found[1:]:
+        assert 50 * MB < one["job_peak_memory_bytes"] < truth + (620 * MB if one is found[1] else 40 * MB), one
+    assert found[2]["job_peak_memory_bytes"] == max(found[2]["peak_memory_bytes"].values())
+    origin = read_body(found[2]["output"]).provenance
+    assert origin["job_peak_memory_bytes"] == max(origin["peak_memory_bytes"].values())  # type: ignore[attr-defined]
+
+
+def test_peaks_between_looks() -> None:
+    """What the system counts where it rises; what was seen where it does not; each piece for itself."""
+    now, counted = [100], [900]
+    peak = memory.PeakMemory(lambda: now[0], lambda: counted[0])
+    with peak:
+        assert peak.take() == 100
+        now[0], counted[0] = 120, 950
+        assert peak.take() == 950
+        assert peak.take() == 120
+        now[0] = 300
+        assert peak.take() == 300
+    assert not [one for one in threading.enumerate() if one.name == "morembs-memory"]
+
+
+def test_a_peak_is_seen_while_it_lasts() -> None:
+    """By the thread, without anybody's call; however busy the machine is."""
+    now, looked = [100], threading.Event()
+
+    def resident() -> int:
+        if now[0] == 500:
+            looked.set()
+        return now[0]
+
+    with memory.PeakMemory(resident, lambda: 900) as peak:
+        peak.take()
+        now[0] = 500
+        assert looked.wait()
+        # The second look follows the first's end.
+        looked.clear()
+        assert looked.wait()
+        now[0] = 100
+        assert peak.take() == 500
+
+
+def test_figures_of_the_system() -> None:
+    block = np.ones(20_000_000)
+    assert memory.resident_bytes() > block.nbytes and memory.peak_memory_bytes() > block.nbytes
+    assert memory.available_bytes() > MB
