@@ -93,6 +93,7 @@ def _document(done: ImportResult) -> dict[str, Any]:
         "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
         "matrices": [name for name in ("K", "M", "D") if getattr(model, name) is not None],
         "sets": sorted(model.nodes.sets), "couplings": list(model.couplings), "notes": list(model.notes),
+        "warnings": list(model.warnings),
         "findings": [] if found is None else [
             {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
             for one in found.findings
@@ -106,4 +107,6 @@ def _lines(done: ImportResult) -> list[str]:
     if model.couplings:
         lines.append(f"couplings: {', '.join(model.couplings)}")
     lines += [f"note: {note}" for note in model.notes]
-    return lines + ([done.diagnosis.text()] if done.diagnosis is not None else [])
+    if done.diagnosis is not None:  # it holds the warnings too
+        return [*lines, done.diagnosis.text()]
+    return [*lines, *(f"warning: {one}" for one in model.warnings)]

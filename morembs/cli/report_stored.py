@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from morembs.body.stored import StoredBodies
 from morembs.cli.tables import frame_words, listed, mass_table, ranking_words, titled, words
@@ -53,6 +54,7 @@ def stored_json(path: str, stored: StoredBodies) -> dict[str, Any]:
             }
             for name, body in stored.bodies.items()
         },
+        "warnings": list(stored.warnings),
         "seconds": dict(origin.get("seconds") or {}),
         "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
     }
@@ -90,3 +92,5 @@ def print_stored(console: Console, path: str, stored: StoredBodies) -> None:
                 highlight=False, soft_wrap=True,
             )  # fmt: skip
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
+    for warning in stored.warnings:
+        console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

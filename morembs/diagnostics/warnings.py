@@ -25,6 +25,8 @@ def diagnosis_of(
 ) -> Diagnosis:
     """What is wrong with a model (SI, of an input in the units ``declared``); rigid elements are eliminated before.
 
+    What its import warned of stands among the findings.
+
     Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
     """
     K, M, D, dofs = model.K, model.M, model.D, model.dofs
@@ -36,8 +38,13 @@ def diagnosis_of(
         dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
     if not np.ptp(model.nodes.xyz, axis=0).any():
         # All in one point: matrices without a place in space.
-        return examine(K, M, D, deep=deep, budget=budget)
-    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget)
+        found = examine(K, M, D, deep=deep, budget=budget)
+    else:
+        found = examine(
+            K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget
+        )
+    told = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
+    return Diagnosis(findings=(*told, *found.findings), facts=found.facts)
 
 
 def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
@@ -60,11 +67,13 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
 
-    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units.
+    What its reader warned of is among them, and a body of more than a hundred metres: coordinates in mm beside a
+    material in SI units.
     """
     size = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
     found = unit_findings(None, model.materials, size, Units(), declared)
-    return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+    units = _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+    return (*model.warnings, *units)
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
+from morembs.model.middle_nodes import mesh_in_order
 from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
@@ -110,7 +111,8 @@ def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
         units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
 
     Raises:
-        InputError: the file is missing, cannot be read, or has elements of an unsupported type; units not known.
+        InputError: the file is missing, cannot be read, or has elements of an unsupported type or with middle nodes in
+            no known order; units not known.
     """
     path, units = Path(path), parse_units(units) if isinstance(units, str) else units
     if not isinstance(units, Units | None):
@@ -124,7 +126,7 @@ def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
-    return replace(mesh, nodes=scaled, source=path.name)
+    return mesh_in_order(replace(mesh, nodes=scaled, source=path.name))
 
 
 def format_of(path: Path, given: str | None = None) -> str:

@@ -20,6 +20,7 @@ from morembs.importers.abaqus_keywords import (
     node_rows,
     number,
 )  # fmt: skip
+from morembs.importers.formulations import dialect_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -116,7 +117,8 @@ class Instance:
 
 @dataclass
 class Deck:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect."""
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect, ``dialects``
+    the programs that its keywords tell."""
 
     name: str
     top: Scope = field(default_factory=lambda: Scope(""))
@@ -126,6 +128,7 @@ class Deck:
     counts: dict[str, int] = field(default_factory=dict)
     noted: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
+    dialects: set[str] = field(default_factory=set)
 
 
 def read_deck(path: Path) -> Deck:
@@ -164,6 +167,8 @@ class _Reader:
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
         word, deck = card.keyword, self.deck
+        told = dialect_of(word, card.options)
+        deck.dialects |= {told} if told else set()
         if word == "STEP":
             self._begin(word, card)
         if self.open and self.open[-1] == "STEP":

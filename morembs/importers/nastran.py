@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.formulations import nastran_warnings
 from morembs.importers.imported import Imported
 from morembs.importers.nastran_cards import head_of, real, tables
-from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems
+from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
 from morembs.model import ElementBlock, Mesh, Nodes
 
@@ -32,7 +33,9 @@ _NOTED = {
     "ECHOOFF", "NLPARM", "SET3", "MATT1", "MATT9", "MDLPRM", "TABLEM1", "PBAR", "PBARL", "PBEAM", "PBEAML", "PSHELL",
     "PROD", "PELAS", "PBUSH",
 }  # fmt: skip
-_WTMASS = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*WTMASS[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
+_PARAM = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*(\w+)[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
+# Values of PARAM COUPMASS that leave the mass lumped.
+OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
 
 
@@ -74,14 +77,22 @@ class _Bulk:
 
     def mass_scale(self) -> float:
         """PARAM WTMASS."""
-        in_head = [["WTMASS", text] for text in _WTMASS.findall(self.head)]
-        for row in [*self.rows["PARAM"], *in_head]:
-            if row and row[0].upper() == "WTMASS":
-                value = real(padded(row, 2)[1], f"{self.file}: PARAM WTMASS")
-                if not value > 0:
-                    raise InputError(f"{self.file}: PARAM WTMASS = {value:g} was given; expected a positive number")
-                return value
-        return 1.0
+        value = real(self.parameter("WTMASS", "1."), f"{self.file}: PARAM WTMASS")
+        if not value > 0:
+            raise InputError(f"{self.file}: PARAM WTMASS = {value:g} was given; expected a positive number")
+        return value
+
+    def parameter(self, name: str, default: str) -> str:
+        """Value of a PARAM, in the bulk data or above them.
+
+        Raises:
+            InputError: it is given twice with different values.
+        """
+        cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.head))]
+        given = {padded(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
+        if len(given) > 1:
+            raise InputError(f"{self.file} gives PARAM {name} as {' and as '.join(sorted(given))}; expected one value")
+        return given.pop() if given else default
 
 
 def read_nastran(path: Path) -> Mesh:
@@ -96,7 +107,7 @@ def read_nastran(path: Path) -> Mesh:
         raise InputError(
             f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
         )
-    return _mesh(bulk, np.empty(0, dtype=np.int64), [])[0]
+    return _with_warnings(_mesh(bulk, np.empty(0, dtype=np.int64), [])[0], bulk)
 
 
 def import_nastran(path: str | Path) -> Imported:
@@ -128,7 +139,7 @@ def import_nastran(path: str | Path) -> Imported:
     return Imported(
         source=bulk.file,
         nodes=nodes,
-        mesh=mesh,
+        mesh=_with_warnings(mesh, bulk),
         materials=tuple(found),
         rigid=tuple(replace(one, master=int(row[one.master]), slaves=row[one.slaves]) for one in ties.rigid),
         average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in ties.average),
@@ -203,6 +214,24 @@ def _sets(
         else:
             notes.append(f"SET {number} of case control names neither grids nor elements only and was left out.")
     return found
+
+
+def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:
+    """The mesh with what its element types mean otherwise in Nastran."""
+    counts: dict[tuple[str, str], int] = {}
+    for name, parts in mesh.element_sets.items():
+        if name.startswith("PSOLID_"):
+            for block, rows in zip(mesh.blocks, parts, strict=True):
+                if len(rows):
+                    what = f"{card_of(block.type)} with {block.nodes.shape[1]} nodes"
+                    counts[what, name.removeprefix("PSOLID_")] = len(rows)
+    full = {}
+    for row in bulk.rows["PSOLID"]:
+        words = padded(row, 6)
+        points = words[3].upper() in ("2", "TWO", "3", "THREE")
+        full[words[0]] = words[5].upper() in ("1", "FULL") and points
+    warnings = nastran_warnings(counts, full, consistent=bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF)
+    return replace(mesh, warnings=(*mesh.warnings, *warnings))
 
 
 def _notes(bulk: _Bulk, scale: float) -> list[str]:

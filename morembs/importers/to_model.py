@@ -23,6 +23,7 @@ from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.coupled import CoupledModel
 from morembs.model.material import Material
+from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
@@ -66,6 +67,7 @@ def model_of(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average, followers=followers,
         couplings=couplings_of(model, rigid, average), notes=(*imported.notes, *base.notes),
+        warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
 
 
@@ -154,11 +156,14 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
             )
     nodes, dofs, notes = _nodes_and_dofs(imported, size)
     nodes = _with_surfaces(replace(nodes, xyz=nodes.xyz * units.length), imported)
-    mesh = None if imported.mesh is None else _mesh_on(imported.mesh, nodes, units)
+    mesh = None if imported.mesh is None else replace(_mesh_on(imported.mesh, nodes, units), warnings=())
+    if mesh is not None:
+        # Formulations of its elements do not matter beside matrices, the places of its nodes do.
+        mesh = mesh_in_order(mesh)
     K, M, D = matrices_in_si(imported, dofs, units)
     model = FEModel(
         K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh, materials=materials_in_si(imported.materials, units),
-        source=source,
+        source=source, warnings=() if mesh is None else mesh.warnings,
     )  # fmt: skip
     bare = len(nodes) - len(np.unique(dofs.node))
     if bare:
@@ -250,7 +255,8 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     solid = _picked(nodes, order[:count], np.where(used, row, -1), units)
     part = Mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
-        element_sets=mesh.element_sets, source=mesh.source,
+        element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
+        mass_warnings=mesh.mass_warnings,
     )  # fmt: skip
     model = assemble(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,

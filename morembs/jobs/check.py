@@ -68,8 +68,9 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     empty = sp.csr_array((size, size))
     dofs = DofMap.translations(len(mesh.nodes))
     model = FEModel(
-        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source
-    )
+        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source,
+        warnings=mesh.warnings + (mesh.mass_warnings if job.tables.model.mass_integration == "exact" else ()),
+    )  # fmt: skip
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)

@@ -102,7 +102,7 @@ def _run(
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
     model = _read(job, materials, budget, watch)
-    warnings = model_warnings(job, model, budget)
+    warnings = found = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
     with watch.stage("couple"):
@@ -122,7 +122,8 @@ def _run(
             )
     with problem:
         bodies = _reduce(job, problem, delivery_of(job), watch)
-        warnings += delivered_warnings(bodies)
+        delivered = delivered_warnings(bodies)
+        warnings += delivered
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
             response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_MOTIONS
@@ -135,8 +136,9 @@ def _run(
     with watch.stage("write"):
         provenance = _provenance(job, factor, watch.stages)
         write_body(
-            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance, progress=progress
-        )
+            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
+            warnings=(*found, *delivered), progress=progress,
+        )  # fmt: skip
     if job.picture is not None:
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)

@@ -67,12 +67,18 @@ class ElementBlock:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Nodes, solid elements and named element sets (name -> for each block the rows it holds)."""
+    """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
+
+    ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source,
+    ``mass_warnings`` what only one with the exact mass will.
+    """
 
     nodes: Nodes
     blocks: tuple[ElementBlock, ...]
     element_sets: Mapping[str, tuple[Ints, ...]] = field(default_factory=dict)
     source: str = ""
+    warnings: tuple[str, ...] = ()
+    mass_warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
@@ -125,7 +131,8 @@ class FEModel:
     """M u'' + D u' + K u = f of a finite-element model, in SI units.
 
     ``K``, ``M`` and optionally ``D`` are sparse symmetric (N, N) in CSR form; ``mesh`` is None for
-    models that came as matrices, ``materials`` are those that its elements were assembled with.
+    models that came as matrices, ``materials`` are those that its elements were assembled with. ``warnings`` say in a
+    sentence each in what the model differs from its source; they go with it into every body.
     """
 
     K: sp.csr_array
@@ -136,6 +143,7 @@ class FEModel:
     mesh: Mesh | None = None
     materials: tuple[Material, ...] = ()
     source: str = ""
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.dofs)

@@ -53,12 +53,13 @@ def block() -> FEModel:
 
 
 def write_nodes(path: Path, model: FEModel, factor: float = 1.0) -> Path:
-    """The mesh of ``model`` as an Abaqus deck."""
+    """The mesh of ``model`` as a deck of CalculiX (*NODE FILE), whose C3D8 is ours."""
     places = zip(model.nodes.ids, (factor * model.nodes.xyz).tolist(), strict=True)
     nodes = [f"{i}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in places]
     cells = model.mesh.blocks[0]
     rows = [f"{i}, " + ", ".join(map(str, model.nodes.ids[row])) for i, row in zip(cells.ids, cells.nodes, strict=True)]
-    path.write_text("\n".join(["*NODE, NSET=ALL", *nodes, "*ELEMENT, TYPE=C3D8, ELSET=BODY", *rows, ""]))
+    text = ["*NODE, NSET=ALL", *nodes, "*NODE FILE", "U", "*ELEMENT, TYPE=C3D8, ELSET=BODY", *rows, ""]
+    path.write_text("\n".join(text))
     return path
 
 
