@@ -31,7 +31,7 @@ from morembs.model.middle_nodes import mesh_in_order
 from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
-READERS: dict[str, Callable[[Path], Mesh]] = {
+READERS: dict[str, Callable[..., Mesh]] = {
     ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
 }  # fmt: skip
 
@@ -104,11 +104,12 @@ IMPORTERS: dict[str, Importer] = {
 }
 
 
-def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
+def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh with node sets and element sets, coordinates in m.
 
     Args:
         units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+        allow_includes_outside: a deck may include files from beyond its folder.
 
     Raises:
         InputError: the file is missing, cannot be read, or has elements of an unsupported type or with middle nodes in
@@ -121,7 +122,8 @@ def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
         raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
-    mesh = READERS.get(path.suffix.lower(), read_with_meshio)(path)
+    reader = READERS.get(path.suffix.lower())
+    mesh = reader(path, allow_includes_outside=allow_includes_outside) if reader else read_with_meshio(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes

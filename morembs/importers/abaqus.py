@@ -24,14 +24,14 @@ from morembs.model import Mesh
 Ints = NDArray[np.int64]
 
 
-def read_abaqus(path: Path) -> Mesh:
+def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh of an input deck in the deck's own units; its materials are not read.
 
     Raises:
         InputError: not a deck, an element type that is not supported, or couplings and point masses, which a mesh
             cannot carry.
     """
-    deck = read_deck(path)
+    deck = read_deck(path, outside=allow_includes_outside)
     scopes = [deck.top, *deck.parts.values(), *(instance.scope for instance in deck.instances.values())]
     ties = [card for scope in scopes for card, *_ in scope.constraints]
     if ties or any(scope.points for scope in scopes):
@@ -42,13 +42,14 @@ def read_abaqus(path: Path) -> Mesh:
     return _with_warnings(mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0], deck, "auto")
 
 
-def import_abaqus(path: str | Path, *, dialect: str = "auto") -> Imported:
+def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Imported:
     """All of an input deck that a model can carry, in the deck's own units.
 
     The rows of ``nodes`` are those of ``mesh.nodes``, and behind them nodes that belong to no element but are named
     by a coupling or a point mass. Boundary conditions and steps are not applied (``notes`` say so).
 
     Args:
+        allow_includes_outside: includes may name files beyond the folder of the deck.
         dialect: the program whose element types are meant, "abaqus" or "calculix"; "auto" looks at the keywords.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
@@ -58,7 +59,7 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto") -> Imported:
     """
     if dialect not in DIALECTS:
         raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
-    deck = read_deck(Path(path))
+    deck = read_deck(Path(path), outside=allow_includes_outside)
     assembly = Assembly(deck)
     if not assembly.blocks:
         raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
@@ -66,7 +67,7 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto") -> Imported:
     found.surfaces()
     found.constraints()
     found.point_masses()
-    materials, material_notes = materials_of(deck, assembly)
+    materials, material_notes, lacking = materials_of(deck, assembly)
     got = found.found
     ends = [np.array([one.node for one in got.masses], dtype=np.int64)]
     ends += [np.append(one.slaves, one.master) for one in got.rigid]
@@ -86,6 +87,7 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto") -> Imported:
         masses=tuple(replace(one, node=int(row[one.node])) for one in got.masses),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
         notes=(*_notes(deck), *assembly.notes, *material_notes, *got.notes),
+        incomplete=lacking,
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.formulations import nastran_warnings
 from morembs.importers.imported import Imported
+from morembs.importers.includes import Includes
 from morembs.importers.nastran_cards import head_of, real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
@@ -42,7 +43,7 @@ _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)
 class _Bulk:
     """The cards of a file, sorted by what they are."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, outside: bool) -> None:
         self.file = path.name
         self.grids, self.solids, self.systems = Grids(path.name), Solids(path.name), Systems(path.name)
         self.rows: dict[str, Rows] = {name: [] for name in _READ}
@@ -50,7 +51,7 @@ class _Bulk:
         refused: dict[str, int] = {}
         head, start = head_of(path)
         self.head = re.sub(rb"\$.*", b"", head.replace(b"\r", b"")).decode("latin-1")
-        for table in tables(path, start):
+        for table in tables(path, start, Includes(path, outside)):
             if table.name == "GRID":
                 self.grids.add(table)
             elif table.name in SOLIDS:
@@ -62,7 +63,8 @@ class _Bulk:
             else:
                 refused[table.name] = refused.get(table.name, 0) + len(table)
         if refused:
-            listed = ", ".join(f"{count} {name or '(no name)'}" for name, count in refused.items())
+            # Lines of a file that is no deck have names with other characters; they are not shown.
+            listed = ", ".join(f"{count} {name if name.isalnum() else '(no name)'}" for name, count in refused.items())
             raise InputError(
                 f"{path.name} has cards that cannot be carried: {listed}; expected solids ({', '.join(SOLIDS)}), RBE2, "
                 "RBE3, RBAR and CONM2; take the others out if the model is right without them"
@@ -95,13 +97,13 @@ class _Bulk:
         return given.pop() if given else default
 
 
-def read_nastran(path: Path) -> Mesh:
+def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh of bulk data in the units of the file; materials are not read.
 
     Raises:
         InputError: not bulk data, or cards that a mesh cannot carry.
     """
-    bulk = _Bulk(path)
+    bulk = _Bulk(path, outside=allow_includes_outside)
     ties = [name for name in ("RBE2", "RBE3", "RBAR", "CONM2") if bulk.rows[name]]
     if ties:
         raise InputError(
@@ -110,19 +112,20 @@ def read_nastran(path: Path) -> Mesh:
     return _with_warnings(_mesh(bulk, np.empty(0, dtype=np.int64), [])[0], bulk)
 
 
-def import_nastran(path: str | Path) -> Imported:
+def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) -> Imported:
     """All of a file of bulk data that a model can carry, in the units of the file, along the basic axes.
 
     Elements of the property 3 are the set "PSOLID_3"; SET1 5 and SET 5 of case control are "SET1_5" and "SET_5". The
     rows of ``nodes`` are those of ``mesh.nodes``, and behind them grids that belong to no element but are named by a
-    rigid element or a mass. Restraints and loads are not applied (``notes`` say so).
+    rigid element or a mass. Restraints and loads are not applied (``notes`` say so). ``allow_includes_outside`` lets
+    INCLUDE name files beyond the folder of the file.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file as tables (about 150 MB).
 
     Raises:
         InputError: the file is not bulk data, contradicts itself, or holds what a model cannot carry.
     """
-    bulk = _Bulk(Path(path))
+    bulk = _Bulk(Path(path), outside=allow_includes_outside)
     scale = bulk.mass_scale()
     ties = Ties(bulk.grids, bulk.systems, scale)
     for name, take in (("RBE2", ties.rbe2), ("RBE3", ties.rbe3), ("RBAR", ties.rbar), ("CONM2", ties.conm2)):
@@ -145,6 +148,7 @@ def import_nastran(path: str | Path) -> Imported:
         average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in ties.average),
         masses=tuple(replace(one, node=int(row[one.node])) for one in ties.masses),
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
+        incomplete=materials.lacking,
     )
 
 

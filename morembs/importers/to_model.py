@@ -48,6 +48,7 @@ def model_of(
             coordinates, numbers that are not finite, or elements that contradict each other.
     """
     units = units or Units()
+    imported = _completed(imported)
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
@@ -94,6 +95,27 @@ class _Rows:
 
     def one(self, given: int) -> int:
         return int(self.many(np.array([given]))[0])
+
+
+def _completed(imported: Imported) -> Imported:
+    """With a warning for each set whose own material lacks something and that was given another one.
+
+    Raises:
+        InputError: a set without any, in a file whose matrices are not there.
+    """
+    given = {one.set for one in imported.materials}
+    bare = {name: why for name, why in imported.incomplete.items() if not given & {name, "all"}}
+    if bare and imported.K is None:
+        raise InputError(
+            f"{imported.source}: {'; '.join(bare.values())}; complete them in the file, or give a material for "
+            f"{'each set' if len(bare) > 1 else 'the set'}: --material young=..,poisson=..,density=..,set="
+            f"{next(iter(bare))}"
+        )
+    told = tuple(
+        f"{why}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
+        for name, why in imported.incomplete.items()
+    )
+    return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
 
 
 def _refuse_incomplete(imported: Imported) -> None:

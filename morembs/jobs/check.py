@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget, available_bytes, resident_bytes
 from morembs.errors import InputError
-from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
 from morembs.jobs.duration import reduction_seconds
@@ -20,11 +19,11 @@ from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
+    mesh_of,
     modelling,
     prepare_output,
     solver_of,
     source_of,
-    units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
@@ -60,7 +59,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     progress.stage("read")
     if job.tables.model.file is not None:
         return _check_file(job, solver, start, progress)
-    mesh = read_mesh(source_of(job), units_of(job))
+    mesh = mesh_of(job)
     progress.stage("check elements")
     graph = check_mesh(mesh, materials, progress)
     progress.stage("check interfaces")

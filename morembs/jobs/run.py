@@ -16,7 +16,6 @@ from morembs.certificate.certify import Certificate, certify
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
-from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
@@ -25,12 +24,11 @@ from morembs.jobs.inputs import (
     delivery_of,
     interfaces_of,
     materials_of,
+    mesh_of,
     preload_of,
     prepare_output,
     reducers_of,
     solver_of,
-    source_of,
-    units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
@@ -156,7 +154,7 @@ def _read(job: Job, materials: Sequence[Material], budget: Budget, watch: Stopwa
         with watch.stage("read"):
             return read_model(job.resolve(asked.file), budget=budget)
     with watch.stage("read"):
-        mesh = read_mesh(source_of(job), units_of(job))
+        mesh = mesh_of(job)
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
