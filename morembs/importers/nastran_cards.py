@@ -23,6 +23,7 @@ Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 PIECE = 1 << 22
 _LONGEST_CARD = 1 << 26
+_TAIL = 1 << 16
 _LARGEST = 1e100
 _WIDTH = 24
 _LINE = 80
@@ -137,6 +138,14 @@ def head_of(path: Path) -> tuple[bytes, int]:
     except OSError as error:
         raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
     return b"", 0
+
+
+def ends(path: Path) -> bool:
+    """Whether ENDDATA stands near the end of a file."""
+    with open_text(path) as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - _TAIL, 0))
+        return _END.search(file.read()) is not None
 
 
 def tables(path: Path, start: int, includes: Includes, above: tuple[Path, ...] = ()) -> Iterator[Table]:

@@ -486,7 +486,7 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     model = read_model(out)
     assert model.mesh is not None and model.mesh.blocks[0].type == "tet10" and model.nodes.sets
     blocks = shared_data / "finetools" / "twoblocks.nas"
-    assert "no materials" in refused(tmp_path, blocks)
+    assert "PSOLID 2 names no material" in refused(tmp_path, blocks)
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
     document = json.loads(run(blocks, *both, "-o", out, "--json"))
     assert document["nodes"] == 119 and [one.set for one in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]

@@ -127,6 +127,14 @@ def test_solids_of_nastran(tmp_path: Path) -> None:
     assert len(told("PSOLID,1,3,,TWO\nPARAM,COUPMASS,1\n")) == 1
 
 
+def test_bulk_data_without_their_end(tmp_path: Path) -> None:
+    path = tmp_path / "part.bdf"
+    cells = "SOL 103\nBEGIN BULK\n" + written(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free")
+    for end, count in (("", 1), ("ENDDATA\n", 0)):
+        path.write_text(cells + end)
+        assert sum("no ENDDATA" in one for one in import_file(path).mesh.warnings) == count
+
+
 def test_solids_of_ansys(tmp_path: Path) -> None:
     path = tmp_path / "part.cdb"
     path.write_text(archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08))))

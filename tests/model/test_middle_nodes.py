@@ -137,10 +137,10 @@ def test_decks_of_every_program_and_meshes_by_hand(tmp_path: Path) -> None:
 def test_surfaces_of_a_deck_in_another_order(tmp_path: Path) -> None:
     """A face of elements takes its middle nodes from the element as it is put in order."""
     mesh = box("hex20", (1, 1, 1), (0.3, 0.1, 0.08))
-    surface = "*SURFACE, NAME=BOTTOM\n1, S1\n"
+    surface = "*SURFACE, NAME=SIDE\n1, S3\n"
     found = []
     for name, one in (("right", mesh), ("other", mixed(mesh, KNOWN["hex20", "Nastran or Exodus"]))):
         path = tmp_path / f"{name}.inp"
         path.write_text(lines(one) + surface)
-        found.append(import_file(path).surfaces["BOTTOM"])
+        found.append(import_file(path).surfaces["SIDE"])
     assert np.array_equal(found[0], found[1]) and len(found[0]) == 8
