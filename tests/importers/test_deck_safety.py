@@ -149,6 +149,8 @@ def test_byte_order_marks_are_read(tmp_path: Path, ending: str) -> None:
      "ELASTIC is given twice"),
     ("*SOLID SECTION, ELSET=EVERY, MATERIAL=TWO\n*MATERIAL, NAME=TWO\n*DENSITY\n1e-9\n*DENSITY\n1e-9\n",
      "DENSITY is given twice"),
+    ("*MASS, ELSET=FIRST\n1.\n", "MASS of 'FIRST' names an element that is a solid"),
+    ("*ELEMENT, TYPE=MASS, ELSET=P\n900, 1\n*MASS, ELSET=P\n1.\n*MASS, ELSET=P\n2.\n", "has a property already"),
 ])  # fmt: skip
 def test_data_that_no_keyword_takes_are_not_swallowed(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "nodes.txt").write_text("901, 0., 0., 0.\n902, 1., 0., 0.\n")
