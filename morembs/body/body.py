@@ -43,7 +43,8 @@ class Part:
     ``mass`` kg; ``center_of_mass`` (3,) m; ``inertia`` (3, 3) kg m2 about the centre of mass along the
     model's axes. ``nodes`` are the chosen nodes, ``cells`` the mesh between them, ``transformation``
     (3 n, Nc) gives their displacements (x, y, z of the first node, of the second, ...) from the coupled
-    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes.
+    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes, ``warnings`` what it
+    differs in from its source.
     """
 
     mass: float
@@ -56,6 +57,7 @@ class Part:
     columns: Mapping[str, slice]
     node_ids: Ints
     source: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +111,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     return Part(
         mass=mass, center_of_mass=center, inertia=inertia, nodes=chosen, cells=cells, transformation=picked,
         interfaces=problem.interfaces, columns=problem.coupling.columns, node_ids=model.nodes.ids,
-        source=model.source,
+        source=model.source, warnings=model.warnings,
     )  # fmt: skip
 
 

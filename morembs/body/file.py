@@ -69,7 +69,7 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
 
 def write_body(
     path: str | Path, bodies: Sequence[ElasticBody], *, recipe: Mapping[str, object] | None = None,
-    provenance: Mapping[str, object] | None = None, progress: Progress = SILENT,
+    provenance: Mapping[str, object] | None = None, warnings: Sequence[str] = (), progress: Progress = SILENT,
 ) -> Path:  # fmt: skip
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
 
@@ -79,6 +79,7 @@ def write_body(
         recipe: what was asked for (the job); by default the source and the options of each body.
         provenance: where the file comes from, any nested names and values; ``created`` and
             ``morembs_version`` are added where they are missing. Nothing outside /provenance depends on it.
+        warnings: what the examination of the model and the bodies warned of, beside what the model brings itself.
 
     Raises:
         InputError: no bodies, bodies of different parts, or names that cannot be stored.
@@ -100,6 +101,8 @@ def write_body(
     with replacing(target) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
         out = _Writer(file, safe)
         _write_common(out, part, bodies, recipe)
+        told = dict.fromkeys((*part.warnings, *warnings))
+        out.put("check/warnings", text(*told), "what to know before the bodies are used, a sentence each")
         out.safe.doing = "the mesh for ParaView"
         grid = file.create_group("VTKHDF")
         vtkhdf.write_grid(grid, file["nodes/coordinates"], part.cells)

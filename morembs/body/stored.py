@@ -108,7 +108,8 @@ class StoredBodies:
 
     ``mass`` kg, ``center_of_mass`` (3,) m, ``inertia`` (3, 3) kg m2 about it; ``node_ids`` (n,),
     ``coordinates`` (n, 3) m; ``input_interface``, ``input_component``, ``input_node_id`` (m,) tell for each
-    column of an input matrix the position of its interface, its motion 0..5 and its node (-1: a frame).
+    column of an input matrix the position of its interface, its motion 0..5 and its node (-1: a frame). ``warnings``
+    are sentences about the model and the bodies.
     """
 
     format_version: int
@@ -124,6 +125,7 @@ class StoredBodies:
     bodies: dict[str, StoredBody]
     recipe: dict[str, Any]
     provenance: dict[str, Any]
+    warnings: tuple[str, ...] = ()
 
 
 def stored_bodies(
@@ -148,6 +150,7 @@ def stored_bodies(
         ),
         recipe=json.loads(file["recipe"][()]),
         provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
+        warnings=tuple(_strings(file["check/warnings"])) if "check/warnings" in file else (),
     )
 
 

@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 Table = Mapping[str, tuple[str, str]]
 _FILE: Table = {
     "body_names": ("text", "bodies"), "interface_names": ("text", "interfaces"), "mode_kinds": ("text", "kinds"),
-    "recipe": ("json", ""), "unit_system": ("text", ""),
+    "recipe": ("json", ""), "unit_system": ("text", ""), "check/warnings?": ("text", "any"),
     "nodes/ids": ("whole", "N"), "nodes/coordinates": ("real", "N 3"),
     "inputs/interface_index": ("whole", "m"), "inputs/component": ("whole", "m"), "inputs/node_id": ("whole", "m"),
     "mass_properties/mass": ("real", ""), "mass_properties/center_of_mass": ("real", "3"),

@@ -34,6 +34,9 @@ def import_model(
     ] = None,
     mass_integration: Annotated[str, typer.Option(help="For a mesh: exact or reduced.")] = "exact",
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
+    allow_includes_outside: Annotated[
+        bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
+    ] = False,
     check: Annotated[bool, typer.Option("--check", help="Examine the model and print what is found.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="As --check; errors stop the import.")] = False,
     listed: Annotated[bool, typer.Option("--list", help="List the formats.")] = False,
@@ -64,7 +67,7 @@ def import_model(
             out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
-            options=_options(option or []),
+            options=_options(option or []), allow_includes_outside=allow_includes_outside,
         )  # fmt: skip
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)

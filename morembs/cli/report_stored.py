@@ -60,6 +60,7 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
             }
             for name, body in stored.bodies.items()
         },
+        "warnings": list(stored.warnings),
         "seconds": dict(origin.get("seconds") or {}),
         "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
     }
@@ -99,3 +100,5 @@ def print_stored(console: Console, path: str, stored: StoredBodies, found: Mappi
         for one in found[name].warnings:
             console.print(f"    {escape(str(one))}", highlight=False, soft_wrap=True)
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
+    for warning in stored.warnings:
+        console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

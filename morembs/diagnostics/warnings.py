@@ -27,6 +27,8 @@ def diagnosis_of(
 ) -> Diagnosis:
     """What is wrong with a model (SI, of an input in the units ``declared``); rigid elements are eliminated before.
 
+    What its import warned of stands among the findings.
+
     Peak memory: that of ``examine``, and copies of K, M and D where there are rigid elements.
     """
     K, M, D, dofs = model.K, model.M, model.D, model.dofs
@@ -38,8 +40,13 @@ def diagnosis_of(
         dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
     if not np.ptp(model.nodes.xyz, axis=0).any():
         # All in one point: matrices without a place in space.
-        return examine(K, M, D, deep=deep, budget=budget)
-    return examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget)
+        found = examine(K, M, D, deep=deep, budget=budget)
+    else:
+        found = examine(
+            K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget
+        )
+    told = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
+    return Diagnosis(findings=(*told, *found.findings), facts=found.facts)
 
 
 def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
@@ -62,13 +69,14 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings about a mesh and its materials (SI, of an input in the units ``declared``); K and M are not looked at.
 
-    A body of more than a hundred metres is among them: coordinates in mm beside a material in SI units; and elements
-    that are there twice, and nodes that were not merged.
+    What its reader warned of is among them, and a body of more than a hundred metres: coordinates in mm beside a
+    material in SI units; and elements that are there twice, and nodes that were not merged.
     """
     found = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
     if model.mesh is not None:
         found += [*double_elements(model.mesh), *open_seams(model.mesh)]
-    return _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+    units = _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+    return (*model.warnings, *units)
 
 
 def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
@@ -79,10 +87,10 @@ def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
     if model.mesh is not None and model.materials:
         return examined_mesh(model, declared)
     if not np.ptp(model.nodes.xyz, axis=0).any() or np.iscomplexobj(model.K.data) or np.iscomplexobj(model.M.data):
-        return ()
+        return model.warnings
     estimated = estimate(model.K, model.M, model.nodes, model.dofs)
     found = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
-    return _sentences([one for one in found if one.severity == "warning"])
+    return (*model.warnings, *_sentences([one for one in found if one.severity == "warning"]))
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:

@@ -27,11 +27,12 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
+from morembs.model.middle_nodes import mesh_in_order
 from morembs.storage.hdf5 import reading
 from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
-READERS: dict[str, Callable[[Path], Mesh]] = {
+READERS: dict[str, Callable[..., Mesh]] = {
     ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
 }  # fmt: skip
 
@@ -104,14 +105,16 @@ IMPORTERS: dict[str, Importer] = {
 }
 
 
-def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
+def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh with node sets and element sets, coordinates in m.
 
     Args:
         units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+        allow_includes_outside: a deck may include files from beyond its folder.
 
     Raises:
-        InputError: the file is missing, cannot be read, or has elements of an unsupported type; units not known.
+        InputError: the file is missing, cannot be read, or has elements of an unsupported type or with middle nodes in
+            no known order; units not known.
     """
     path, units = Path(path), parse_units(units) if isinstance(units, str) else units
     if not isinstance(units, Units | None):
@@ -120,12 +123,13 @@ def read_mesh(path: str | Path, units: Units | str | None = None) -> Mesh:
         raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
-    mesh = READERS.get(path.suffix.lower(), read_with_meshio)(path)
+    reader = READERS.get(path.suffix.lower())
+    mesh = reader(path, allow_includes_outside=allow_includes_outside) if reader else read_with_meshio(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
-    return replace(mesh, nodes=scaled, source=path.name)
+    return mesh_in_order(replace(mesh, nodes=scaled, source=path.name))
 
 
 def format_of(path: Path, given: str | None = None) -> str:

@@ -11,27 +11,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.formulations import DIALECTS, abaqus_warnings
 from morembs.importers.imported import Imported
 from morembs.model import Mesh
 
 Ints = NDArray[np.int64]
-_PLAIN = {"C3D4", "C3D10", "C3D20", "C3D27", "C3D6", "C3D15"}
 
 
-def read_abaqus(path: Path) -> Mesh:
+def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh of an input deck in the deck's own units; its materials are not read.
 
     Raises:
         InputError: not a deck, an element type that is not supported, or couplings and point masses, which a mesh
             cannot carry.
     """
-    deck = read_deck(path)
+    deck = read_deck(path, outside=allow_includes_outside)
     scopes = [deck.top, *deck.parts.values(), *(instance.scope for instance in deck.instances.values())]
     ties = [card for scope in scopes for card, *_ in scope.constraints]
     if ties or any(scope.points for scope in scopes):
@@ -39,21 +39,27 @@ def read_abaqus(path: Path) -> Mesh:
         raise InputError(
             f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out of it"
         )
-    return mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0]
+    return _with_warnings(mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0], deck, "auto")
 
 
-def import_abaqus(path: str | Path) -> Imported:
+def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Imported:
     """All of an input deck that a model can carry, in the deck's own units.
 
     The rows of ``nodes`` are those of ``mesh.nodes``, and behind them nodes that belong to no element but are named
     by a coupling or a point mass. Boundary conditions and steps are not applied (``notes`` say so).
+
+    Args:
+        allow_includes_outside: includes may name files beyond the folder of the deck.
+        dialect: the program whose element types are meant, "abaqus" or "calculix"; "auto" looks at the keywords.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
 
     Raises:
         InputError: the file is not a deck, contradicts itself, or holds what a model cannot carry.
     """
-    deck = read_deck(Path(path))
+    if dialect not in DIALECTS:
+        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
+    deck = read_deck(Path(path), outside=allow_includes_outside)
     assembly = Assembly(deck)
     if not assembly.blocks:
         raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
@@ -61,7 +67,7 @@ def import_abaqus(path: str | Path) -> Imported:
     found.surfaces()
     found.constraints()
     found.point_masses()
-    materials, material_notes = materials_of(deck, assembly)
+    materials, material_notes, lacking = materials_of(deck, assembly)
     got = found.found
     ends = [np.array([one.node for one in got.masses], dtype=np.int64)]
     ends += [np.append(one.slaves, one.master) for one in got.rigid]
@@ -74,25 +80,29 @@ def import_abaqus(path: str | Path) -> Imported:
     return Imported(
         source=deck.name,
         nodes=nodes,
-        mesh=mesh,
+        mesh=_with_warnings(mesh, deck, dialect),
         materials=materials,
         rigid=tuple(replace(one, master=int(row[one.master]), slaves=row[one.slaves]) for one in got.rigid),
         average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in got.average),
         masses=tuple(replace(one, node=int(row[one.node])) for one in got.masses),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
         notes=(*_notes(deck), *assembly.notes, *material_notes, *got.notes),
+        incomplete=lacking,
     )
+
+
+def _with_warnings(mesh: Mesh, deck: Deck, dialect: str) -> Mesh:
+    """The mesh with what its element types mean otherwise in their program."""
+    if dialect == "auto" and len(deck.dialects) == 1:
+        dialect = next(iter(deck.dialects))
+    solids = {code: count for code, count in deck.counts.items() if code in SOLIDS and count}
+    warnings, mass = abaqus_warnings(solids, dialect)
+    return replace(mesh, warnings=(*mesh.warnings, *warnings), mass_warnings=tuple(mass))
 
 
 def _notes(deck: Deck) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
-    for code, count in deck.counts.items():
-        if code in SOLIDS and code not in _PLAIN:
-            notes.append(
-                f"{count} elements {code} are read as {SOLIDS[code]} with full integration, so stiffness may differ "
-                "from that of the other program."
-            )
     for word in deck.noted:
         reason = "is not applied; the body is free" if word == "BOUNDARY" else "is not carried over"
         notes.append(f"*{word} {reason}.")

@@ -12,6 +12,7 @@ from morembs.importers.abaqus_deck import Deck, Instance, Members, NamedSet, Sco
 from morembs.importers.abaqus_keywords import LARGEST, label
 from morembs.model import skew
 from morembs.model.elements import TYPES
+from morembs.model.middle_nodes import in_order
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,6 +50,7 @@ class Assembly:
     def __init__(self, deck: Deck) -> None:
         self.deck = deck.name
         self.notes: list[str] = []
+        self.warnings: list[str] = []
         self.top = Placed("", [deck.top], np.eye(3))
         self.placed: dict[str, Placed] = {}
         self._cache: dict[tuple[int, str, str], Ints] = {}
@@ -139,7 +141,7 @@ class Assembly:
                     filled[j] += len(rows)
                     count += len(rows)
             whole = np.concatenate(nodes) if len(nodes) > 1 else nodes[0]
-            blocks.append((kind, self._in_order(kind, whole), np.concatenate(ids)))
+            blocks.append((kind, self._in_order(kind, whole, np.concatenate(ids)), np.concatenate(ids)))
         self.blocks: list[tuple[str, Ints, Ints]] = blocks
         self.solids = count
         self.points: list[tuple[Placed, int, str, int]] = []
@@ -150,11 +152,16 @@ class Assembly:
             self.points += [(placed, self.one_node(placed, ref), code, n + shifts[j]) for n, ref, code in items]
             placed.element_rows = number[j][np.argsort(own[j], kind="stable")]
 
-    def _in_order(self, kind: str, nodes: Ints) -> Ints:
-        """Nodes in VTK order. Programs differ in the order of the 7 inner nodes of hex27, so it is taken from where
-        they are."""
-        if kind != "hex27" or not len(nodes):
-            return nodes
+    def _in_order(self, kind: str, nodes: Ints, ids: Ints) -> Ints:
+        """Nodes in VTK order; surfaces, too, go by it. Programs differ in the order of the 7 inner nodes of hex27, so
+        it is taken from where they are."""
+        if kind == "hex27" and len(nodes):
+            nodes = self._hex27_in_order(nodes)
+        ordered, said = in_order(kind, nodes, self.xyz, ids, self.ids, self.deck)
+        self.warnings += [] if said is None else [said]
+        return ordered
+
+    def _hex27_in_order(self, nodes: Ints) -> Ints:
         N, _ = TYPES["hex20"].shape(TYPES["hex27"].reference[20:])
         expected = np.einsum("ak,ekx->eax", N, self.xyz[nodes[:, :20]])
         distance = np.linalg.norm(self.xyz[nodes[:, 20:]][:, None] - expected[:, :, None], axis=3)

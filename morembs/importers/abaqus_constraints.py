@@ -261,6 +261,9 @@ class Constraints:
                     if card.keyword != "SOLID SECTION":
                         value = _point_value(placed, card, [row for row in rows if row])
                         for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
+                            if element < self.assembly.solids or element in given:
+                                why = "has a property already" if element in given else "is a solid"
+                                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}")
                             given[element] = card, value
         for j, (_, node, code, element) in enumerate(self.assembly.points):
             card, value = given.get(self.assembly.solids + j, (_NO_CARD, np.zeros((3, 3))))

@@ -20,6 +20,7 @@ from morembs.importers.abaqus_keywords import (
     node_rows,
     number,
 )  # fmt: skip
+from morembs.importers.formulations import dialect_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -116,7 +117,8 @@ class Instance:
 
 @dataclass
 class Deck:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect."""
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect, ``dialects``
+    the programs that its keywords tell."""
 
     name: str
     top: Scope = field(default_factory=lambda: Scope(""))
@@ -126,17 +128,18 @@ class Deck:
     counts: dict[str, int] = field(default_factory=dict)
     noted: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
+    dialects: set[str] = field(default_factory=set)
 
 
-def read_deck(path: Path) -> Deck:
-    """The deck of a file.
+def read_deck(path: Path, *, outside: bool = False) -> Deck:
+    """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     Raises:
         InputError: the text is not an input deck, or holds what a model cannot carry.
     """
     deck = Deck(path.name)
     reader = _Reader(deck)
-    for card, pieces in cards(path):
+    for card, pieces in cards(path, outside=outside):
         reader.take(card, pieces)
     if reader.open:
         raise InputError(
@@ -164,6 +167,8 @@ class _Reader:
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
         word, deck = card.keyword, self.deck
+        told = dialect_of(word, card.options)
+        deck.dialects |= {told} if told else set()
         if word == "STEP":
             self._begin(word, card)
         if self.open and self.open[-1] == "STEP":
@@ -178,6 +183,7 @@ class _Reader:
             {"NODE": self._nodes, "ELEMENT": self._elements}.get(word, self._set)(card, pieces)
         elif word == "MATERIAL":
             self._material(card)
+            _refuse_data(card, pieces)
         elif word in NOTED:
             deck.noted[word] = deck.noted.get(word, 0) + 1
         elif word not in SILENT:
@@ -192,6 +198,8 @@ class _Reader:
 
     def _structure(self, card: Card, pieces: Iterator[bytes]) -> None:
         word, deck = card.keyword, self.deck
+        if word != "INSTANCE":
+            _refuse_data(card, pieces)
         if word.startswith("END "):
             if not self.open or self.open[-1] != word[4:]:
                 raise InputError(f"{card} ends what was not begun; check the order of the keywords")
@@ -270,9 +278,14 @@ class _Reader:
         if word == "SURFACE":
             scope.surfaces.append((card, rows))
         elif word in PROPERTIES:
+            if word == "SOLID SECTION" and len([row for row in rows if row]) > 1:
+                raise InputError(f"{card} has several data lines; expected one, its thickness, or none")
             scope.properties.append((card, rows))
         elif word == "ORIENTATION":
-            scope.orientations[card.need("NAME").upper()] = (card, rows)
+            name = card.need("NAME").upper()
+            if name in scope.orientations:
+                raise InputError(f"{card}: the name {name!r} is given twice; expected each orientation once")
+            scope.orientations[name] = (card, rows)
         elif word in CONSTRAINTS:
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
@@ -286,6 +299,11 @@ class _Reader:
                 f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck if the model "
                 "is right without it"
             )
+
+
+def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
+    if any(piece.strip() for piece in pieces):
+        raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
 
 
 def _join(sets: dict[str, NamedSet], name: str, part: Members) -> None:

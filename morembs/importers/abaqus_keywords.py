@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.includes import Includes, open_text
 from morembs.importers.text_matrices import numbers, table, whole_numbers
 
 Floats = NDArray[np.float64]
@@ -30,6 +31,14 @@ _COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
 _EMPTY_FIELD = re.compile(rb",[ \t]*(?=[,\n])|^[ \t]*,", re.MULTILINE)
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
 _WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
+# How an included file begins: a keyword, or data of numbers.
+_BEGIN = re.compile(rb"\*[ \t]*[A-Za-z]|[-+.0-9][-+.0-9eEdD, \t]*$")
+# Data that are an include without its star.
+_NO_STAR = re.compile(rb"^[ \t]*INCLUDE[ \t]*,[ \t]*INPUT[ \t]*=", re.MULTILINE | re.IGNORECASE)
+# They take a title or nothing, so numbers of an included file behind them are those of a block that lost its keyword.
+_WITHOUT_DATA = ("HEADING", "PREPRINT")
+# The lines with which a deck may end without an end of line: cut off, they would be other words.
+_LAST = re.compile(rb"\*\*|\*[ \t]*END[ \t]*(STEP|PART|ASSEMBLY|INSTANCE)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,71 +60,66 @@ class Card:
         return value
 
 
-def cards(path: Path) -> Iterator[tuple[Card, Iterator[bytes]]]:
+def cards(path: Path, *, outside: bool = False) -> Iterator[tuple[Card, Iterator[bytes]]]:
     """Each keyword with its data in pieces of whole lines; what is not taken of the pieces is passed over.
 
+    ``outside`` allows to include files from beyond the folder of the deck.
+
     Raises:
-        InputError: a file is missing, binary, includes itself, or does not begin with a keyword.
+        InputError: a file is missing, binary, includes what it must not, or does not begin with a keyword.
     """
-    for card, group in groupby(_stream(path, (), None), key=itemgetter(0)):
+    for card, group in groupby(_stream(path, (), None, Includes(path, outside)), key=itemgetter(0)):
         yield card, (piece for _, piece in group)
 
 
-def _stream(path: Path, above: tuple[Path, ...], card: Card | None) -> Generator[tuple[Card, bytes], None, Card | None]:
+def _stream(
+    path: Path, above: tuple[Path, ...], card: Card | None, includes: Includes
+) -> Generator[tuple[Card, bytes], None, Card | None]:
     """Cards with pieces of data; begins inside ``card`` and returns the one it ends in."""
-    resolved = path.resolve()
-    if resolved in above:
-        chain = " -> ".join(p.name for p in (*above, resolved))
-        raise InputError(f"{path.name} includes itself ({chain}); remove the *INCLUDE that closes the circle")
-    above = (*above, resolved)
+    outer, above = card, (*above, path.resolve())
     for text in _texts(path):
         at = 0
         while (star := _next_keyword(text, at)) >= 0:
-            yield from _data(card, text[at:star], path)
+            yield from _data(card, text[at:star], path, swallowed=card is outer)
             line, at = _keyword_line(text, star)
             found = _card(line, path.name)
             if found.keyword == "INCLUDE":
-                card = yield from _stream(_beside(path, found), above, card)
+                card = yield from _stream(_included(path, found, above, includes), above, card, includes)
                 continue
             card = found
             yield card, b""
             if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
-                for piece in _texts(_beside(path, card)):
+                for piece in _texts(_included(path, card, above, includes)):
                     yield card, piece
-        yield from _data(card, text[at:], path)
+        yield from _data(card, text[at:], path, swallowed=card is outer)
     return card
 
 
-def _data(card: Card | None, piece: bytes, path: Path) -> Iterator[tuple[Card, bytes]]:
+def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> Iterator[tuple[Card, bytes]]:
+    """Data of a card; ``swallowed`` where the card stands in the file that includes this one."""
     if not piece.strip():
         return
-    if card is None:
-        start = piece.strip()[:40].decode("latin-1")
+    if card is None or (swallowed and card.keyword in _WITHOUT_DATA):
+        behind = "no *NODE block or the like" if card is None else f"*{card.keyword}, which takes none,"
         raise InputError(
-            f"{path.name} has {start!r} where a keyword belongs, and no *NODE block before it; expected an Abaqus or "
+            f"{path.name} begins with data where a keyword belongs: {behind} stands before them; expected an Abaqus or "
             "CalculiX input deck"
         )
+    if _NO_STAR.search(piece):
+        raise InputError(f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE")
     yield card, piece
 
 
-def _beside(path: Path, card: Card) -> Path:
-    """The file that a card names, beside the file it stands in."""
-    name = card.need("INPUT")
-    try:
-        found = path.parent / name
-        exists = found.is_file()
-    except (OSError, ValueError):
-        exists = False
-    if not exists:
-        raise InputError(f"{card} names the file {name!r}, which does not exist beside {path.name}; check the path")
-    return found
+def _included(path: Path, card: Card, above: tuple[Path, ...], includes: Includes) -> Path:
+    """The file that a card in the file ``path`` names."""
+    return includes.take(card.need("INPUT"), str(card), (path.parent, includes.path.parent), above, _BEGIN)
 
 
 def _texts(path: Path) -> Iterator[bytes]:
     """Pieces of whole lines without comments; a keyword line is never at the end of a piece but the last."""
     rest = b""
     try:
-        with open(path, "rb") as file:
+        with open_text(path) as file:
             while chunk := file.read(PIECE):
                 if b"\0" in chunk:
                     raise InputError(f"{path.name} holds binary data; expected an input deck, which is text")
@@ -132,7 +136,7 @@ def _texts(path: Path) -> Iterator[bytes]:
     if rest:
         yield _clean(rest + b"\n")
         last = rest[rest.rfind(b"\n") + 1 :].strip()
-        if last and not last.startswith(b"*"):
+        if last and not _LAST.match(last):
             raise InputError(
                 f"{path.name} ends within the line {last[-40:].decode('latin-1')!r}, so it may be cut off; write it "
                 "again, or end the last line if the file is complete"

@@ -23,28 +23,30 @@ _ORTHOTROPIC = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2), (3, 3), (4, 4), 
 _ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
 
 
-def materials_of(deck: Deck, assembly: Assembly) -> tuple[tuple[Material, ...], list[str]]:
-    """A material for each solid section, and notes on what was left out.
+def materials_of(deck: Deck, assembly: Assembly) -> tuple[tuple[Material, ...], list[str], dict[str, str]]:
+    """A material for each solid section, notes on what was left out, and what the materials of some sets lack.
 
     Raises:
         InputError: a section names what is not there, or a material that is not linear elastic.
     """
     found: list[Material] = []
     notes: list[str] = []
+    lacking: dict[str, str] = {}
     for placed in (*assembly.placed.values(), assembly.top):
         for scope in placed.contents:
             for card, _ in scope.properties:
                 if card.keyword == "SOLID SECTION":
-                    one = _section(deck, assembly, placed, scope, card, notes)
+                    one = _section(deck, assembly, placed, scope, card, notes, lacking)
                     found += [one] if one else []
     if not found and not deck.materials:
         notes.append("The deck has no materials; give them when the model is built.")
-    return tuple(found), list(dict.fromkeys(notes))
+    return tuple(found), list(dict.fromkeys(notes)), lacking
 
 
 def _section(
-    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, notes: list[str]
-) -> Material | None:
+    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, notes: list[str],
+    lacking: dict[str, str],
+) -> Material | None:  # fmt: skip
     elset, name = card.need("ELSET"), card.need("MATERIAL")
     for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
         if option in card.options:
@@ -57,6 +59,8 @@ def _section(
         raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
     given: dict[str, tuple[Card, Rows]] = {}
     for own, rows in deck.materials[name.upper()]:
+        if own.keyword in given:
+            raise InputError(f"{own} is given twice in the material {name!r}; expected one, the one that holds")
         if own.keyword in ("ELASTIC", "DENSITY"):
             given[own.keyword] = own, [row for row in rows if row]
         elif own.keyword in _WITHOUT_EFFECT:
@@ -66,10 +70,7 @@ def _section(
     missing = [word for word in ("ELASTIC", "DENSITY") if word not in given]
     final = assembly.final_name("element", placed, elset)
     if missing:
-        notes.append(
-            f"Material {name} has no *{' and no *'.join(missing)}, so the set {final} has no material; give it when "
-            "the model is built."
-        )
+        lacking[final] = f"the material {name} of the set {final} has no *{' and no *'.join(missing)}"
         return None
     density = _numbers(*given["DENSITY"], 1, name)[0]
     orientation = card.options.get("ORIENTATION", "").upper()

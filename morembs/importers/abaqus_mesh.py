@@ -52,6 +52,7 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     mesh = Mesh(
         nodes=Nodes(ids=assembly.ids[kept], xyz=assembly.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
         blocks=tuple(blocks), element_sets=element_sets, source=assembly.deck,
+        warnings=tuple(assembly.warnings),
     )  # fmt: skip
     if not len(loose):
         return mesh, mesh.nodes, row

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.includes import open_text
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,11 +38,16 @@ class Lines:
             what = "is not a file" if path.exists() else "does not exist"
             raise InputError(f"archive {str(path)!r} {what}; check the path")
         try:
-            with open(path, "rb") as file:
+            with open_text(path) as file:
                 # Limited, so that a file without lines is not taken in whole.
                 while line := file.readline(1 << 16):
                     if b"\0" in line or (len(line) == 1 << 16 and not line.endswith(b"\n")):
                         raise InputError(f"{path.name} is not a text of lines; expected an archive (CDWRITE)")
+                    if not line.endswith((b"\n", b"\r")) and line.strip().upper() not in (b"", b"FINISH"):
+                        raise InputError(
+                            f"{path.name} ends within a line, so it may be cut off; write it again, or end the last "
+                            "line if the file is complete"
+                        )
                     yield line.rstrip(b"\r\n")
         except OSError as error:
             raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}") from error

@@ -13,6 +13,7 @@ from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, MASS, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material, point_masses
+from morembs.importers.formulations import ansys_warnings
 from morembs.importers.imported import Imported, PointMass
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.material import Material
@@ -65,8 +66,10 @@ def import_ansys_cdb(path: str | Path, *, skip: Sequence[str] = ()) -> Imported:
     """
     archive = read_commands(Path(path))
     ids, xyz, rotated = _nodes(archive)
-    notes = list(archive.notes)
+    notes, warnings = list(archive.notes), list[str]()
     parts, masses = _sorted_elements(archive, {word.upper() for word in skip}, notes)
+    for part in parts:
+        warnings += ansys_warnings(*archive.types[part.archive_type], part.type, len(part.ids))
     if not parts:
         raise InputError(f"{archive.name} has no solid elements; expected an archive with a mesh of solids")
     named = [part.nodes.ravel() for part in parts] + [elements.nodes[:, 0] for _, elements in masses]
@@ -85,12 +88,14 @@ def import_ansys_cdb(path: str | Path, *, skip: Sequence[str] = ()) -> Imported:
     for label, of in (("material", materials_of), ("type", types_of)):
         for number in np.unique(np.concatenate(of)):
             element_sets[f"{label} {number}"] = tuple(np.flatnonzero(values == number) for values in of)
-    materials = _materials(archive, materials_of, systems, notes)
+    lacking: dict[str, str] = {}
+    materials = _materials(archive, materials_of, systems, notes, lacking)
     _say_rest(archive, rotated, len(ids) - len(used), notes)
-    mesh = Mesh(nodes=nodes, blocks=blocks, element_sets=element_sets, source=archive.name)
+    mesh = Mesh(nodes=nodes, blocks=blocks, element_sets=element_sets, source=archive.name, warnings=tuple(warnings))
     return Imported(
-        source=archive.name, nodes=nodes, mesh=mesh, materials=materials, masses=tuple(points), notes=tuple(notes)
-    )
+        source=archive.name, nodes=nodes, mesh=mesh, materials=materials, masses=tuple(points), notes=tuple(notes),
+        incomplete=lacking,
+    )  # fmt: skip
 
 
 def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
@@ -212,13 +217,13 @@ def _element_sets(
 
 
 def _materials(
-    archive: Archive, materials_of: list[Ints], systems: list[Ints], notes: list[str]
+    archive: Archive, materials_of: list[Ints], systems: list[Ints], notes: list[str], lacking: dict[str, str]
 ) -> tuple[Material, ...]:  # fmt: skip
     numbers, turned = np.concatenate(materials_of), np.concatenate(systems) != 0
     found = (
         material(
             int(number), f"material {number}", archive.properties.get(int(number), {}),
-            bool(turned[numbers == number].any()), notes,
+            bool(turned[numbers == number].any()), notes, lacking,
         )
         for number in np.unique(numbers)
     )  # fmt: skip

@@ -18,9 +18,9 @@ _DEFAULT_POISSON = 0.3
 
 
 def material(
-    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str]
+    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str], lacking: dict[str, str]
 ) -> Material | None:  # fmt: skip
-    """Material of the element set ``name``, or None where EX or DENS is missing, which is noted.
+    """Material of the element set ``name``, or None where EX or DENS is missing, which goes into ``lacking``.
 
     What ANSYS fills in itself is filled in: EY = EZ = EX, one Poisson's ratio and shear modulus for all planes, 0.3.
     ``turned`` says that elements have a coordinate system of their own.
@@ -30,7 +30,7 @@ def material(
     """
     missing = [key for key in ("EX", "DENS") if key not in given]
     if missing:
-        notes.append(f"material {number} has no {' and no '.join(missing)}; give it in the job for the set {name!r}")
+        lacking[name] = f"material {number} has no {' and no '.join(missing)}"
         return None
     major, minor = ("PRXY", "PRYZ", "PRXZ"), ("NUXY", "NUYZ", "NUXZ")
     e1 = given["EX"]

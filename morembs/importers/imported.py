@@ -38,7 +38,9 @@ class Imported:
 
     Matrices ``K``, ``M``, ``D`` (N, N) as they are there (whole, not half; real or complex, symmetric or not) with
     ``dofs``; or a ``mesh`` with ``materials``; or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
-    ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry.
+    ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry; ``warnings``
+    what makes the model another one than that of the file, beside what ``mesh`` warns of. ``incomplete`` maps an
+    element set to the sentence that tells what its material lacks: such a model is refused until the set has one.
     """
 
     source: str
@@ -54,3 +56,5 @@ class Imported:
     masses: tuple[PointMass, ...] = ()
     surfaces: Mapping[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    incomplete: Mapping[str, str] = field(default_factory=dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -24,6 +25,20 @@ SOLIDS = {
     "tetra": "tet4", "tetra10": "tet10", "hexahedron": "hex8", "hexahedron20": "hex20",
     "hexahedron27": "hex27", "wedge": "wedge6", "wedge15": "wedge15",
 }  # fmt: skip
+# How formats begin, and their last line; a text of any other format ends with an end of line.
+_HEAD = 1 << 12
+_LAST_LINES = (
+    (
+        re.compile(rb"\s*\$MeshFormat"),
+        re.compile(
+            rb"\$End(MeshFormat|Comments|PhysicalNames|(Partitioned)?Entities|Nodes|Elements|Periodic|GhostElements|"
+            rb"Parametrizations|(Node|Element|ElementNode)Data|InterpolationScheme)"
+        ),
+    ),
+    (re.compile(rb"\s*<"), re.compile(rb".*</\w+>")),
+    (re.compile(rb"\s*MeshVersionFormatted", re.IGNORECASE), re.compile(rb"End", re.IGNORECASE)),
+)
+_BINARY = re.compile(rb"^BINARY\s*$|[\x00-\x08\x0e-\x1f\x7f-\xff]", re.MULTILINE)
 # meshio reads 15-node wedges but forgot their dimension, without which it stops.
 topological_dimension.setdefault("wedge15", 3)
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
@@ -89,6 +104,7 @@ def _read(path: Path) -> meshio.Mesh:
     """meshio's mesh; it prints and ends the process on files that it cannot read, which is caught here."""
     for one in (path, *_beside(path)):
         refuse_unsafe_file(one)
+    _refuse_cut(path)
     words = io.StringIO()
     try:
         with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
@@ -100,6 +116,28 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio knows "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
+
+
+def _refuse_cut(path: Path) -> None:
+    """Refuse a text that ends within a line, or before the mark that its format ends with: meshio reads on without."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+            file.seek(-min(path.stat().st_size, _HEAD), 2)
+            tail = file.read()
+    except OSError as error:
+        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+    last = tail.rstrip().rsplit(b"\n", 1)[-1].strip()
+    wanted = next((mark for begin, mark in _LAST_LINES if begin.match(head)), None)
+    if wanted is not None:
+        whole = bool(wanted.fullmatch(last))
+    else:
+        whole = b"\0" in head + tail or _BINARY.search(head) is not None or tail[-1:] in b"\r\n"
+    if not whole:
+        raise InputError(
+            f"{path.name} cannot be read as a mesh: it ends where its format does not, so it may be cut off; write it "
+            "again, or end its last line if the file is complete"
+        )
 
 
 def _beside(path: Path) -> set[Path]:
@@ -215,14 +253,15 @@ def _named_points(data: meshio.Mesh) -> dict[str, Ints]:
     return named
 
 
-def import_mesh(path: Path) -> Imported:
+def import_mesh(path: Path, *, allow_includes_outside: bool = False) -> Imported:
     """A solid mesh with its sets, without materials.
 
     Raises:
         InputError: the file cannot be read, or has no solid elements or some that are not supported.
     """
     path = Path(path)
-    mesh = read_abaqus(path) if path.suffix.lower() == ".inp" else read_with_meshio(path)
+    deck = path.suffix.lower() == ".inp"
+    mesh = read_abaqus(path, allow_includes_outside=allow_includes_outside) if deck else read_with_meshio(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     return Imported(source=path.name, mesh=mesh)

@@ -62,6 +62,7 @@ def write_model(
         out.put("source/format", importer or "none")
         out.put("source/units", units or "m-kg-s", "length, mass and time of the files; everything here is SI")
         out.put("source/notes", text(*model.notes))
+        out.put("source/warnings", text(*model.warnings), "in what the model differs from its source")
         out.put("source/findings", text(*findings), "what the examination found at the import")
         for name, matrix, unit in (("K", model.K, "N/m"), ("M", model.M, "kg"), ("D", model.D, "N s/m")):
             if matrix is not None:

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.formulations import nastran_warnings
 from morembs.importers.imported import Imported
-from morembs.importers.nastran_cards import head_of, real, tables
-from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems
+from morembs.importers.includes import Includes
+from morembs.importers.nastran_cards import ends, head_of, real, tables
+from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
 from morembs.model import ElementBlock, Mesh, Nodes
 
@@ -32,22 +34,25 @@ _NOTED = {
     "ECHOOFF", "NLPARM", "SET3", "MATT1", "MATT9", "MDLPRM", "TABLEM1", "PBAR", "PBARL", "PBEAM", "PBEAML", "PSHELL",
     "PROD", "PELAS", "PBUSH",
 }  # fmt: skip
-_WTMASS = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*WTMASS[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
+_PARAM = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*(\w+)[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
+# Values of PARAM COUPMASS that leave the mass lumped.
+OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
 
 
 class _Bulk:
     """The cards of a file, sorted by what they are."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, outside: bool) -> None:
         self.file = path.name
         self.grids, self.solids, self.systems = Grids(path.name), Solids(path.name), Systems(path.name)
         self.rows: dict[str, Rows] = {name: [] for name in _READ}
         self.noted: dict[str, int] = {}
         refused: dict[str, int] = {}
         head, start = head_of(path)
+        self.cut = start > 0 and not ends(path)
         self.head = re.sub(rb"\$.*", b"", head.replace(b"\r", b"")).decode("latin-1")
-        for table in tables(path, start):
+        for table in tables(path, start, Includes(path, outside)):
             if table.name == "GRID":
                 self.grids.add(table)
             elif table.name in SOLIDS:
@@ -59,7 +64,8 @@ class _Bulk:
             else:
                 refused[table.name] = refused.get(table.name, 0) + len(table)
         if refused:
-            listed = ", ".join(f"{count} {name or '(no name)'}" for name, count in refused.items())
+            # Lines of a file that is no deck have names with other characters; they are not shown.
+            listed = ", ".join(f"{count} {name if name.isalnum() else '(no name)'}" for name, count in refused.items())
             raise InputError(
                 f"{path.name} has cards that cannot be carried: {listed}; expected solids ({', '.join(SOLIDS)}), RBE2, "
                 "RBE3, RBAR and CONM2; take the others out if the model is right without them"
@@ -74,44 +80,53 @@ class _Bulk:
 
     def mass_scale(self) -> float:
         """PARAM WTMASS."""
-        in_head = [["WTMASS", text] for text in _WTMASS.findall(self.head)]
-        for row in [*self.rows["PARAM"], *in_head]:
-            if row and row[0].upper() == "WTMASS":
-                value = real(padded(row, 2)[1], f"{self.file}: PARAM WTMASS")
-                if not value > 0:
-                    raise InputError(f"{self.file}: PARAM WTMASS = {value:g} was given; expected a positive number")
-                return value
-        return 1.0
+        value = real(self.parameter("WTMASS", "1."), f"{self.file}: PARAM WTMASS")
+        if not value > 0:
+            raise InputError(f"{self.file}: PARAM WTMASS = {value:g} was given; expected a positive number")
+        return value
+
+    def parameter(self, name: str, default: str) -> str:
+        """Value of a PARAM, in the bulk data or above them.
+
+        Raises:
+            InputError: it is given twice with different values.
+        """
+        cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.head))]
+        given = {padded(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
+        if len(given) > 1:
+            raise InputError(f"{self.file} gives PARAM {name} as {' and as '.join(sorted(given))}; expected one value")
+        return given.pop() if given else default
 
 
-def read_nastran(path: Path) -> Mesh:
+def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
     """Mesh of bulk data in the units of the file; materials are not read.
 
     Raises:
         InputError: not bulk data, or cards that a mesh cannot carry.
     """
-    bulk = _Bulk(path)
+    bulk = _Bulk(path, outside=allow_includes_outside)
     ties = [name for name in ("RBE2", "RBE3", "RBAR", "CONM2") if bulk.rows[name]]
     if ties:
         raise InputError(
             f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
         )
-    return _mesh(bulk, np.empty(0, dtype=np.int64), [])[0]
+    return _with_warnings(_mesh(bulk, np.empty(0, dtype=np.int64), [])[0], bulk)
 
 
-def import_nastran(path: str | Path) -> Imported:
+def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) -> Imported:
     """All of a file of bulk data that a model can carry, in the units of the file, along the basic axes.
 
     Elements of the property 3 are the set "PSOLID_3"; SET1 5 and SET 5 of case control are "SET1_5" and "SET_5". The
     rows of ``nodes`` are those of ``mesh.nodes``, and behind them grids that belong to no element but are named by a
-    rigid element or a mass. Restraints and loads are not applied (``notes`` say so).
+    rigid element or a mass. Restraints and loads are not applied (``notes`` say so). ``allow_includes_outside`` lets
+    INCLUDE name files beyond the folder of the file.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file as tables (about 150 MB).
 
     Raises:
         InputError: the file is not bulk data, contradicts itself, or holds what a model cannot carry.
     """
-    bulk = _Bulk(Path(path))
+    bulk = _Bulk(Path(path), outside=allow_includes_outside)
     scale = bulk.mass_scale()
     ties = Ties(bulk.grids, bulk.systems, scale)
     for name, take in (("RBE2", ties.rbe2), ("RBE3", ties.rbe3), ("RBAR", ties.rbar), ("CONM2", ties.conm2)):
@@ -128,12 +143,13 @@ def import_nastran(path: str | Path) -> Imported:
     return Imported(
         source=bulk.file,
         nodes=nodes,
-        mesh=mesh,
+        mesh=_with_warnings(mesh, bulk),
         materials=tuple(found),
         rigid=tuple(replace(one, master=int(row[one.master]), slaves=row[one.slaves]) for one in ties.rigid),
         average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in ties.average),
         masses=tuple(replace(one, node=int(row[one.node])) for one in ties.masses),
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
+        incomplete=materials.lacking,
     )
 
 
@@ -203,6 +219,26 @@ def _sets(
         else:
             notes.append(f"SET {number} of case control names neither grids nor elements only and was left out.")
     return found
+
+
+def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:
+    """The mesh with what its element types mean otherwise in Nastran."""
+    counts: dict[tuple[str, str], int] = {}
+    for name, parts in mesh.element_sets.items():
+        if name.startswith("PSOLID_"):
+            for block, rows in zip(mesh.blocks, parts, strict=True):
+                if len(rows):
+                    what = f"{card_of(block.type)} with {block.nodes.shape[1]} nodes"
+                    counts[what, name.removeprefix("PSOLID_")] = len(rows)
+    full = {}
+    for row in bulk.rows["PSOLID"]:
+        words = padded(row, 6)
+        points = words[3].upper() in ("2", "TWO", "3", "THREE")
+        full[words[0]] = words[5].upper() in ("1", "FULL") and points
+    warnings = nastran_warnings(counts, full, consistent=bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF)
+    if bulk.cut:
+        warnings.append(f"{bulk.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there")
+    return replace(mesh, warnings=(*mesh.warnings, *warnings))
 
 
 def _notes(bulk: _Bulk, scale: float) -> list[str]:

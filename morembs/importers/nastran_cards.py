@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.includes import Includes, open_text
 from morembs.importers.text_matrices import numbers, whole_numbers
 
 Floats = NDArray[np.float64]
@@ -22,6 +23,7 @@ Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 PIECE = 1 << 22
 _LONGEST_CARD = 1 << 26
+_TAIL = 1 << 16
 _LARGEST = 1e100
 _WIDTH = 24
 _LINE = 80
@@ -30,6 +32,10 @@ _BEGIN = re.compile(rb"^[ \t]*BEGIN[ \t,]+(BULK|SUPER)[^\n]*\n?", re.MULTILINE |
 _END = re.compile(rb"^[ \t]*ENDDATA.*", re.MULTILINE | re.IGNORECASE | re.DOTALL)
 _INCLUDE = re.compile(
     rb"^[ \t]*INCLUDE[ \t=]+(?:'([^']*)'|\"([^\"]*)\"|([^\s$]+))[^\n]*\n", re.MULTILINE | re.IGNORECASE
+)
+# How an included file begins: a card whose first field is a number, one of a few others, or a continuation.
+_FIRST = re.compile(
+    rb"(PARAM|INCLUDE|ENDDATA|BEGIN|GRDSET)\b|[A-Z]\w{0,7} *\*? *[ ,\t][ ,\t]*[-+.0-9]|[+*,]", re.IGNORECASE
 )
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
 
@@ -119,7 +125,7 @@ def head_of(path: Path) -> tuple[bytes, int]:
     """What stands above BEGIN BULK (empty without one), and where bulk data begin."""
     text, at = b"", 0
     try:
-        with open(path, "rb") as file:
+        with open_text(path) as file:
             while chunk := file.read(PIECE):
                 text += chunk
                 if match := _BEGIN.search(text):
@@ -134,30 +140,29 @@ def head_of(path: Path) -> tuple[bytes, int]:
     return b"", 0
 
 
-def tables(path: Path, start: int = 0, above: tuple[Path, ...] = ()) -> Iterator[Table]:
+def ends(path: Path) -> bool:
+    """Whether ENDDATA stands near the end of a file."""
+    with open_text(path) as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - _TAIL, 0))
+        return _END.search(file.read()) is not None
+
+
+def tables(path: Path, start: int, includes: Includes, above: tuple[Path, ...] = ()) -> Iterator[Table]:
     """The cards of bulk data from the byte ``start`` on, INCLUDE followed.
 
     Raises:
-        InputError: a file is missing, binary, includes itself, or has a line that is no card.
+        InputError: a file is missing, binary, includes what it must not, or has a line that is no card.
     """
-    resolved = path.resolve()
-    if resolved in above:
-        chain = " -> ".join(p.name for p in (*above, resolved))
-        raise InputError(f"{path.name} includes itself ({chain}); remove the INCLUDE that closes the circle")
-    above = (*above, resolved)
+    above = (*above, path.resolve())
     for piece in _pieces(path, start):
         at = 0
         for match in _INCLUDE.finditer(piece):
             yield from _tables(piece[at : match.start()], path.name)
             at = match.end()
             name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
-            try:
-                found = next((d for d in (path.parent, above[0].parent) if name and (d / name).is_file()), None)
-            except (OSError, ValueError):
-                found = None
-            if found is None:
-                raise InputError(f"{path.name} includes {name!r}, which does not exist beside it; check the path")
-            yield from tables(found / name, 0, above)
+            folders = (path.parent, includes.path.parent)
+            yield from tables(includes.take(name, f"{path.name}: INCLUDE", folders, above, _FIRST), 0, includes, above)
         yield from _tables(piece[at:], path.name)
 
 
@@ -165,8 +170,8 @@ def _pieces(path: Path, start: int) -> Iterator[bytes]:
     """Pieces of whole cards without comments, up to ENDDATA."""
     rest = b""
     try:
-        with open(path, "rb") as file:
-            file.seek(start)
+        with open_text(path) as file:
+            file.seek(start, 1)
             while True:
                 chunk = file.read(PIECE)
                 if b"\0" in chunk:

@@ -26,6 +26,11 @@ SOLIDS: dict[str, tuple[str, int, str, tuple[int, ...]]] = {
 }
 
 
+def card_of(kind: str) -> str:
+    """Name of the card of a type of elements."""
+    return next(card for card, (low, _, high, _) in SOLIDS.items() if kind in (low, high))
+
+
 class Systems:
     """Coordinate systems; 0 is the basic one."""
 

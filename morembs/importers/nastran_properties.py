@@ -32,6 +32,7 @@ class Materials:
     def __init__(self, file: str, scale: float) -> None:
         self.file, self.scale = file, scale
         self.notes: list[str] = []
+        self.lacking: dict[str, str] = {}
 
     def of(
         self, pids: list[int], psolid: Rows, mats: dict[str, Rows], systems: Systems, grids: Grids
@@ -46,14 +47,14 @@ class Materials:
         for pid in pids:
             name = f"PSOLID_{pid}"
             if pid not in properties:
-                self.notes.append(f"The property {pid} of solids is not in the file, so {name} has no material.")
+                self.lacking[name] = f"the property {pid} of solids is not in the file"
                 continue
             row = padded(properties[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
                 raise InputError(f"{self.file}: PSOLID {pid} is of the kind {row[6]!r}; expected a structural one")
             mid = whole(row[1], f"{self.file}: PSOLID {pid}")
             if not mid:
-                self.notes.append(f"PSOLID {pid} names no material; give one to {name} when the model is built.")
+                self.lacking[name] = f"PSOLID {pid} names no material"
             elif mid in cards["MAT1"]:
                 found += self._mat1(name, mid, cards["MAT1"][mid])
             elif mid in cards["MAT9"]:
@@ -113,7 +114,7 @@ class Materials:
         return [Material(set=name, stiffness=C, density=numbers[21] * self.scale)]
 
     def _without_density(self, name: str, card: str) -> list[Material]:
-        self.notes.append(f"{card} has no density, so {name} has no material; give it when the model is built.")
+        self.lacking[name] = f"{card} of the set {name} has no density"
         return []
 
 

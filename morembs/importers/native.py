@@ -52,6 +52,7 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
             source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
             mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
             notes=tuple(_words(file["source/notes"])),
+            warnings=tuple(_words(file["source/warnings"])) if "source/warnings" in file else (),
         )  # fmt: skip
         Checksums(path, file).verify()
         return found

@@ -22,6 +22,7 @@ from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, wit
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.material import Material
+from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
@@ -46,6 +47,7 @@ def model_of(
             coordinates, numbers that are not finite, or elements that contradict each other.
     """
     units = units or Units()
+    imported = _completed(imported)
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
@@ -64,6 +66,7 @@ def model_of(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
         dependent=dependent_dofs(model, rigid, average), notes=(*imported.notes, *base.notes),
+        warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
 
 
@@ -90,6 +93,27 @@ class _Rows:
 
     def one(self, given: int) -> int:
         return int(self.many(np.array([given]))[0])
+
+
+def _completed(imported: Imported) -> Imported:
+    """With a warning for each set whose own material lacks something and that was given another one.
+
+    Raises:
+        InputError: a set without any, in a file whose matrices are not there.
+    """
+    given = {one.set for one in imported.materials}
+    bare = {name: why for name, why in imported.incomplete.items() if not given & {name, "all"}}
+    if bare and imported.K is None:
+        raise InputError(
+            f"{imported.source}: {'; '.join(bare.values())}; complete them in the file, or give a material for "
+            f"{'each set' if len(bare) > 1 else 'the set'}: --material young=..,poisson=..,density=..,set="
+            f"{next(iter(bare))}"
+        )
+    told = tuple(
+        f"{why}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
+        for name, why in imported.incomplete.items()
+    )
+    return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
 
 
 def _refuse_incomplete(imported: Imported) -> None:
@@ -152,11 +176,14 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
             )
     nodes, dofs, notes = _nodes_and_dofs(imported, size)
     nodes = _with_surfaces(replace(nodes, xyz=nodes.xyz * units.length), imported)
-    mesh = None if imported.mesh is None else _mesh_on(imported.mesh, nodes, units)
+    mesh = None if imported.mesh is None else replace(_mesh_on(imported.mesh, nodes, units), warnings=())
+    if mesh is not None:
+        # Formulations of its elements do not matter beside matrices, the places of its nodes do.
+        mesh = mesh_in_order(mesh)
     K, M, D = matrices_in_si(imported, dofs, units)
     model = FEModel(
         K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh, materials=materials_in_si(imported.materials, units),
-        source=source,
+        source=source, warnings=() if mesh is None else mesh.warnings,
     )  # fmt: skip
     bare = len(nodes) - len(np.unique(dofs.node))
     if bare:
@@ -248,7 +275,8 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     solid = _picked(nodes, order[:count], np.where(used, row, -1), units)
     part = Mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
-        element_sets=mesh.element_sets, source=mesh.source,
+        element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
+        mass_warnings=mesh.mass_warnings,
     )  # fmt: skip
     model = assemble(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,

@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
 from morembs.errors import InputError
-from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
 from morembs.jobs.duration import reduction_seconds
@@ -20,11 +19,11 @@ from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
+    mesh_of,
     modelling,
     prepare_output,
     solver_of,
     source_of,
-    units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
@@ -62,7 +61,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     progress.stage("read")
     if job.tables.model.file is not None:
         return _check_file(job, solver, start, progress)
-    mesh = read_mesh(source_of(job), units_of(job))
+    mesh = mesh_of(job)
     progress.stage("check elements")
     require_room(job, start, 3 * len(mesh.nodes))
     graph = check_mesh(mesh, materials, progress)
@@ -71,8 +70,9 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     empty = sp.csr_array((size, size))
     dofs = DofMap.translations(len(mesh.nodes))
     model = FEModel(
-        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source
-    )
+        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source,
+        warnings=mesh.warnings + (mesh.mass_warnings if job.tables.model.mass_integration == "exact" else ()),
+    )  # fmt: skip
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)

@@ -35,7 +35,8 @@ class ImportJob:
     """What to read and what to write.
 
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
-    nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer.
+    nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
+    ``allow_includes_outside`` lets decks include files from beyond their folders.
     """
 
     out: Path
@@ -48,6 +49,7 @@ class ImportJob:
     materials: tuple[Material, ...] = ()
     mass_integration: str = "exact"
     options: Mapping[str, Any] = field(default_factory=dict)
+    allow_includes_outside: bool = False
 
     @property
     def sources(self) -> tuple[Path, ...]:
@@ -107,7 +109,7 @@ def run_import(
     seen = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():
         seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
-    warnings = imported_warnings(model, units) if diagnosis is None else ()
+    warnings = imported_warnings(model, units) if diagnosis is None else model.warnings
     return ImportResult(
         path=job.out, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings
     )
@@ -119,7 +121,7 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
     if job.file is not None:
         format = format_of(job.file, job.format)
-        imported = import_file(job.file, format, job.options)
+        imported = import_file(job.file, format, {**_outside(job, format), **job.options})
     else:
         imported, format = _combined(job)
     if format == "native" and (job.units.name != "m-kg-s" or job.nodes or job.dofs):
@@ -127,9 +129,10 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
             f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs"
         )
     if job.materials:
-        if imported.materials or imported.K is not None:
+        open_sets = {one.set for one in job.materials} <= set(imported.incomplete)
+        if imported.K is not None or (imported.materials and not open_sets):
             raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
-        imported = replace(imported, materials=job.materials)
+        imported = replace(imported, materials=(*imported.materials, *job.materials))
     if imported.K is None and job.dofs is not None:
         raise InputError("--dofs was given for a mesh; it belongs to matrices")
     return _with_geometry(imported, job), format
@@ -183,7 +186,7 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
         imported = replace(imported, **{name: square_csr(imported.source, name, A) for name in ROLES
                                         if (A := getattr(imported, name)) is not None})  # fmt: skip
     if job.nodes is not None:
-        imported = _on_mesh(imported, job.nodes)
+        imported = _on_mesh(imported, job.nodes, _outside(job, format_of(job.nodes)))
     if job.dofs is None:
         return imported
     labels, component = read_dof_map(job.dofs)
@@ -194,9 +197,15 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
     return replace(imported, nodes=nodes, dofs=dofs)
 
 
-def _on_mesh(imported: Imported, path: Path) -> Imported:
+def _outside(job: ImportJob, format: str) -> dict[str, bool]:
+    """The option of formats that include files."""
+    known = "allow_includes_outside" in IMPORTERS[format].options
+    return {"allow_includes_outside": True} if known and job.allow_includes_outside else {}
+
+
+def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Imported:
     """The matrices on the nodes of a mesh file."""
-    held = import_file(path)
+    held = import_file(path, options=options)
     nodes = held.nodes if held.nodes is not None else (held.mesh.nodes if held.mesh is not None else None)
     if nodes is None:
         raise InputError(f"--nodes {path.name} has no nodes; expected a mesh")

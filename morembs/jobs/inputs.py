@@ -13,13 +13,14 @@ from morembs.body.file import check_writable
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
+from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.interface import Interface, make_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.model import FEModel
+from morembs.model import FEModel, Mesh
 from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
 from morembs.problem import Damping
@@ -268,6 +269,12 @@ def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
 def source_of(job: Job) -> Path:
     """The mesh or model file."""
     return job.resolve(job.tables.model.file or job.tables.model.mesh or "")
+
+
+def mesh_of(job: Job) -> Mesh:
+    """The mesh of the job, in SI units."""
+    outside = job.tables.model.allow_includes_outside
+    return read_mesh(source_of(job), units_of(job), allow_includes_outside=outside)
 
 
 def wants_modes(job: Job) -> bool:

@@ -16,7 +16,6 @@ from morembs.certificate.certify import Certificate, certify
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
-from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
@@ -25,12 +24,11 @@ from morembs.jobs.inputs import (
     delivery_of,
     interfaces_of,
     materials_of,
+    mesh_of,
     preload_of,
     prepare_output,
     reducers_of,
     solver_of,
-    source_of,
-    units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
@@ -109,7 +107,7 @@ def _run(
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
     model = _read(job, materials, budget, start, watch)
-    warnings = model_warnings(job, model, budget)
+    warnings = found = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
     with watch.stage("couple"):
@@ -129,7 +127,8 @@ def _run(
             )
     with problem:
         bodies = _reduce(job, problem, delivery_of(job), watch)
-        warnings += delivered_warnings(bodies)
+        delivered = delivered_warnings(bodies)
+        warnings += delivered
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
             response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_MOTIONS
@@ -142,8 +141,9 @@ def _run(
     with watch.stage("write"):
         provenance = _provenance(job, factor, watch)
         write_body(
-            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance, progress=progress
-        )
+            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
+            warnings=(*found, *delivered), progress=progress,
+        )  # fmt: skip
     if job.picture is not None:
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
@@ -163,7 +163,7 @@ def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, w
         require_room(job, start, model.size)
         return model
     with watch.stage("read"):
-        mesh = read_mesh(source_of(job), units_of(job))
+        mesh = mesh_of(job)
     require_room(job, start, 3 * len(mesh.nodes))
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)

@@ -40,6 +40,9 @@ class ModelTable(Table):
         default="m-kg-s", description='"length-mass-time" such as "mm-t-s", or a table with length, mass and time'
     )
     mass_integration: Literal["exact", "reduced"] = Field(default="exact", description='"exact" or "reduced"')
+    allow_includes_outside: bool = Field(
+        default=False, description="true or false: a deck may include files from beyond its folder"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

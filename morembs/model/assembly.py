@@ -19,6 +19,7 @@ from morembs.errors import InputError, nearest
 from morembs.model.elements import TYPES, ElementType, Rule
 from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh
 from morembs.model.material import Material
+from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 
@@ -36,6 +37,7 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
     Raises:
         InputError: as ``assemble``.
     """
+    mesh = mesh_in_order(mesh)
     material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
     _refuse_gaps(mesh)
@@ -65,16 +67,19 @@ def assemble(
     ``mass_integration`` is "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the
     points of the stiffness, as CalculiX does for tetrahedra: one point in tet4, four in tet10).
 
+    Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell.
+
     Peak memory: K, M, the node graph (1/9 of the entries of K) and one chunk of about 50 MB times 4.
 
     Raises:
         InputError: a material names an unknown set, an element has no or two materials, is inverted or
-            degenerate, or nodes belong to no element.
+            degenerate, has its middle nodes in no known order, or nodes belong to no element.
     """
     if mass_integration not in MASS_INTEGRATION:
         raise InputError(
             f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}"
         )
+    mesh = mesh_in_order(mesh)
     owner = material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
     _refuse_gaps(mesh)
@@ -112,7 +117,7 @@ def assemble(
     K.has_canonical_format = True
     return FEModel(
         K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, materials=tuple(materials),
-        source=mesh.source,
+        source=mesh.source, warnings=mesh.warnings + (mesh.mass_warnings if mass_integration == "exact" else ()),
     )  # fmt: skip
 
 

@@ -64,12 +64,18 @@ class ElementBlock:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Nodes, solid elements and named element sets (name -> for each block the rows it holds)."""
+    """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
+
+    ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source,
+    ``mass_warnings`` what only one with the exact mass will.
+    """
 
     nodes: Nodes
     blocks: tuple[ElementBlock, ...]
     element_sets: Mapping[str, tuple[Ints, ...]] = field(default_factory=dict)
     source: str = ""
+    warnings: tuple[str, ...] = ()
+    mass_warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
@@ -126,7 +132,7 @@ class FEModel:
 
     ``rigid`` and ``average`` elements make dofs ``dependent`` on others; the matrices cover these too, until the model
     is coupled to its interfaces. Masters and references are nodes with dofs of their own. ``notes`` say what the
-    import found.
+    import found, ``warnings`` in what the model differs from its source; they go with it into every body.
     """
 
     K: sp.csr_array
@@ -141,6 +147,7 @@ class FEModel:
     average: tuple[AverageElement, ...] = ()
     dependent: DependentDofs | None = None
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.dofs)

@@ -75,6 +75,7 @@ class Made:
         self.part = SimpleNamespace(
             mass=1.0, center_of_mass=np.zeros(3), inertia=np.eye(3), nodes=Rows(ids=rows + 1, xyz=x),
             cells=(Cells(vtk=1, connectivity=rows[:, None]),), interfaces=(), columns={}, node_ids=rows + 1, source="",
+            warnings=(),
         )  # fmt: skip
         self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
         self.name, self.recipe, self.full_frequencies_hz, self.certificate = "made", {}, None, None

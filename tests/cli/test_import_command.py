@@ -53,12 +53,13 @@ def block() -> FEModel:
 
 
 def write_nodes(path: Path, model: FEModel, factor: float = 1.0) -> Path:
-    """The mesh of ``model`` as an Abaqus deck."""
+    """The mesh of ``model`` as a deck of CalculiX (*NODE FILE), whose C3D8 is ours."""
     places = zip(model.nodes.ids, (factor * model.nodes.xyz).tolist(), strict=True)
     nodes = [f"{i}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in places]
     cells = model.mesh.blocks[0]
     rows = [f"{i}, " + ", ".join(map(str, model.nodes.ids[row])) for i, row in zip(cells.ids, cells.nodes, strict=True)]
-    path.write_text("\n".join(["*NODE, NSET=ALL", *nodes, "*ELEMENT, TYPE=C3D8, ELSET=BODY", *rows, ""]))
+    text = ["*NODE, NSET=ALL", *nodes, "*NODE FILE", "U", "*ELEMENT, TYPE=C3D8, ELSET=BODY", *rows, ""]
+    path.write_text("\n".join(text))
     return path
 
 
@@ -552,7 +553,7 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     model = read_model(out)
     assert model.mesh is not None and model.mesh.blocks[0].type == "tet10" and model.nodes.sets
     blocks = shared_data / "finetools" / "twoblocks.nas"
-    assert "no materials" in refused(tmp_path, blocks)
+    assert "PSOLID 2 names no material" in refused(tmp_path, blocks)
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
     document = json.loads(run(blocks, *both, "-o", out, "--json"))
     assert document["nodes"] == 119 and [one.set for one in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]

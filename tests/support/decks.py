@@ -30,6 +30,8 @@ ARRAYS = {"material", "interface", "reduce"}
 def deck(cells: Sequence[Cell], size: float = 10.0, kind: str = "C3D8", flipped: Sequence[int] = ()) -> str:
     """Cubes of edge ``size`` at whole places, joined where they touch; the elements ``flipped`` are inside out.
 
+    *NODE FILE says that the deck is one of CalculiX, whose C3D8 is what is assembled here.
+
     Sets: nodes LEFT and RIGHT (lowest and highest x), LINE (y = z = 0) and elements FIRST.
     """
     places = sorted({tuple(c + d for c, d in zip(cell, corner, strict=True)) for cell in cells for corner in CORNERS})
@@ -50,7 +52,7 @@ def deck(cells: Sequence[Cell], size: float = 10.0, kind: str = "C3D8", flipped:
     }
     for name, members in sets.items():
         lines += [f"*NSET, NSET={name}", *(str(member) for member in members)]
-    lines += ["*ELSET, ELSET=FIRST", "1"]
+    lines += ["*ELSET, ELSET=FIRST", "1", "*NODE FILE", "U"]
     return "\n".join(lines) + "\n"
 
 

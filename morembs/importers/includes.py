@@ -1,0 +1,119 @@
+"""Text of decks, and the files that decks include: where these may lie, how deep, how many and how large.
+
+A deck may come from a stranger, so what it includes stays in its folder, and no message quotes an included file before
+that file has shown itself to be a deck.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from morembs.errors import InputError
+
+DEEPEST, MOST, LARGEST_SUM = 50, 1000, 1 << 32
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_LOOK = 1 << 16
+ALLOW = "--allow-includes-outside"
+
+
+def open_text(path: Path) -> BinaryIO:
+    """The bytes of a text, those of UTF-16 as UTF-8 (all in memory), without a byte order mark.
+
+    Raises:
+        OSError: the file cannot be opened.
+        InputError: it says that it is UTF-16, and is not.
+    """
+    file = path.open("rb")
+    start = file.read(3)
+    if start[:2] in _UTF16:
+        with file:
+            file.seek(0)
+            try:
+                return io.BytesIO(file.read().decode("utf-16").encode("utf-8"))
+            except UnicodeDecodeError as error:
+                raise InputError(f"{path.name} is not the UTF-16 text that its mark says; write it as UTF-8") from error
+    file.seek(len(codecs.BOM_UTF8) if start == codecs.BOM_UTF8 else 0)
+    return file
+
+
+@dataclass
+class Includes:
+    """What the deck at ``path`` has included so far; ``outside`` allows files beyond its folder."""
+
+    path: Path
+    outside: bool = False
+    count: int = 0
+    total: int = 0
+    folder: Path = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.folder = self.path.parent.resolve()
+
+    def take(
+        self, name: str, where: str, beside: tuple[Path, ...], above: tuple[Path, ...], begin: re.Pattern[bytes]
+    ) -> Path:  # fmt: skip
+        """The file ``name`` that ``where`` includes.
+
+        Args:
+            beside: folders to look into.
+            above: the files, resolved, that led here.
+            begin: what the first line that is no comment must match.
+
+        Raises:
+            InputError: no such file, outside of the folder, in a circle, too deep, too many, too large, or no deck.
+        """
+        try:
+            found = next((folder / name for folder in beside if name and (folder / name).is_file()), None)
+            resolved = None if found is None else found.resolve()
+        except (OSError, ValueError, RuntimeError):
+            found = resolved = None
+        if not self.outside and not self._inside(resolved, name, beside):
+            raise InputError(
+                f"{where} names the file {name!r}, which is not in the folder of the deck (nor below it); put it "
+                f"there, or give {ALLOW} if the deck may read other files"
+            )
+        if found is None or resolved is None:
+            raise InputError(f"{where} names the file {name!r}, which does not exist beside the deck; check the path")
+        if resolved in above:
+            chain = " -> ".join(path.name for path in (*above, resolved))
+            raise InputError(f"{found.name} includes itself ({chain}); remove the include that closes the circle")
+        if len(above) > DEEPEST:
+            raise InputError(
+                f"{self.path.name} includes files {len(above)} deep; at most {DEEPEST} are followed; join them"
+            )
+        self.count += 1
+        try:
+            self.total += resolved.stat().st_size
+            self._refuse_other(found, where, begin)
+        except OSError as error:
+            raise InputError(f"{found.name}, which {where} names, cannot be opened: {error.strerror}") from error
+        if self.count > MOST or self.total > LARGEST_SUM:
+            raise InputError(
+                f"{self.path.name} includes {self.count} files of {self.total / 1e6:.0f} MB together (files that are "
+                f"included again count again); at most {MOST} files and {LARGEST_SUM / 1e6:.0f} MB are read; join them"
+            )
+        return found
+
+    def _inside(self, resolved: Path | None, name: str, beside: tuple[Path, ...]) -> bool:
+        """Whether a file, there or not, lies in the folder: what is outside is not even told to exist."""
+        try:
+            place = resolved if resolved is not None else (beside[0] / name).resolve()
+        except (OSError, ValueError, RuntimeError):
+            return True
+        return place.is_relative_to(self.folder)
+
+    def _refuse_other(self, found: Path, where: str, begin: re.Pattern[bytes]) -> None:
+        with open_text(found) as file:
+            text = file.read(_LOOK)
+        lines = (line.strip() for line in text.replace(b"\r", b"\n").split(b"\n"))
+        first = next((line for line in lines if line and not line.startswith((b"**", b"$"))), b"")
+        if first and not begin.match(first):
+            raise InputError(
+                f"{found.name}, which {where} names, does not begin as a deck does (a keyword or card, or data of "
+                "numbers); its lines are not shown; check the path"
+            )
