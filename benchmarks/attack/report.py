@@ -1,0 +1,48 @@
+"""What the attacks found: failures in groups with the command that repeats each, and tables."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+
+from benchmarks.attack import kill, preload
+from benchmarks.measure import Report, Settings
+
+
+def again(verb: str, kind: str, seed: int, number: int) -> str:
+    """The command that repeats a trial."""
+    return f"python -m benchmarks.attack {verb} --kind {kind} --seed {seed} --only {number} --keep kept"
+
+
+def groups(found: dict[tuple[str, str], list[tuple[str, str]]]) -> None:
+    """Print failures by what failed and where, the first with words and command."""
+    for (failure, kind), cases in sorted(found.items()):
+        words, command = cases[0]
+        print(f"\n{failure}, {kind}: {len(cases)}\n  {words}\n  {command}")
+
+
+def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only: int | None) -> int:
+    """The verb ``kill``."""
+    preload.everything()
+    start = time.perf_counter()
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    for outcome in kill.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only):
+        row = rows[outcome.trial.kind]
+        row.update(runs=1, whole=outcome.trial.whole, ended=outcome.ended_before, left=outcome.left > 0,
+                   failed=bool(outcome.failures))  # fmt: skip
+        for failure, words in outcome.failures:
+            repeat = again("kill", outcome.trial.kind, seed, outcome.trial.number)
+            found[failure, outcome.trial.kind].append((f"{outcome.trial}: {words}", repeat))
+    table = Report("attack-kill", settings, rows={kind: dict(row) for kind, row in rows.items()})
+    columns = (("runs", "runs"), ("whole", "whole processes"), ("ended", "ended before"),
+               ("left", "left files for a moment"), ("failed", "failed"))  # fmt: skip
+    table.rows["all"] = {key: sum(row[key] for row in rows.values()) for key, _ in columns}
+    table.table(f"kill: seed {seed}, {time.perf_counter() - start:.0f} s", [(k, h, "n") for k, h in columns])
+    groups(found)
+    table.write()
+    return int(bool(found))
+
+
+VERBS: dict[str, Callable[[Settings, int, int, Sequence[str], int | None], int]] = {"kill": killed}
