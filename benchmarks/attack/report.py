@@ -6,7 +6,8 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 
-from benchmarks.attack import kill, preload
+from benchmarks.attack import damage, kill, preload
+from benchmarks.attack.mutations import REASONS
 from benchmarks.measure import Report, Settings
 
 
@@ -45,4 +46,38 @@ def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only
     return int(bool(found))
 
 
-VERBS: dict[str, Callable[[Settings, int, int, Sequence[str], int | None], int]] = {"kill": killed}
+def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], only: int | None) -> int:
+    """The verb ``damage``."""
+    preload.everything()
+    start = time.perf_counter()
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    silent: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    for outcome in damage.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only):
+        rows[outcome.format].update({"files": 1, outcome.result: 1})
+        case = f"{outcome.words}\n  {outcome.detail}", again("damage", outcome.format, seed, outcome.number)
+        if outcome.result in damage.FAILURES:
+            place = outcome.detail if outcome.result == "traceback" else outcome.format
+            found[outcome.result, place].append(case)
+        elif outcome.result == "silent":
+            silent[outcome.kind, outcome.format].append(case)
+        if only is not None:
+            print(f"{outcome.result}: {outcome.kind}: {case[0]}")
+    results = ("files", "refused", "same", "told", "silent", *damage.FAILURES)
+    names = {"told": "changed, told", "silent": "changed, not told", "same": "taken, the same"}
+    table = Report("attack-damage", settings, rows={kind: dict(row) for kind, row in rows.items()})
+    table.rows["all"] = {key: sum(row[key] for row in rows.values()) for key in results}
+    title = f"damage: seed {seed}, {time.perf_counter() - start:.0f} s"
+    table.table(title, [(key, names.get(key, key), "n") for key in results])
+    print("\nchanged, not told, by the kind of damage, and why no reader can know:")
+    for kind in sorted({kind for kind, _ in silent}):
+        each = {format: len(cases) for (one, format), cases in silent.items() if one == kind}
+        print(f"  {kind}: {sum(each.values())} ({', '.join(f'{f} {n}' for f, n in each.items())})")
+        print(f"    {REASONS.get(kind, 'NO REASON: this is a failure')}")
+    groups(found | {(f"not told, {kind}", format): cases for (kind, format), cases in silent.items()
+                    if kind not in REASONS})  # fmt: skip
+    table.write()
+    return int(bool(found) or any(kind not in REASONS for kind, _ in silent))
+
+
+VERBS: dict[str, Callable[[Settings, int, int, Sequence[str], int | None], int]] = {"kill": killed, "damage": damaged}
