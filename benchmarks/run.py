@@ -19,14 +19,13 @@ from pathlib import Path
 
 import frames
 import jobs
-import killed
 import krylov
 import parts
 import solvers
 import switching
 from measure import HERE, Settings, required
 
-CASES = {**solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, "killed": killed.killed}
+CASES = {**solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES}
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
 ROUNDS = 3

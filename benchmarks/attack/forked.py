@@ -20,8 +20,12 @@ import traceback
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import typer
+import typer.main
 
 from morembs.budget import resident_bytes
 
@@ -86,11 +90,22 @@ def run(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 
     return begin(work, folder, logs, seconds=seconds, space=space).wait()
 
 
+@cache
+def _built() -> Any:
+    """The tree of commands, which typer builds from its signatures in a third of the time of a short run."""
+    from morembs.cli.commands import app
+
+    return typer.main.get_command(app)
+
+
 def program(arguments: Sequence[str]) -> Callable[[], None]:
     """The command line of morembs."""
     from morembs.cli.commands import main
 
+    _built()
+
     def work() -> None:
+        typer.main.get_command = lambda _: _built()
         sys.argv = ["morembs", *arguments]
         main()
 
@@ -142,7 +157,7 @@ def _own(folder: Path, logs: Path, seconds: int, space: int) -> None:
     for place, stream in enumerate(streams):
         os.dup2(stream, place)
         os.close(stream)
-    sys.stdin, sys.stdout, sys.stderr = (open(i, "w" if i else "r", closefd=False) for i in range(3))
+    sys.stdin, sys.stdout, sys.stderr = (open(i, "w" if i else "r", 1, closefd=False) for i in range(3))
 
 
 def _code(work: Callable[[], object]) -> int:
