@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.attack import forked, mutations
 from benchmarks.attack.fingerprint import Prints, differences, fingerprint, printed
-from benchmarks.attack.seeds import Seed, seeds
+from benchmarks.attack.seeds import FORMATS, SLOW, Seed, seeds
 
 # Limits of one run: seconds, growth of its memory in bytes, and of its addresses, which protects the machine.
 SECONDS, MEMORY, SPACE = 20, 500_000_000, 3_000_000_000
@@ -154,12 +154,13 @@ def attacks(
     folder: Path, *, count: int, seed: int, kinds: Sequence[str] = (), only: int | None = None
 ) -> Iterator[Outcome]:
     """All trials, or that with one number of one format."""
-    formats = seeds(folder / "seeds")
-    if wrong := [kind for kind in kinds if kind not in formats]:
-        raise SystemExit(f"no such format: {', '.join(wrong)}; expected some of {', '.join(formats)}")
-    chosen = list(kinds or formats)
-    for place, format in enumerate(chosen):
-        targets = [Target(format, one, folder / f"{format}-{i}") for i, one in enumerate(formats[format])]
-        trials = count // len(chosen) + (place < count % len(chosen))
-        for number in range(trials) if only is None else [only]:
+    if wrong := [kind for kind in kinds if kind not in FORMATS]:
+        raise SystemExit(f"no such format: {', '.join(wrong)}; expected some of {', '.join(FORMATS)}")
+    made = seeds(folder / "seeds", list(kinds or FORMATS))
+    weights = {format: 1 if format in SLOW else 2 for format in made}
+    given = 0.0
+    for format, weight in weights.items():
+        targets = [Target(format, one, folder / f"{format}-{i}") for i, one in enumerate(made[format])]
+        first, given = round(given), given + count * weight / sum(weights.values())
+        for number in range(round(given) - first) if only is None else [only]:
             yield targets[number % len(targets)].attack(number, seed)

@@ -84,8 +84,8 @@ def _model(path: Path) -> Prints:
     found["squares of frequencies"] = _squares(model)
     couplings = getattr(model, "couplings", {})
     for name in sorted(couplings):
-        one = couplings[name]
-        found[f"coupling {name}"] = [float(np.size(value)) for value in vars(one).values() if isinstance(value, np.ndarray)]
+        parts = [value for value in vars(couplings[name]).values() if isinstance(value, np.ndarray)]
+        found[f"coupling {name}"] = [float(np.size(part)) for part in parts]
     return found
 
 

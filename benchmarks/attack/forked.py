@@ -7,6 +7,7 @@ leaves through the ends that the interpreter has (finalizers, threads, exit code
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import multiprocessing.util
 import os
@@ -113,10 +114,9 @@ def program(arguments: Sequence[str]) -> Callable[[], None]:
 
 
 def _lead(pid: int) -> None:
-    try:
+    # It may lead already, or have ended.
+    with contextlib.suppress(OSError):
         os.setpgid(pid, pid)
-    except OSError:
-        pass  # it leads already, or has ended
 
 
 def _live(work: Callable[[], object], folder: Path, logs: Path, seconds: int, space: int) -> NoReturn:
@@ -129,6 +129,7 @@ def _live(work: Callable[[], object], folder: Path, logs: Path, seconds: int, sp
             threading._shutdown()  # type: ignore[attr-defined]
             atexit._run_exitfuncs()
             sys.stdout.flush()
+            sys.stderr.flush()
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 1
     except BaseException:
@@ -157,7 +158,7 @@ def _own(folder: Path, logs: Path, seconds: int, space: int) -> None:
     for place, stream in enumerate(streams):
         os.dup2(stream, place)
         os.close(stream)
-    sys.stdin, sys.stdout, sys.stderr = (open(i, "w" if i else "r", 1, closefd=False) for i in range(3))
+    sys.stdin, sys.stdout, sys.stderr = (os.fdopen(i, "w" if i else "r", 1, closefd=False) for i in range(3))
 
 
 def _code(work: Callable[[], object]) -> int:

@@ -177,9 +177,9 @@ class Target:
             outcome.fail("traceback", errors.strip()[-300:])
         if "a process of its group goes on" in errors:
             outcome.fail("orphan", "a process of its group goes on")
-        if self.scenario.checkpoint and (place / self.scenario.checkpoint).exists():
-            if (what := content(place / self.scenario.checkpoint) or "").startswith("cannot be read"):
-                outcome.fail("half file", f"{self.scenario.checkpoint} {what}")
+        kept = content(place / self.scenario.checkpoint) if self.scenario.checkpoint else None
+        if kept is not None and kept.startswith("cannot be read"):
+            outcome.fail("half file", f"{self.scenario.checkpoint} {kept}")
         for path in self.inputs.rglob("*"):
             if path.is_file() and path.read_bytes() != (place / path.relative_to(self.inputs)).read_bytes():
                 outcome.fail("lost input", f"{path.name} was changed")
@@ -232,7 +232,8 @@ def _digest(group: h5py.Group, digest: hashlib._Hash) -> None:
             continue
         value = item[()]
         digest.update(f"{item.dtype} {item.shape}".encode())
-        digest.update(value.tobytes() if isinstance(value, np.ndarray) and value.dtype != object else repr(value).encode())
+        plain = isinstance(value, np.ndarray) and value.dtype != object
+        digest.update(value.tobytes() if plain else repr(value).encode())
 
 
 def _alone(group: int, patience: float = 10.0) -> bool:

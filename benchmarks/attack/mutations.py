@@ -20,7 +20,8 @@ _NUMBER = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?(?!
 _WORD = re.compile(rb"[A-Za-z_]{3,}")
 _MARKS = b"0123456789+-.,;:=*$'\"/\\#%&<>[]{}() \t\r\0abcdeEDXYZ\x1a\x7f\x80\xc3\xff"
 _ODD = (b"nan", b"NaN", b"inf", b"-inf", b"1e400", b"1e308", b"-1e30", b"1e80", b"99999999999", b"-1", b"0", b"1e-320",
-        b"0x10", b"1_000", b"1,5", b"1.0.0", b"--1", b"1e", b"+", "\u0661".encode(), b"1d3", b"1+3", b"2147483648")  # fmt: skip
+        b"0x10", b"1_000", b"1,5", b"1.0.0", b"--1", b"1e", b"+", "\u0661".encode(), b"1d3", b"1+3",
+        b"2147483648")  # fmt: skip
 
 
 def _lines(data: bytes) -> list[bytes]:
