@@ -28,8 +28,6 @@ from typing import Any, NoReturn
 import typer
 import typer.main
 
-from morembs.budget import resident_bytes
-
 OUTPUT, ERRORS, TEMPORARY = "stdout", "stderr", "tmp"
 
 
@@ -77,7 +75,7 @@ def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int 
     for name in (OUTPUT, ERRORS):
         (logs / name).write_bytes(b"")
     gc.freeze()
-    resident, start = resident_bytes(), time.perf_counter()
+    resident, start = _memory(1), time.perf_counter()
     pid = os.fork()
     if pid == 0:
         _live(work, folder, logs, seconds, space)
@@ -111,6 +109,14 @@ def program(arguments: Sequence[str]) -> Callable[[], None]:
         main()
 
     return work
+
+
+def _memory(place: int) -> int:
+    """Bytes of addresses (0) or of resident memory (1) of this process; 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[place]) * resource.getpagesize()
+    except OSError:
+        return 0
 
 
 def _lead(pid: int) -> None:
@@ -148,8 +154,8 @@ def _own(folder: Path, logs: Path, seconds: int, space: int) -> None:
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.alarm(seconds)
-    if space:
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    if space and sys.platform == "linux":
+        used = _memory(0)
         resource.setrlimit(resource.RLIMIT_AS, (used + space, used + space))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.chdir(folder)

@@ -329,6 +329,19 @@ REASONS: dict[str, str] = {
 }  # fmt: skip
 
 
+# Formats that announce how much there is, so that no part of them may be missing or there twice without a word.
+COUNTED = frozenset((
+    "msh", "vtk", "vtu", "mesh", "xdmf", "med", "matrix-market", "op4", "ansys-full", "npz", "matlab", "hdf5", "exudyn",
+    "native", "body", "gmp",
+))  # fmt: skip
+
+
+def reason(kind: str, format: str) -> str | None:
+    """Why damage of a kind may pass in a format without a word; None: it may not."""
+    found = REASONS.get(kind)
+    return None if found == _NO_COUNT and format in COUNTED else found
+
+
 def damage(path: Path, dice: Dice) -> tuple[str, str]:
     """Damage a file in one way: name of the kind, and words on what changed."""
     inside = INSIDE.get(path.suffix)
