@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import runpy
 import shutil
 import sys
 import tempfile
@@ -19,7 +20,7 @@ from benchmarks.attack import report
 from benchmarks.measure import HERE, Settings
 
 COUNTS = {"kill": 200, "damage": 2000}
-# A verb with a command line of its own: a module here whose main takes the rest of the arguments.
+# Verbs with a command line of their own: modules here that are run as scripts with the rest of the arguments.
 OWN = ("structured",)
 
 
@@ -47,7 +48,9 @@ def main(arguments: Sequence[str]) -> int:
         name = f"benchmarks.attack.{arguments[0]}"
         if importlib.util.find_spec(name) is None:
             raise SystemExit(f"{name} is not here")
-        return int(importlib.import_module(name).main(list(arguments[1:])) or 0)
+        sys.argv = [name, *arguments[1:]]
+        runpy.run_module(name, run_name="__main__", alter_sys=True)
+        return 0
     given = options(arguments)
     count = given.count or COUNTS[given.verb]
     print(f"{given.verb}: seed {given.seed}, {count if given.only is None else 1} trials", flush=True)
