@@ -62,7 +62,11 @@ class Child:
 
     def wait(self) -> Ended:
         """Wait for its end."""
-        _, status, usage = os.wait4(self.pid, 0)
+        try:
+            _, status, usage = os.wait4(self.pid, 0)
+        except BaseException:
+            self.send(signal.SIGKILL, group=True)
+            raise
         seconds = time.perf_counter() - self.start
         peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
         texts = [(self.logs / name).read_text("utf-8", "replace") for name in (OUTPUT, ERRORS)]

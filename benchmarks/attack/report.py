@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 from benchmarks.attack import damage, kill, preload
 from benchmarks.attack.mutations import REASONS, reason
 from benchmarks.measure import Report, Settings
 
+T = TypeVar("T")
+
 
 def again(verb: str, kind: str, seed: int, number: int) -> str:
     """The command that repeats a trial."""
     return f"python -m benchmarks.attack {verb} --kind {kind} --seed {seed} --only {number} --keep kept"
+
+
+def until_stopped(outcomes: Iterator[T]) -> Iterator[T]:
+    """All of them, or those until Ctrl-C, of which the tables then tell."""
+    try:
+        yield from outcomes
+    except KeyboardInterrupt:
+        print("\nstopped before the end")
 
 
 def groups(found: dict[tuple[str, str], list[tuple[str, str]]]) -> None:
@@ -29,7 +40,7 @@ def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only
     start = time.perf_counter()
     rows: dict[str, Counter[str]] = defaultdict(Counter)
     found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
-    for outcome in kill.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only):
+    for outcome in until_stopped(kill.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only)):
         row = rows[outcome.trial.kind]
         row.update(runs=1, whole=outcome.trial.whole, ended=outcome.ended_before, left=outcome.left > 0,
                    failed=bool(outcome.failures))  # fmt: skip
@@ -53,7 +64,7 @@ def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], onl
     rows: dict[str, Counter[str]] = defaultdict(Counter)
     found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     silent: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
-    for outcome in damage.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only):
+    for outcome in until_stopped(damage.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only)):
         rows[outcome.format].update({"files": 1, outcome.result: 1})
         case = f"{outcome.words}\n  {outcome.detail}", again("damage", outcome.format, seed, outcome.number)
         if outcome.result in damage.FAILURES:
