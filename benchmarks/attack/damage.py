@@ -99,7 +99,9 @@ class Target:
         last = lines[-1] if lines else ""
         files = {path.name for path in place.iterdir()} - set(self.seed.files)
         strays = files - {self.seed.output}
-        noise = [line for line in lines if not line.startswith(_OWN)]
+        first = next((i for i, line in enumerate(lines) if line.startswith("error: ")), len(lines))
+        # A message may have several lines.
+        noise = [line for line in lines[:first] if not line.startswith(_OWN)]
         outcome.detail = last[:300]
         if "Traceback" in ended.errors or ended.code == 1:
             outcome.result, outcome.detail = "traceback", _cause(ended.errors)

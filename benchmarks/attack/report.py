@@ -52,6 +52,7 @@ def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only
                ("left", "left files for a moment"), ("failed", "failed"))  # fmt: skip
     table.rows["all"] = {key: sum(row[key] for row in rows.values()) for key, _ in columns}
     table.table(f"kill: seed {seed}, {time.perf_counter() - start:.0f} s", [(k, h, "n") for k, h in columns])
+    table.rows["all"]["seed"] = seed
     groups(found)
     table.write()
     return int(bool(found))
@@ -87,8 +88,12 @@ def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], onl
             format: cases for (one, format), cases in silent.items() if one == kind and (one, format) not in unknown
         }
         words, command = next(iter(each.values()))[0]
+        table.rows[f"not told: {kind}"] = {format: len(cases) for format, cases in each.items()} | {
+            "because": REASONS[kind]
+        }
         print(f"  {kind}: {', '.join(f'{format} {len(cases)}' for format, cases in each.items())}")
         print(f"    because: {REASONS[kind]}\n    such as: {words.splitlines()[0]}\n    {command}")
+    table.rows["all"]["seed"] = seed
     groups(found | {(f"not told, {kind}", format): cases for (kind, format), cases in unknown.items()})
     table.write()
     return int(bool(found or unknown))
