@@ -63,7 +63,7 @@ def _jobs(tables: Mapping[str, Mapping[str, str]]) -> Callable[[Path], None]:
 
 
 CERTIFIED = {
-    "certify": "band_hz = [0, 4000]\npoints = 5",
+    "certify": "band_hz = [0, 4000]\npoints = 3",
     "reduce2": 'name = "guyan"\nmethod = "guyan"',
     "stress": "",
 }
@@ -135,7 +135,7 @@ SCENARIOS: dict[str, Scenario] = {
     "recover": _verb(_motion, ("motion.vtkhdf",), "recover", "body.h5", "motion.csv", "-o", "motion.vtkhdf"),
     "info": _verb(_body, (), "info", "body.h5"),
     "batch": _verb(
-        _jobs({"a": {}, "b": CERTIFIED, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "reduce",
+        _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "reduce",
         "a.toml", "b.toml", "c.toml",
     ),
     "out-of-core": Scenario(_jobs({"big": SPILLED}), _out_of_core, ("big.h5",)),
