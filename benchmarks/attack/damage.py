@@ -104,7 +104,8 @@ class Target:
         noise = [line for line in lines[:first] if not line.startswith(_OWN)]
         outcome.detail = last[:300]
         if "Traceback" in ended.errors or ended.code == 1:
-            outcome.result, outcome.detail = "traceback", _cause(ended.errors)
+            faults = [path.read_text("utf-8", "replace") for path in (logs / forked.TEMPORARY).glob("*fault*")]
+            outcome.result, outcome.detail = "traceback", _cause("\n".join([ended.errors, *faults]))
         elif ended.hung:
             outcome.result, outcome.detail = "hang", f"more than {SECONDS} s"
         elif ended.code < 0:
