@@ -131,7 +131,11 @@ class Target:
 
     def _forked(self, trial: Trial, place: Path, logs: Path) -> tuple[int, str]:
         child = forked.begin(self.scenario.work, place, logs)
-        time.sleep(trial.instant * self.seconds)
+        try:
+            time.sleep(trial.instant * self.seconds)
+        except BaseException:
+            child.send(signal.SIGKILL, group=True)
+            raise
         # It is not waited for yet, so its number is its own, ended or not.
         for _ in range(1 + trial.twice):
             with contextlib.suppress(ProcessLookupError):
