@@ -2,7 +2,7 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup mumps demo test lint benchmark clean
+.PHONY: setup mumps demo test lint benchmark attack clean
 
 setup:
 	@bash scripts/setup.sh
@@ -26,6 +26,10 @@ lint: setup
 # For example: make benchmark CASES="small modes --quick"
 benchmark: setup
 	@$(RUN)/python benchmarks/run.py $(CASES)
+
+# For example: make attack ARGS="kill --count 1000", or ARGS="damage --count 10000 --seed 7"
+attack: setup
+	@OPENBLAS_NUM_THREADS=1 $(RUN)/python -m benchmarks.attack $(or $(ARGS),kill)
 
 clean:
 	rm -rf $(VENV)

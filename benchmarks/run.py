@@ -20,7 +20,6 @@ from pathlib import Path
 import budgets
 import frames
 import jobs
-import killed
 import krylov
 import parts
 import solvers
@@ -28,8 +27,7 @@ import switching
 from measure import HERE, Settings, required
 
 CASES = {
-    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
-    "killed": killed.killed,
+    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES
 }  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")

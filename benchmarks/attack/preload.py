@@ -1,0 +1,19 @@
+"""What runs load late, loaded once for all children."""
+
+from __future__ import annotations
+
+import importlib
+
+MODULES = (
+    "h5py", "matplotlib.backends.backend_agg", "matplotlib.pyplot", "meshio", "scipy.io", "morembs.cli.commands",
+    "morembs.gmp.stored", "morembs.nonlinear", "rich.table", "casadi",
+)  # fmt: skip
+
+
+def everything() -> None:
+    """Load them; what is not installed is passed over."""
+    for name in MODULES:
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            continue

@@ -1,0 +1,156 @@
+"""Short forms of the attacks, with fixed seeds: killed runs and damaged inputs, and that the attacks see faults.
+
+What is asserted holds for every instant at which a run may be killed, however fast the machine is.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.attack import damage, forked, kill, mutations, preload, scenarios  # noqa: E402
+from benchmarks.attack.fingerprint import differences, fingerprint  # noqa: E402
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes")
+KINDS = ("import", "export", "batch", "out-of-core", "gmp")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _loaded() -> None:
+    preload.everything()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_killed_runs_leave_nothing_half_done(tmp_path: Path, kind: str) -> None:
+    outcomes = list(kill.attacks(tmp_path, count=3, seed=1, kinds=[kind]))
+    assert len(outcomes) == 3
+    assert [(one.trial, one.failures) for one in outcomes if one.failures] == []
+
+
+def test_a_whole_process_is_killed_as_a_forked_one(tmp_path: Path) -> None:
+    target = kill.Target("import", tmp_path)
+    trial = next(one for i in range(99) if (one := kill.draw("import", i, 1, whole=1.0)).signal == signal.SIGTERM)
+    assert trial.whole
+    # Any time does; its own need not be found out by another run.
+    target.alone = 2.0
+    assert target.attack(trial).failures == []
+
+
+def test_damaged_inputs_are_refused_or_the_differ_knows_why(tmp_path: Path) -> None:
+    outcomes = list(damage.attacks(tmp_path, count=150, seed=1))
+    assert len(outcomes) == 150
+    bad = [one for one in outcomes if one.result in damage.FAILURES]
+    bad += [one for one in outcomes if one.result == "silent" and mutations.reason(one.kind, one.format) is None]
+    assert [(one.format, one.number, one.result, one.words, one.detail) for one in bad] == []
+    assert sum(one.result == "refused" for one in outcomes) > 50
+
+
+# The attacks themselves: a program that does what it must not do is found out.
+
+
+def half(path: str) -> None:
+    """Writes where it should not yet, for a while."""
+    with open(path, "wb") as file:
+        file.write(b"\x89HDF half")
+        file.flush()
+        time.sleep(60)
+
+
+def faulty(work: object, monkeypatch: pytest.MonkeyPatch, folder: Path) -> kill.Target:
+    """A target whose whole run writes "out", and whose killed one does ``work``."""
+    scenario = scenarios.Scenario(lambda folder: None, lambda: Path("out").write_bytes(b"all"), ("out",))
+    monkeypatch.setitem(kill.SCENARIOS, "faulty", scenario)
+    target = kill.Target("faulty", folder)
+    target.scenario = scenarios.Scenario(scenario.inputs, work, ("out",))  # type: ignore[arg-type]
+    target.seconds = 1.0
+    return target
+
+
+def test_a_half_file_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> None:
+        half("out") if not Path("out").exists() else Path("out").write_bytes(b"all")
+
+    target = faulty(work, monkeypatch, tmp_path)
+    trial = kill.Trial("faulty", 0, signal.SIGKILL, 1.0, group=True, twice=False, old=False, whole=False)
+    assert [kind for kind, _ in target.attack(trial).failures] == ["half file"]
+
+
+def test_a_stray_file_a_lost_file_and_a_false_code_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> None:
+        Path("stray").write_bytes(b"")
+        Path("out").unlink()
+
+    target = faulty(work, monkeypatch, tmp_path)
+    trial = kill.Trial("faulty", 0, signal.SIGTERM, 60.0, group=False, twice=False, old=True, whole=False)
+    target.seconds = 1 / 60
+    found = {kind for kind, _ in target.attack(trial).failures}
+    assert found == {"lost file", "exit code", "stray at once", "restart", "other result", "stray"}
+
+
+@pytest.mark.parametrize(
+    ("work", "result"),
+    [
+        (lambda: 1 / 0, "traceback"), (lambda: time.sleep(60), "hang"), (lambda: np.ones(10**8).sum(), "memory"),
+        (lambda: sys.exit(3), "exit code"), (lambda: sys.stderr.write("Warn: x"), "noise"),
+        (lambda: Path("more").write_bytes(b""), "half output"), (lambda: sys.exit(2), "messages"),
+    ],
+)  # fmt: skip
+def test_what_a_damaged_input_does_is_seen(
+    tmp_path: Path, work: object, result: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if result == "hang":
+        monkeypatch.setattr(damage, "SECONDS", 1)
+
+    def whole() -> None:
+        if Path("in").read_bytes() != b"1 2 3\n":
+            work()  # type: ignore[operator]
+        Path("out").write_bytes(b"all")
+
+    target = damage.Target("own", damage.Seed({"in": b"1 2 3\n"}, ("in",), whole, "out"), tmp_path / "own")
+    assert target.attack(0, 1).result == result
+
+
+def test_the_differ_sees_another_mass_and_no_other_order(tmp_path: Path) -> None:
+    for name, values in (("a", [1.0, 2.0]), ("b", [2.0, 1.0]), ("c", [1.0, 2.1])):
+        with h5py.File(tmp_path / name, "w") as file:
+            file["x"] = values
+    one, same, other = (fingerprint(tmp_path / name) for name in "abc")
+    assert differences(one, same) == [] and differences(one, other) == ["x: 2.23607 -> 2.32594"]
+
+
+def test_trials_are_drawn_from_seed_kind_and_number_alone(tmp_path: Path) -> None:
+    assert kill.draw("import", 7, 3) == kill.draw("import", 7, 3) != kill.draw("import", 7, 4)
+    for table in (mutations.TEXT, mutations.BINARY):
+        for name, change in table.items():
+            one, two = (change(b"*NODE\n1, 2.5, -3e2\n2, 4., 5.\n", random.Random(5)) for _ in range(2))
+            assert one == two, name
+    assert sum(kill.counts(1000, list(scenarios.SCENARIOS)).values()) == 1000
+
+
+def test_a_forked_child_takes_nothing_from_its_parent(tmp_path: Path) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        ended = forked.run(lambda: sys.stdout.write(tempfile.gettempdir()), tmp_path, tmp_path / "logs")
+        assert ended.code == 0 and ended.output.strip() == str(tmp_path / "logs" / forked.TEMPORARY)
+        assert Path(folder).is_dir()
+
+
+def test_the_command_line_prints_how_to_repeat(tmp_path: Path) -> None:
+    arguments = ["damage", "--kind", "npz", "--only", "3", "--seed", "2"]
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.attack", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "seed 2" in done.stdout
