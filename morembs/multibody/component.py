@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class Place:
+class MarkerState:
     """Where a marker is: position (3,) m, axes (3, 3) as columns, jacobian (6, k).
 
     ``jacobian @ v`` is its velocity (3) and angular velocity (3) along the inertial axes.
@@ -69,6 +69,10 @@ class Component(ABC):
     def power(self, x: Floats, v: Floats) -> float:
         """Power of inner forces that is not stored, W: minus the damping."""
 
+    def deflection(self, x: Floats) -> float:
+        """Largest displacement by linear elastic shapes per length of the body; zero for all other components."""
+        return 0.0
+
     @abstractmethod
     def marker(self, name: str) -> Marker:
         """The marker of that name; raises InputError for unknown names."""
@@ -94,7 +98,7 @@ class Marker(ABC):
     name: str
 
     @abstractmethod
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         """Where it is for a configuration of its component."""
 
     @property
@@ -109,9 +113,9 @@ class FixedMarker(Marker):
 
     component: Component
     name: str
-    fixed: Place
+    fixed: MarkerState
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         return self.fixed
 
 
@@ -140,7 +144,7 @@ class Ground(VectorComponent):
     def marker_at(self, point: ArrayLike = (0.0, 0.0, 0.0), *, axes: ArrayLike | None = None, name: str = "") -> Marker:
         """Marker at ``point`` (3,) m with ``axes`` (3, 3) as columns, the inertial ones unless told."""
         turn = checked_rotation("axes of a ground marker", axes)
-        place = Place(position=vector("point of a ground marker", point), axes=turn, jacobian=np.zeros((6, 0)))
+        place = MarkerState(position=vector("point of a ground marker", point), axes=turn, jacobian=np.zeros((6, 0)))
         return FixedMarker(self, name or "marker", place)
 
 

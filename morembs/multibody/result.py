@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.multibody.bodies import FlexibleBody, FloatingBody
-from morembs.multibody.component import Component, Marker, Place
-from morembs.multibody.integrate import State
+from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.system import Assembly
+from morembs.multibody.system import Assembly, State
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +72,7 @@ class Result:
         """Times (s,), s."""
         return np.concatenate([s.time for s in self.segments])
 
-    def _markers(self, marker: Marker, value: Callable[[Place, Floats], Floats]) -> Floats:
+    def _markers(self, marker: Marker, value: Callable[[MarkerState, Floats], Floats]) -> Floats:
         rows = []
         for segment in self.segments:
             one, assembly = _same(marker, segment.assembly), segment.assembly

@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 from morembs.interface import make_interface
 from morembs.multibody import RigidBody, State, System
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import amplitudes, local_response, state_of
-from morembs.multibody.sliding import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding_switch import SlidingSwitch, simulate_sliding
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.handler import SlidingSwitch, simulate_sliding
+from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
+from morembs.multibody.sliding.response import amplitudes, local_response, state_of
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from tests.support.sliding import ELEMENTS, hermite_beam, reduced_beam

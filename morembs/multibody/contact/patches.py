@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from morembs.errors import InputError
+from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, _points, foot_at
 from morembs.multibody.rotations import cross
-from morembs.multibody.surfaces import Foot, NodalSurface, _points, foot_at
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -217,7 +217,7 @@ class TriangleSurface(NodalSurface):
         across = cross(slope[1] - slope[0], slope[2] - slope[0])
         return np.asarray(across / np.linalg.norm(across))
 
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         seen: set[int] = set()
         triangle = int(self._tree.query(point)[1])  # type: ignore[attr-defined]
         best: tuple[float, int, Floats] | None = None

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, MorembsError
-from morembs.multibody.integrate import State
-from morembs.multibody.result import Result, Segment
-from morembs.multibody.run import Restart, Switch, simulate
-from morembs.multibody.sliding import PathSupport, Slider
-from morembs.multibody.switching import Active, SwitchingBody
-from morembs.multibody.system import Assembly, System
+from morembs.multibody.result import Result
+from morembs.multibody.run import EventHandler, RestartState, Run
+from morembs.multibody.sliding.body import Active, SwitchingBody
+from morembs.multibody.sliding.loads import PathSupport, Slider
+from morembs.multibody.system import Assembly, State, System
 
 Floats = NDArray[np.float64]
 # Amplitudes below this part of the largest drop out without a trace.
@@ -47,7 +46,7 @@ class Activation:
         return self.dropped <= QUIET
 
 
-class SlidingSwitch(Switch):
+class SlidingSwitch(EventHandler):
     """Moves the windows of all sliders of a body; ``log`` lists every change of a run.
 
     A window moves at the end of the step in which its slider comes to depend on the outermost node, which still bears
@@ -58,20 +57,17 @@ class SlidingSwitch(Switch):
     def __init__(self, *bodies: SwitchingBody) -> None:
         self.bodies = bodies
         self.log: list[Activation] = []
-        self.runs: list[list[State]] = []
         self._wanted: list[tuple[SwitchingBody, int, str, float]] = []
 
     def reset(self) -> None:
-        """Forget all runs."""
-        self.log, self.runs = [], []
+        """Forget the last run."""
+        self.log = []
 
     def _sliders(self, assembly: Assembly, body: SwitchingBody) -> list[Slider]:
         parts = [*assembly.forces, *assembly.joints]
         return [one for one in parts if isinstance(one, Slider) and one.path.component is body]
 
     def time(self, before: State, after: State) -> float | None:
-        if not self.runs or self.runs[-1][-1] is not before:
-            self.runs.append([before])
         self._wanted = []
         for body in self.bodies:
             number = after.assembly.index(body)
@@ -80,8 +76,6 @@ class SlidingSwitch(Switch):
             firsts = body.firsts(after.x[after.assembly.in_x[number]])
             for slider in self._sliders(after.assembly, body):
                 self._look(body, slider, firsts, before, after)
-        # A step that left its window is none to keep.
-        self.runs[-1].append(after)
         return after.time if self._wanted else None
 
     def _look(self, body: SwitchingBody, slider: Slider, firsts: tuple[int, ...], before: State, after: State) -> None:
@@ -103,7 +97,7 @@ class SlidingSwitch(Switch):
         if (high == last and last < end) or (low == first and first > 0):
             self._wanted.append((body, window, slider.name, s))
 
-    def change(self, state: State) -> Restart:
+    def change(self, state: State) -> RestartState:
         x, v = state.x.copy(), state.v.copy()
         for body in self.bodies:
             mine = [one for one in self._wanted if one[0] is body]
@@ -120,7 +114,7 @@ class SlidingSwitch(Switch):
                 x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, mine)
             except InputError as error:
                 raise InputError(f"at t = {state.time:.9g} s, s = {mine[0][3]:.9g} m: {error}") from error
-        return Restart(x=x, v=v)
+        return RestartState(x=x, v=v)
 
     def _moved(
         self, body: SwitchingBody, x: Floats, v: Floats, firsts: tuple[int, ...], state: State,
@@ -189,18 +183,11 @@ class SlidingSwitch(Switch):
         momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
         return np.asarray(np.linalg.solve(whole, momentum))
 
-    def places(self) -> str:
-        """Where all sliders were at the last state, in words."""
-        if not self.runs:
-            return "at the start"
-        state = self.runs[-1][-1]
-        found = [(one.name or "joint", one.along(state)) for body in self.bodies
-                 for one in self._sliders(state.assembly, body)]  # fmt: skip
-        return ", ".join(f"{name} at s = {s:.9g} m" for name, s in found if s is not None) or "no load on the path"
-
-    def so_far(self) -> Result | None:
-        """What was integrated, None for nothing."""
-        return Result(segments=tuple(Segment.of(one) for one in self.runs)) if self.runs else None
+    def places(self, state: State) -> str:
+        """Where all sliders are at a state, in words."""
+        sliders = [slider for body in self.bodies for slider in self._sliders(state.assembly, body)]
+        along = [(slider.name or "joint", slider.along(state)) for slider in sliders]
+        return ", ".join(f"{name} at s = {s:.9g} m" for name, s in along if s is not None) or "no load on the path"
 
 
 class UnfinishedRunError(InputError):
@@ -213,7 +200,7 @@ class UnfinishedRunError(InputError):
 
 def simulate_sliding(
     system: System, switch: SlidingSwitch, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-9, max_deflection: float | None = 1.0,
 ) -> Result:  # fmt: skip
     """``simulate`` with a switch; what was integrated is not lost where the run cannot go on.
 
@@ -222,18 +209,25 @@ def simulate_sliding(
     """
     switch.reset()
     _refuse_mixed(system, switch)
+    # The second-order start looks one step ahead and back, which static modes far faster than a step do not bear.
+    slow = all(body.variant == "quasi-static" for body in switch.bodies)
+    run = None
     try:
-        # The second-order start looks one step ahead and back, which static modes far faster than a step do not bear.
-        slow = all(body.variant == "quasi-static" for body in switch.bodies)
-        return simulate(
-            system, end=end, step=step, rho=rho, begin=begin, tolerance=tolerance, switch=switch, corrected_start=slow
-        )
+        run = Run(
+            system, switch, begin=begin, end=end, step=step, rho=rho, tolerance=tolerance, corrected=slow,
+            max_deflection=max_deflection,
+        )  # fmt: skip
+        run.finish()
+        return run.result()
     except MorembsError as error:
-        found, text = switch.so_far(), f"{error}"
-        if found is not None and not ("t = " in text and "s = " in text):
+        text = f"{error}"
+        if run is None or not run.so_far():
+            raise UnfinishedRunError(text, None) from error
+        if not ("t = " in text and "s = " in text):
             # What a force or the integrator says while a step is tried.
-            text = f"in the step from t = {found.time[-1]:.9g} s on, {switch.places()}: {text}"
-        raise UnfinishedRunError(text, found) from error
+            last = run.states[-1]
+            text = f"in the step from t = {last.time:.9g} s on, {switch.places(last)}: {text}"
+        raise UnfinishedRunError(text, run.result()) from error
 
 
 def _refuse_mixed(system: System, switch: SlidingSwitch) -> None:

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.multibody.bodies import FlexibleBody
-from morembs.multibody.component import Component, FixedMarker, Marker, Place
+from morembs.multibody.component import Component, FixedMarker, Marker, MarkerState
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.path_place import PathPlace
+from morembs.multibody.sliding.path import PathState
 from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, Switching, active_set
 
 Floats = NDArray[np.float64]
@@ -277,10 +277,10 @@ class InnerMarker(Marker):
     name: str
     inner: Marker
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         place = self.inner.place(self.component.split(x)[0])
         extra = np.zeros((len(place.jacobian), self.component.extra))
-        return Place(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
+        return MarkerState(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ class PathMarker(Marker):
     name: str
     window: int
 
-    def place(self, x: Floats) -> PathPlace:
+    def place(self, x: Floats) -> PathState:
         body = self.component
         inner, z = body.split(x)
         active, k = body.active(x), body.inner.size
@@ -302,7 +302,7 @@ class PathMarker(Marker):
             position, axes, jacobian = inner[:3], inner[3:12].reshape(3, 3), jacobian.copy()
             jacobian[:3, :3] = np.eye(3)
             jacobian[3:6, 3:6] = axes
-        return PathPlace(
+        return PathState(
             position=position, axes=axes, jacobian=jacobian, switching=body.switching, candidates=read,
             amplitudes=amplitudes, R=active.R[self.window], offset=body.origin,
             first=body.firsts(x)[self.window], width=body.width, interpolation=body.interpolation,

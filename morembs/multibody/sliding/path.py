@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.multibody.component import Place
+from morembs.multibody.component import MarkerState
 from morembs.multibody.rotations import cross, hat
 from morembs.reducers.switching_tables import Curve, Switching
 
@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class PathPlace(Place):
+class PathState(MarkerState):
     """A window of the path: ``amplitudes`` (k,) are the displacements of its ``candidates``.
 
     ``position`` and ``axes`` are those of the frame of the body. Rows of ``jacobian`` (6 + k, .): velocity and angular
@@ -63,7 +63,7 @@ class PointOfPath:
     """``position`` (3,) m and ``arm`` (3,) m from the origin of the frame, along the inertial axes; ``W`` (3, k)
     displacement along the axes of the body by the candidates."""
 
-    place: PathPlace
+    place: PathState
     curve: Curve
     position: Floats
     arm: Floats

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.contact import Contact, Contacts
-from morembs.multibody.contact_step import ContactState
+from morembs.multibody.contact.kinematics import Contact, Contacts
+from morembs.multibody.contact.reactions import ContactState
 from morembs.multibody.result import Energy, Result
 
 Floats = NDArray[np.float64]
@@ -54,8 +54,8 @@ class ContactSegment:
             force=np.array([s.force for s in states]),
             friction=np.array([s.friction for s in states]),
             slip=np.array([s.slip for s in states]),
-            foot=np.array([s.meeting.foot for s in states]),
-            normal=np.array([s.meeting.normal for s in states]),
+            foot=np.array([s.kinematics.foot for s in states]),
+            normal=np.array([s.kinematics.normal for s in states]),
             sliding=np.array([s.sliding for s in states]),
             stored=np.array([0.5 * s.force @ s.deflection for s in states]),
         )

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.integrate import State
 from morembs.multibody.result import Result, Segment
-from morembs.multibody.sliding import Slider
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.loads import Slider
+from morembs.multibody.system import State
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,0 +1,181 @@
+"""Reactions that a step of the integrator solves for: those of joints here, those of contact in ``contact``.
+
+The equations of motion are M dv/dt + g + B' multipliers = pull of other reactions, with B dv/dt given. Start and
+restart are of second order after Arnold, Bruels and Cardona (2015): the auxiliary acceleration is taken at its own
+time, and velocity and multipliers start from a small perturbation that removes the first-order error of multipliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.multibody.system import Assembly, State
+
+if TYPE_CHECKING:
+    from morembs.multibody.integrate import Scheme
+
+Floats = NDArray[np.float64]
+LU = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldRows:
+    """Rows (r, k) whose velocity is held beside that of joints.
+
+    ``pull`` (r, k): generalised force per unit of each multiplier; ``acceleration`` (r,): right-hand side of the rows;
+    ``load`` (k,): given forces. Points may hold one motion twice, so solutions are those of least norm.
+    """
+
+    rows: Floats
+    pull: Floats
+    acceleration: Floats
+    load: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """A Newton iterate: configuration, velocity, step since the last state, and factors of the change of
+    accelerations in positions (``c_q``) and velocities (``c_v``)."""
+
+    x: Floats
+    v: Floats
+    step: Floats
+    c_q: float
+    c_v: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """Accelerations and multipliers at a state; auxiliary acceleration, velocity and multipliers of the scheme."""
+
+    acceleration: Floats
+    multipliers: Floats
+    auxiliary: Floats
+    velocity: Floats
+    scheme_multipliers: Floats
+
+
+def saddle(M: Floats, B: Floats) -> Floats:
+    """[[M, B'], [B, 0]] of M (k, k) and B (m, k)."""
+    m, k = B.shape
+    S = np.zeros((k + m, k + m))
+    S[:k, :k], S[:k, k:], S[k:, :k] = M, B.T, B
+    return S
+
+
+def least_norm(S: Floats, right: Floats) -> Floats:
+    """The solution of least norm of a system that may be singular."""
+    return np.asarray(np.linalg.lstsq(S, right, rcond=1e-13)[0], dtype=np.float64)
+
+
+class Reactions:
+    """Joints alone. Contact overrides what follows; one object serves one stepper.
+
+    ``iterations`` and ``advice``: how many Newton iterations a step may take, and what to look for if it needs more.
+    """
+
+    iterations = 15
+    advice = "check for positions where joints lock or a force that jumps"
+
+    def __init__(self, assembly: Assembly) -> None:
+        self.assembly = assembly
+
+    def restarted(self, state: State) -> Reactions:
+        """Reactions for another stepper from an earlier state on."""
+        return self
+
+    def held(self, x: Floats, v: Floats, h: float) -> HeldRows | None:
+        """Rows that are held beside joints at a state near the start."""
+        return None
+
+    def closed(self, x: Floats) -> Floats | None:
+        """Those of ``held`` (., k) that are held in position as well."""
+        return None
+
+    def balance(self, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats]:
+        """Accelerations (k,) and multipliers of joints (m,) at a consistent state."""
+        return self.accelerations(t, x, v, h)
+
+    def accelerations(self, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats]:
+        """As ``balance``, for a state near the start with the same rows held."""
+        a, k = self.assembly, self.assembly.size
+        places, held = a.places(x), self.held(x, v, h)
+        M, g = a.dynamics(t, x, v, places)
+        _, B = a.constraints(t, places)
+        given = a.driven(2, t) - a.curvature(x, v, h)
+        if held is None:
+            y = np.asarray(np.linalg.solve(saddle(M, B), np.concatenate((-g, given))), dtype=np.float64)
+        else:
+            S = saddle(M, np.vstack((B, held.rows)))
+            S[:k, k:] = np.vstack((B, -held.pull)).T
+            y = least_norm(S, np.concatenate((held.load - g, given, held.acceleration)))
+        return y[:k], y[k : k + a.rows]
+
+    def correction(self, t: float, x: Floats, v: Floats, shift: Floats) -> tuple[Floats, Floats]:
+        """Smallest change of velocity that follows ``shift`` (k,) in all held rows, and that of joint multipliers."""
+        a, k = self.assembly, self.assembly.size
+        places, closed = a.places(x), self.closed(x)
+        M, _ = a.dynamics(t, x, v, places)
+        _, B = a.constraints(t, places)
+        J = B if closed is None else np.vstack((B, closed))
+        right = np.concatenate((np.zeros(k), J @ shift))
+        y = np.linalg.solve(saddle(M, J), right) if closed is None else least_norm(saddle(M, J), right)
+        return np.asarray(y[:k]), np.asarray(y[k : k + a.rows])
+
+    def project(self, t: float, x: Floats, v: Floats, h: float) -> Floats:
+        """The velocity nearest to v, in the norm of kinetic energy, that joints (and closed contacts) allow."""
+        places = self.assembly.places(x)
+        M, _ = self.assembly.dynamics(t, x, v, places)
+        _, B = self.assembly.constraints(t, places)
+        right = np.concatenate((np.zeros(self.assembly.size), self.assembly.driven(1, t) - B @ v))
+        return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: self.assembly.size])
+
+    def state(self, state: State) -> State:
+        """The state with what was found at it."""
+        return state
+
+    def measure(self, state: State, length: float) -> float:
+        """Size of the system, m: ``length`` of the positions of its markers, and what is touched."""
+        return length
+
+    def stiffness(self, x: Floats) -> Floats | float:
+        """(k, k) for Newton's method: derivative of minus the forces found last by the configuration."""
+        return 0.0
+
+    def solve(self, lu: LU, residual: Floats, at: Trial) -> Floats:
+        """Newton's change of accelerations and multipliers (k + m,) for a factored matrix and a residual."""
+        return np.asarray(-sl.lu_solve(lu, residual, check_finite=False))
+
+    def accept(self, state: State) -> State:
+        """The converged state of a step, with the reactions found."""
+        return self.state(state)
+
+
+def consistent_start(scheme: Scheme, reactions: Reactions, t: float, x: Floats, v: Floats, h: float,
+                     corrected: bool) -> Start:  # fmt: skip
+    """Start values of the scheme at a state that joints (and contacts) allow; of second order where ``corrected``.
+
+    Raises:
+        LinAlgError: joints that are dependent at x.
+    """
+    s = reactions.assembly
+    rate, multipliers = reactions.balance(t, x, v, h)
+    if not corrected:
+        return Start(
+            acceleration=rate, multipliers=multipliers, auxiliary=rate, velocity=v, scheme_multipliers=multipliers
+        )
+    ahead, behind = (
+        reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0] for k in (h, -h)
+    )
+    jerk, offset = 0.5 * (ahead - behind), scheme.alpha_m - scheme.alpha_f
+    shift = h * ((1 - 6 * scheme.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
+    dv, dm = reactions.correction(t, x, v, shift)
+    return Start(
+        acceleration=rate, multipliers=multipliers, auxiliary=rate + offset * jerk, velocity=v + dv,
+        scheme_multipliers=multipliers + dm,
+    )  # fmt: skip
