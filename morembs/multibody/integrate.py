@@ -1,6 +1,8 @@
 """Generalised-alpha for constrained systems on Lie groups, index 3 (Chung and Hulbert 1993; Bruels and Cardona 2010).
 
-One stepper for all: contacts and loads that slide along a body take part through ``Reactions``, joints and forces.
+One stepper for all: contacts take part as ``Reactions``, loads that slide along a body as forces and joints. Start and
+restart are of second order after Arnold, Bruels and Cardona (2015): the auxiliary acceleration is taken at its own
+time, and velocity and multipliers start from a small perturbation that removes the first-order error of multipliers.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.reactions import LU, Reactions, Trial, consistent_start, saddle
-from morembs.multibody.system import Assembly, State
+from morembs.multibody.reactions import LU, Iterate, Reactions, saddle
+from morembs.multibody.system import State
 from morembs.multibody.tangents import stiffness_and_damping
 
 Floats = NDArray[np.float64]
@@ -62,36 +64,47 @@ class Stepper:
         corrected: bool = True, tangents: tuple[Floats, Floats] | None = None,
     ) -> None:  # fmt: skip
         self.scheme, self.reactions, self.assembly, self.h = scheme, reactions, reactions.assembly, h
-        start = consistent_start(scheme, reactions, t, x, v, h, corrected)
-        self._v, self._auxiliary, self._multipliers = start.velocity, start.auxiliary, start.scheme_multipliers
-        self.state = reactions.state(
-            State(
-                assembly=self.assembly, time=t, x=x, v=v, acceleration=start.acceleration,
-                multipliers=start.multipliers,
-            )
-        )  # fmt: skip
+        rate, multipliers = reactions.balance(t, x, v, h)
+        state = State(assembly=self.assembly, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
+        self.state, self._v, self._auxiliary, self._multipliers = reactions.state(state), v, rate, multipliers
+        if corrected:
+            self._correct_start(state)
         positions = [float(np.abs(p.position).max()) for p in self.assembly.places(x).values()]
         length = reactions.measure(self.state, max([1e-3, *positions]))
         self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
         self.tangents = tangents or self._tangents(self.state)
 
+    def _correct_start(self, state: State) -> None:
+        """The start values of second order of Arnold, Bruels and Cardona (2015)."""
+        s, a, t, h, x, v, rate = (
+            self.assembly, self.scheme, state.time, self.h, state.x, state.v, state.acceleration
+        )  # fmt: skip
+        ahead, behind = (
+            self.reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0]
+            for k in (h, -h)
+        )
+        jerk, offset = 0.5 * (ahead - behind), a.alpha_m - a.alpha_f
+        shift = h * ((1 - 6 * a.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
+        dv, dm = self.reactions.correction(t, x, v, shift)
+        self._v, self._auxiliary, self._multipliers = v + dv, rate + offset * jerk, state.multipliers + dm
+
     def _tangents(self, at: State) -> tuple[Floats, Floats]:
         K, C = stiffness_and_damping(self.assembly, at.time, at.x, at.v, at.acceleration, at.multipliers)
         return K + self.reactions.stiffness(at.x), C
 
-    def _predicted(self) -> _Iterate:
+    def _predicted(self) -> Iterate:
         """Unknowns at the end of the step if the acceleration stays as it is."""
         h, a, old = self.h, self.scheme, self.state.acceleration
         c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
         auxiliary = (a.alpha_f * old - a.alpha_m * self._auxiliary) / (1 - a.alpha_m) + c_a * old
-        return _Iterate(
+        return Iterate(
             acceleration=old.copy(), multipliers=self._multipliers.copy(), auxiliary=auxiliary,
             step=h * (self._v + h * ((0.5 - a.beta) * self._auxiliary + a.beta * auxiliary)),
             v=self._v + h * ((1 - a.gamma) * self._auxiliary + a.gamma * auxiliary),
             c_a=c_a, c_v=h * a.gamma * c_a, c_q=h * h * a.beta * c_a,
         )  # fmt: skip
 
-    def _factor(self, it: _Iterate, mass: Floats, B: Floats) -> LU:
+    def _factor(self, it: Iterate, mass: Floats, B: Floats) -> LU:
         K, C = self.tangents
         S = saddle(mass + it.c_v * C + self.assembly.tangent(it.c_q * K, it.step), B)
         S[self.assembly.size :, : self.assembly.size] = self.assembly.tangent(B, it.step)
@@ -118,7 +131,7 @@ class Stepper:
             residual = np.concatenate((mass @ it.acceleration + g + it.multipliers @ B, Phi / it.c_q))
             if not np.isfinite(residual).all():
                 break
-            d = it.correct(self.reactions.solve(factor, residual, it.trial(x)))
+            d = it.correct(self.reactions.solve(factor, residual, x, it))
             size = it.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
             if size <= noise:
                 self._v, self._auxiliary, self._multipliers = it.v, it.auxiliary, it.multipliers
@@ -133,38 +146,6 @@ class Stepper:
             f"the step from t = {old.time:.9g} s with h = {self.h:.3g} s does not converge in "
             f"{self.reactions.iterations} Newton iterations (last change {last:.2g}, limit {noise:.2g}, in the norm of "
             f"kinetic energy). Take a smaller step; {self.reactions.advice}"
-        )
-
-
-@dataclass(kw_only=True, eq=False)
-class _Iterate:
-    """Unknowns of a step, and by how much they change with the acceleration."""
-
-    acceleration: Floats
-    multipliers: Floats
-    auxiliary: Floats
-    step: Floats
-    v: Floats
-    c_a: float
-    c_v: float
-    c_q: float
-
-    def correct(self, change: Floats) -> Floats:
-        """Take over a change of accelerations and multipliers; that of the accelerations."""
-        d = change[: len(self.v)]
-        self.acceleration += d
-        self.multipliers += change[len(self.v) :]
-        self.auxiliary += self.c_a * d
-        self.step += self.c_q * d
-        self.v = self.v + self.c_v * d
-        return d
-
-    def trial(self, x: Floats) -> Trial:
-        return Trial(x=x, v=self.v, step=self.step, c_q=self.c_q, c_v=self.c_v)
-
-    def state(self, assembly: Assembly, time: float, x: Floats) -> State:
-        return State(
-            assembly=assembly, time=time, x=x, v=self.v, acceleration=self.acceleration, multipliers=self.multipliers
         )
 
 

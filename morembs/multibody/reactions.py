@@ -1,23 +1,17 @@
 """Reactions that a step of the integrator solves for: those of joints here, those of contact in ``contact``.
 
-The equations of motion are M dv/dt + g + B' multipliers = pull of other reactions, with B dv/dt given. Start and
-restart are of second order after Arnold, Bruels and Cardona (2015): the auxiliary acceleration is taken at its own
-time, and velocity and multipliers start from a small perturbation that removes the first-order error of multipliers.
+The equations of motion are M dv/dt + g + B' multipliers = pull of other reactions, with B dv/dt given.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.multibody.system import Assembly, State
-
-if TYPE_CHECKING:
-    from morembs.multibody.integrate import Scheme
 
 Floats = NDArray[np.float64]
 LU = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -37,27 +31,35 @@ class HeldRows:
     load: Floats
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
-    """A Newton iterate: configuration, velocity, step since the last state, and factors of the change of
-    accelerations in positions (``c_q``) and velocities (``c_v``)."""
-
-    x: Floats
-    v: Floats
-    step: Floats
-    c_q: float
-    c_v: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
-    """Accelerations and multipliers at a state; auxiliary acceleration, velocity and multipliers of the scheme."""
+@dataclass(kw_only=True, eq=False)
+class Iterate:
+    """Unknowns at the end of a step in Newton's method: accelerations (k,), multipliers of joints (m,), auxiliary
+    acceleration, ``step`` in configuration and velocity, and by how much the last three change with the first."""
 
     acceleration: Floats
     multipliers: Floats
     auxiliary: Floats
-    velocity: Floats
-    scheme_multipliers: Floats
+    step: Floats
+    v: Floats
+    c_a: float
+    c_v: float
+    c_q: float
+
+    def correct(self, change: Floats) -> Floats:
+        """Take over a change of accelerations and multipliers (k + m,); that of the accelerations."""
+        d = change[: len(self.v)]
+        self.acceleration += d
+        self.multipliers += change[len(self.v) :]
+        self.auxiliary += self.c_a * d
+        self.step += self.c_q * d
+        self.v = self.v + self.c_v * d
+        return d
+
+    def state(self, assembly: Assembly, time: float, x: Floats) -> State:
+        """The state it stands for at configuration x."""
+        return State(
+            assembly=assembly, time=time, x=x, v=self.v, acceleration=self.acceleration, multipliers=self.multipliers
+        )
 
 
 def saddle(M: Floats, B: Floats) -> Floats:
@@ -147,35 +149,10 @@ class Reactions:
         """(k, k) for Newton's method: derivative of minus the forces found last by the configuration."""
         return 0.0
 
-    def solve(self, lu: LU, residual: Floats, at: Trial) -> Floats:
-        """Newton's change of accelerations and multipliers (k + m,) for a factored matrix and a residual."""
+    def solve(self, lu: LU, residual: Floats, x: Floats, it: Iterate) -> Floats:
+        """Newton's change of accelerations and multipliers (k + m,) for a factored matrix and a residual at x."""
         return np.asarray(-sl.lu_solve(lu, residual, check_finite=False))
 
     def accept(self, state: State) -> State:
         """The converged state of a step, with the reactions found."""
         return self.state(state)
-
-
-def consistent_start(scheme: Scheme, reactions: Reactions, t: float, x: Floats, v: Floats, h: float,
-                     corrected: bool) -> Start:  # fmt: skip
-    """Start values of the scheme at a state that joints (and contacts) allow; of second order where ``corrected``.
-
-    Raises:
-        LinAlgError: joints that are dependent at x.
-    """
-    s = reactions.assembly
-    rate, multipliers = reactions.balance(t, x, v, h)
-    if not corrected:
-        return Start(
-            acceleration=rate, multipliers=multipliers, auxiliary=rate, velocity=v, scheme_multipliers=multipliers
-        )
-    ahead, behind = (
-        reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0] for k in (h, -h)
-    )
-    jerk, offset = 0.5 * (ahead - behind), scheme.alpha_m - scheme.alpha_f
-    shift = h * ((1 - 6 * scheme.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
-    dv, dm = reactions.correction(t, x, v, shift)
-    return Start(
-        acceleration=rate, multipliers=multipliers, auxiliary=rate + offset * jerk, velocity=v + dv,
-        scheme_multipliers=multipliers + dm,
-    )  # fmt: skip

@@ -122,7 +122,7 @@ def jumps(surface):
     rng, faces, place, turn = np.random.default_rng(1), np.asarray(surface.triangles), 0.0, 0.0
     for t, corners in enumerate(faces):
         for k in range(3):
-            other = surface._neighbours[t, k]
+            other = surface.neighbours[t, k]
             if other < 0:
                 continue
             b, c, s = np.zeros(3), np.zeros(3), rng.uniform()

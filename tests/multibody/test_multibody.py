@@ -313,7 +313,7 @@ class Floor(EventHandler):
         return RestartState(x=state.x, v=v)
 
 
-def test_a_switch_stops_inside_a_step_and_restarts():
+def test_an_event_stops_inside_a_step_and_restarts():
     system = System(gravity=DOWN)
     ball = system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1), markers={"c": (0, 0, 0)}))
     result = simulate(system, end=2.0, step=7e-3, events=Floor())
@@ -337,7 +337,7 @@ class Break(EventHandler):
         return RestartState(x=state.x, v=state.v, system=self.system)
 
 
-def test_a_switch_may_change_the_system():
+def test_an_event_may_change_the_system():
     """A pendulum that comes off its joint flies on as a free body."""
 
     def hung(joined):
@@ -474,6 +474,21 @@ def test_bad_systems_are_told():
         system.component("lonk")
     with pytest.raises(SolverError, match="again and again at t = 0 s"):
         simulate(system, end=1, step=0.1, events=Again())
+
+
+def test_old_names_still_work_and_say_so():
+    import morembs.multibody as multibody
+
+    for old, new in (("Place", "MarkerState"), ("Restart", "RestartState"), ("Switch", "EventHandler")):
+        with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+            assert getattr(multibody, old) is getattr(multibody, new)
+    with pytest.raises(AttributeError, match="has no attribute 'Plaice'"):
+        multibody.Plaice  # noqa: B018
+    system = System(gravity=DOWN)
+    system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1)))
+    with pytest.warns(DeprecationWarning, match=r"events=\.\.\."):
+        old = simulate(system, end=0.5, step=7e-3, switch=Floor())
+    assert len(old.segments) == 2
 
 
 class Again(EventHandler):

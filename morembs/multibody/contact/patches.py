@@ -132,6 +132,7 @@ class TriangleSurface(NodalSurface):
     _: KW_ONLY
     name: str = "surface"
     shift: Floats | None = field(default=None, repr=False)
+    neighbours: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         points = _points(f"surface {self.name!r}", self.vertices, 2)
@@ -148,7 +149,7 @@ class TriangleSurface(NodalSurface):
         tree = cKDTree(points[triangles].mean(axis=1))
         made = {
             "points": points, "vertices": points, "triangles": triangles, "normals": normals, "_patches": patches,
-            "_neighbours": neighbours, "_tree": tree,
+            "neighbours": neighbours, "_tree": tree,
         }  # fmt: skip
         for key, value in made.items():
             object.__setattr__(self, key, value)
@@ -226,7 +227,7 @@ class TriangleSurface(NodalSurface):
             b, distance = self._foot(triangle, point)
             if best is None or distance < best[0]:
                 best = distance, triangle, b
-            around = self._neighbours[triangle]  # type: ignore[index]
+            around = self.neighbours[triangle]
             over = [int(around[k]) for k in range(3) if b[k] <= 1e-9 and around[k] >= 0 and int(around[k]) not in seen]
             if not over:
                 break

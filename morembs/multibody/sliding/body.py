@@ -252,6 +252,10 @@ class SwitchingBody(Component):
         lost = 0.0 if its is None else 2 * self.damping_ratio * float(its.omega @ v[k:] ** 2)
         return self.inner.power(inner, v[:k]) - lost
 
+    def deflection(self, x: Floats) -> float:
+        """That of the constant basis."""
+        return self.inner.deflection(self.split(x)[0])
+
     def path(self, window: int = 0) -> PathMarker:
         """The path as the slider of that number sees it."""
         if not 0 <= window < self.windows:

@@ -127,10 +127,10 @@ class SlidingSwitch(EventHandler):
         x1[body.configuration_size - body.windows :] = firsts
         v1, dropped = v, 0.0
         if old.set is not None and new.set is not None:
-            k, inner = body.inner.size, body.inner.configuration_size
-            z, rate = x[inner : inner + body.extra], v[k:]
-            x1[inner : inner + body.extra] = self._in_stiffness(body, old, new, z)
-            v1 = self._in_mass(body, state, x, old, new, v, rate)
+            inner = body.inner.configuration_size
+            z = x[inner : inner + body.extra]
+            x1[inner : inner + body.extra] = project_in_stiffness(body, old, new, z)
+            v1 = project_in_mass(body, x, old, new, v)
             a = old.set.Y @ z
             gone = ~np.isin(old.set.candidates, new.set.candidates)
             scale = np.sqrt(body.switching.stiffness[0, old.set.candidates])
@@ -156,38 +156,40 @@ class SlidingSwitch(EventHandler):
             )
         return x1, v1
 
-    @staticmethod
-    def _in_stiffness(body: SwitchingBody, old: Active, new: Active, z: Floats) -> Floats:
-        if old.set is None or new.set is None:
-            return z
-        cross = body.switching.R(new.set.candidates, old.set.candidates)
-        return np.asarray(new.set.Y.T @ (cross @ (old.set.Y @ z)) / new.set.omega**2)
-
-    @staticmethod
-    def _in_mass(
-        body: SwitchingBody, state: State, x: Floats, old: Active, new: Active, v: Floats, rate: Floats
-    ) -> Floats:
-        """M-projection of all velocities of the body: static modes may share mass with its basis."""
-        if old.set is None or new.set is None:
-            return v
-        k = body.inner.size
-        inner, _ = body.split(x)
-        M, _ = body.inner.dynamics(state.time, inner, v[:k], np.zeros(3))
-        whole = np.eye(body.size)
-        whole[:k, :k] = M
-        shared = body.on_inner(new, inner)
-        whole[:k, k:], whole[k:, :k] = shared, shared.T
-        momentum = np.empty(body.size)
-        momentum[:k] = M @ v[:k] + body.on_inner(old, inner) @ rate
-        cross = body.switching.Q(new.set.candidates, old.set.candidates)
-        momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
-        return np.asarray(np.linalg.solve(whole, momentum))
-
     def places(self, state: State) -> str:
         """Where all sliders are at a state, in words."""
         sliders = [slider for body in self.bodies for slider in self._sliders(state.assembly, body)]
         along = [(slider.name or "joint", slider.along(state)) for slider in sliders]
         return ", ".join(f"{name} at s = {s:.9g} m" for name, s in along if s is not None) or "no load on the path"
+
+
+def project_in_stiffness(body: SwitchingBody, old: Active, new: Active, z: Floats) -> Floats:
+    """Coordinates of the new active set whose displacement is nearest to that of z (r,) in the norm of K."""
+    if old.set is None or new.set is None:
+        return z
+    cross = body.switching.R(new.set.candidates, old.set.candidates)
+    return np.asarray(new.set.Y.T @ (cross @ (old.set.Y @ z)) / new.set.omega**2)
+
+
+def project_in_mass(body: SwitchingBody, x: Floats, old: Active, new: Active, v: Floats) -> Floats:
+    """Velocity of the body with the new active set that is nearest to v in the norm of M at the configuration x.
+
+    All velocities change: static modes may share mass with the constant basis.
+    """
+    if old.set is None or new.set is None:
+        return v
+    k, rate = body.inner.size, v[body.inner.size :]
+    inner, _ = body.split(x)
+    M, _ = body.inner.dynamics(0.0, inner, v[:k], np.zeros(3))
+    whole = np.eye(body.size)
+    whole[:k, :k] = M
+    shared = body.on_inner(new, inner)
+    whole[:k, k:], whole[k:, :k] = shared, shared.T
+    momentum = np.empty(body.size)
+    momentum[:k] = M @ v[:k] + body.on_inner(old, inner) @ rate
+    cross = body.switching.Q(new.set.candidates, old.set.candidates)
+    momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
+    return np.asarray(np.linalg.solve(whole, momentum))
 
 
 class UnfinishedRunError(InputError):
