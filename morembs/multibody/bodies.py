@@ -97,18 +97,18 @@ class FloatingBody(Component):
     @cached_property
     def length(self) -> float:
         """Diagonal of the box with the inertia of the undeformed body, or what its markers span if that is more, m."""
-        its = self.inertia
-        center = its.first / its.mass
-        gyration = float(np.trace(its.inertia)) / (2 * its.mass) - float(center @ center)
+        inertia = self.inertia
+        center = inertia.first / inertia.mass
+        gyration = float(np.trace(inertia.inertia)) / (2 * inertia.mass) - float(center @ center)
         points = np.array([m.point for m in self.markers.values()]).reshape(-1, 3)
         span = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
         return max(math.sqrt(max(12 * gyration, 0.0)), span)
 
-    def deflection(self, x: Floats) -> float:
+    def deflection(self, x: Floats) -> float | None:
         """Of markers and of the body's mass (root of the mean square), per ``length``."""
         q = x[12:]
         if not len(q):
-            return 0.0
+            return None
         rows = np.array([m.motion[:3] for m in self.markers.values()]).reshape(-1, len(q))
         at_markers = np.linalg.norm((rows @ q).reshape(-1, 3), axis=1)
         mean = math.sqrt(max(float(q @ self.inertia.Me @ q), 0.0) / self.inertia.mass)

@@ -69,9 +69,9 @@ class Component(ABC):
     def power(self, x: Floats, v: Floats) -> float:
         """Power of inner forces that is not stored, W: minus the damping."""
 
-    def deflection(self, x: Floats) -> float:
-        """Largest displacement by linear elastic shapes per length of the body; zero for all other components."""
-        return 0.0
+    def deflection(self, x: Floats) -> float | None:
+        """Largest displacement by linear elastic shapes per length of the body; None for all other components."""
+        return None
 
     @abstractmethod
     def marker(self, name: str) -> Marker:
@@ -155,8 +155,8 @@ def numbers(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     except (TypeError, ValueError):
         raise InputError(f"{what}: {value!r} was given; expected numbers of shape {shape}") from None
     if array.shape != shape or not np.isfinite(array).all():
-        found = f"shape {array.shape}" if array.shape != shape else "a value that is not finite"
-        raise InputError(f"{what}: {found} was given; expected finite numbers of shape {shape}")
+        problem = f"shape {array.shape}" if array.shape != shape else "a value that is not finite"
+        raise InputError(f"{what}: {problem} was given; expected finite numbers of shape {shape}")
     array.flags.writeable = False
     return array
 

@@ -219,6 +219,10 @@ class Run:
         h = left / count
         stepper = self._stepper(reactions, t, x, v, h)
         self.states = [stepper.state]
+        self._elastic = [
+            (c, at) for c, at in zip(assembly.components, assembly.in_x, strict=True)
+            if self.max_deflection < math.inf and c.deflection(x[at]) is not None
+        ]  # fmt: skip
         for number in range(1, count + 1):
             before = self.states[-1]
             after = stepper.advance(t + number * h)
@@ -259,11 +263,10 @@ class Run:
         return repeat
 
     def _check_deflection(self, state: State) -> None:
-        if self.max_deflection == math.inf:
-            return
-        for component, x in zip(state.assembly.components, state.assembly.in_x, strict=True):
-            deflection = component.deflection(state.x[x])
-            if not deflection <= self.max_deflection:
+        """Raise SolverError where a body that deflects linearly does so by more than the limit."""
+        for component, at in self._elastic:
+            deflection = component.deflection(state.x[at])
+            if deflection is not None and not deflection <= self.max_deflection:
                 raise SolverError(
                     f"at t = {state.time:.9g} s body {component.name!r} deflects by {deflection:.3g} of its length in "
                     f"its floating frame; the limit max_deflection is {self.max_deflection:g}. Linear elastic shapes "

@@ -58,14 +58,14 @@ class System:
 
     def _attached(self, what: str, markers: Sequence[Marker]) -> None:
         for marker in markers:
-            if marker.component.size and not any(marker.component is one for one in self.components):
+            if marker.component.size and not any(marker.component is component for component in self.components):
                 raise InputError(f"{what}: {marker.label} is not in the system; add its body first")
 
     def component(self, name: str) -> Component:
         """The component of that name; raises InputError for unknown names."""
-        for one in self.components:
-            if one.name == name:
-                return one
+        for component in self.components:
+            if component.name == name:
+                return component
         raise InputError(f"the system has no body {name!r}; {nearest(name, [c.name for c in self.components])}")
 
 

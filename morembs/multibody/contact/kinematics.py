@@ -195,15 +195,15 @@ class Contacts:
             first = on.axes @ contact.axis
             for i, marker in enumerate(contact.points, rows.start):
                 place = self.assembly.place(marker, x)
-                found = surface.nearest((place.position - on.position) @ on.axes)
-                gap[i], normal[i] = found.gap, on.axes @ found.normal
-                foot[i] = on.position + on.axes @ found.point
+                closest = surface.nearest((place.position - on.position) @ on.axes)
+                gap[i], normal[i] = closest.gap, on.axes @ closest.normal
+                foot[i] = on.position + on.axes @ closest.point
                 tangents[i] = _tangents(normal[i], first, on.axes)
                 if body is not None:
                     V[i, :, self.assembly.in_v[body]] += place.jacobian[:3]
                 if carrier is not None:
                     at = self.assembly.in_v[carrier]
-                    V[i, :, at] -= _surface_motion(on, corners, foot[i], found.vertices, found.weights)
+                    V[i, :, at] -= _surface_motion(on, corners, foot[i], closest.vertices, closest.weights)
         N = np.einsum("ia,iak->ik", normal, V)
         return ContactKinematics(gap=gap, foot=foot, normal=normal, tangents=tangents, N=N, T=tangents @ V)
 
@@ -239,8 +239,8 @@ class Contacts:
         return change[:, 0], change[:, 1:]
 
     def _moving(self) -> list[int]:
-        found = {i for c in self.contacts for one in c.components if (i := self.assembly.index(one)) is not None}
-        return sorted(found)
+        numbers = (self.assembly.index(body) for contact in self.contacts for body in contact.components)
+        return sorted({i for i in numbers if i is not None})
 
     def stiffness(self, x: Floats, force: Floats, friction: Floats, step: float = 1e-6) -> Floats:
         """(k, k): derivative of minus the contact forces by the configuration, for speed of Newton's method only."""

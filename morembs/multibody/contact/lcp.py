@@ -108,12 +108,12 @@ class ContactLCP:
         """
         M, q, scale, owner = self._matrix()
         try:
-            found = self._solved(M, q)
+            solution = self._solved(M, q)
         except RayError as error:
             direction = np.zeros(count)
             direction[rows] = (error.direction * scale)[: len(rows)]
             raise RayError(str(error), direction=direction) from None
-        z, r = found.z * scale, len(self.gap)
+        z, r = solution.z * scale, len(self.gap)
         friction, sliding = np.zeros((r, 2)), np.zeros(r, dtype=bool)
         end = r
         for i in owner:
@@ -122,7 +122,7 @@ class ContactLCP:
                 friction[i] = z[end : end + len(D)] @ D
                 end += len(D)
         for k, i in enumerate(owner):
-            sliding[i] = found.basic[end + k] and z[end + k] > 0
+            sliding[i] = solution.basic[end + k] and z[end + k] > 0
         return Forces(normal=z[:r], friction=friction, sliding=sliding)
 
     @staticmethod
@@ -138,11 +138,12 @@ class ContactLCP:
                 z = np.zeros(len(q))
                 try:
                     for _ in range(_REPEATS):
-                        found = lemke(M + part * np.diag(diagonal), q - part * diagonal * z)
+                        solution = lemke(M + part * np.diag(diagonal), q - part * diagonal * z)
                         # Huge forces in a problem without solution would pass a check against their own size.
-                        if (part * np.abs(diagonal * (found.z - z)) * unit <= _BROKEN * np.abs(q * unit).max()).all():
-                            return found
-                        z = found.z
+                        change = part * np.abs(diagonal * (solution.z - z)) * unit
+                        if (change <= _BROKEN * np.abs(q * unit).max()).all():
+                            return solution
+                        z = solution.z
                 except SolverError:
                     continue
             raise

@@ -147,11 +147,11 @@ class TriangleSurface(NodalSurface):
         normals = self._check_normals(points, normals, triangles, across)
         patches = [_patch(points[t], normals[t]) for t in triangles]
         tree = cKDTree(points[triangles].mean(axis=1))
-        made = {
+        values = {
             "points": points, "vertices": points, "triangles": triangles, "normals": normals, "_patches": patches,
             "neighbours": neighbours, "_tree": tree,
         }  # fmt: skip
-        for key, value in made.items():
+        for key, value in values.items():
             object.__setattr__(self, key, value)
 
     def _check(self, points: Floats, triangles: Ints) -> Floats:
@@ -172,19 +172,19 @@ class TriangleSurface(NodalSurface):
 
     def _neighbours(self, triangles: Ints) -> Ints:
         """(t, 3): the triangle over the edge opposite to each corner, -1 at a border."""
-        found: dict[tuple[int, int], tuple[int, int]] = {}
+        of_edge: dict[tuple[int, int], tuple[int, int]] = {}
         for t, corners in enumerate(triangles.tolist()):
             for k in range(3):
                 edge = corners[(k + 1) % 3], corners[(k + 2) % 3]
-                if edge in found:
+                if edge in of_edge:
                     raise InputError(
-                        f"surface {self.name!r}: triangles {found[edge][0]} and {t} run along the edge {edge} in the "
+                        f"surface {self.name!r}: triangles {of_edge[edge][0]} and {t} run along the edge {edge} in the "
                         "same sense; expected all triangles turned alike, and two at an edge at most"
                     )
-                found[edge] = t, k
+                of_edge[edge] = t, k
         result = np.full((len(triangles), 3), -1)
-        for (a, b), (t, k) in found.items():
-            result[t, k] = found.get((b, a), (-1, 0))[0]
+        for (a, b), (t, k) in of_edge.items():
+            result[t, k] = of_edge.get((b, a), (-1, 0))[0]
         return result
 
     def _check_normals(self, points: Floats, normals: Floats, triangles: Ints, across: Floats) -> Floats:
@@ -266,15 +266,15 @@ def _in_triangle(b: Floats, J: Floats) -> Floats:
     if b.min() >= 0:
         return b
     corners = np.vstack((J, np.zeros(3)))
-    target, best, found = b @ corners, np.inf, b
+    target, best, nearest = b @ corners, np.inf, b
     for i, k in ((0, 1), (1, 2), (2, 0)):
         d = corners[k] - corners[i]
         s = min(max(float((target - corners[i]) @ d / (d @ d)), 0.0), 1.0)
         away = float(np.linalg.norm(corners[i] + s * d - target))
         if away < best:
-            best, found = away, np.zeros(3)
-            found[i], found[k] = 1 - s, s
-    return found
+            best, nearest = away, np.zeros(3)
+            nearest[i], nearest[k] = 1 - s, s
+    return nearest
 
 
 def _mean_normals(points: Floats, triangles: Ints, across: Floats) -> Floats:

@@ -70,6 +70,13 @@ class ContactReactions(Reactions):
         self.contacts, self.points_closed, m = contacts, closed.copy(), contacts.count
         self.force, self.friction, self.sliding = np.zeros(m), np.zeros((m, 2)), np.zeros(m, dtype=bool)
         self.size = 0.0
+        self._last: tuple[Floats, ContactKinematics] | None = None
+
+    def _kinematics(self, x: Floats) -> ContactKinematics:
+        """Those of a configuration, kept while the same array is asked for."""
+        if self._last is None or self._last[0] is not x:
+            self._last = x, self.contacts.kinematics(x)
+        return self._last[1]
 
     def restarted(self, state: State) -> Reactions:
         return ContactReactions(self.assembly, self.contacts, cast(ContactState, state).closed)
@@ -92,7 +99,7 @@ class ContactReactions(Reactions):
             RayError: no forces keep the points apart.
         """
         a, k, group = self.assembly, self.assembly.size, self.contacts
-        kinematics, places = group.kinematics(x), a.places(x)
+        kinematics, places = self._kinematics(x), a.places(x)
         given = self._compliant_forces(x, kinematics)
         rows = np.flatnonzero(self.points_closed | group.compliant)
         M, g = a.dynamics(t, x, v, places)
@@ -164,7 +171,7 @@ class ContactReactions(Reactions):
         )  # fmt: skip
 
     def closed(self, x: Floats) -> Floats:
-        return np.asarray(self.contacts.kinematics(x).N[self._pressing])
+        return np.asarray(self._kinematics(x).N[self._pressing])
 
     def project(self, t: float, x: Floats, v: Floats, h: float) -> Floats:
         none = np.zeros(self.contacts.count)
@@ -173,10 +180,10 @@ class ContactReactions(Reactions):
     # Steps: complementarity of positions and of velocities at the end.
 
     def state(self, state: State) -> ContactState:
-        kinematics = self.contacts.kinematics(state.x)
+        kinematics = self._kinematics(state.x)
         return ContactState(
             **vars(state), kinematics=kinematics, force=self.force, friction=self.friction, sliding=self.sliding,
-            deflection=self.contacts.flexibility(state.x, kinematics) @ self.force, closed=self.points_closed.copy(),
+            deflection=self.contacts.flexibility(state.x, kinematics) @ self.force, closed=self.points_closed,
         )  # fmt: skip
 
     def measure(self, state: State, length: float) -> float:
@@ -212,9 +219,10 @@ class ContactReactions(Reactions):
 
     def accept(self, state: State) -> ContactState:
         """Points that separate are no longer closed."""
-        accepted = self.state(state)
-        self.points_closed = self.points_closed & ((self.force > 0) | (accepted.gap <= _OPEN * self.size))
-        return replace(accepted, closed=self.points_closed.copy())
+        kinematics = self._kinematics(state.x)
+        gap = kinematics.gap + self.contacts.flexibility(state.x, kinematics) @ self.force
+        self.points_closed = self.points_closed & ((self.force > 0) | (gap <= _OPEN * self.size))
+        return self.state(state)
 
 
 def _round_off(J: Floats, y: Floats) -> float:

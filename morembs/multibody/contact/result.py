@@ -70,8 +70,8 @@ class ContactResult(Result):
     impacts: tuple[Impact, ...]
 
     def _rows(self, contact: Contact) -> slice:
-        for one, rows in zip(self.group.contacts, self.group.rows, strict=True):
-            if one is contact:
+        for other, rows in zip(self.group.contacts, self.group.rows, strict=True):
+            if other is contact:
                 return rows
         raise InputError(f"contact {contact.name!r} is not one of this run; give the contacts that were simulated")
 

@@ -65,7 +65,7 @@ class SlidingSwitch(EventHandler):
 
     def _sliders(self, assembly: Assembly, body: SwitchingBody) -> list[Slider]:
         parts = [*assembly.forces, *assembly.joints]
-        return [one for one in parts if isinstance(one, Slider) and one.path.component is body]
+        return [part for part in parts if isinstance(part, Slider) and part.path.component is body]
 
     def time(self, before: State, after: State) -> float | None:
         self._wanted = []
@@ -83,9 +83,9 @@ class SlidingSwitch(EventHandler):
         if s is None:
             return
         body.refuse_outside(s, f"at t = {after.time:.9g} s ({slider.name or 'joint'})")
-        its, window = body.switching, slider.path.window
+        tables, window = body.switching, slider.path.window
         first, last = firsts[window], firsts[window] + body.width - 1
-        i, end = its.interval(s), len(its.node_ids) - 1
+        i, end = tables.interval(s), len(tables.node_ids) - 1
         low, high = max(i - 1, 0), min(i + 2, end)
         if low < first or high > last:
             old = slider.along(before)
@@ -100,7 +100,7 @@ class SlidingSwitch(EventHandler):
     def change(self, state: State) -> RestartState:
         x, v = state.x.copy(), state.v.copy()
         for body in self.bodies:
-            mine = [one for one in self._wanted if one[0] is body]
+            mine = [window for window in self._wanted if window[0] is body]
             if not mine:
                 continue
             number = state.assembly.index(body)
