@@ -20,7 +20,7 @@ from morembs.errors import InputError, SolverError, nearest
 from morembs.gmp.member import ReducedMember
 from morembs.multibody.component import Marker, MarkerState, VectorComponent, checked_rotation, direction, vector
 from morembs.multibody.joints import Constraint, Rows, frame_about
-from morembs.nonlinear.member import Moment
+from morembs.nonlinear.member import MemberState
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class ParameterisedBody(VectorComponent):
         return self.member.nodes(self.member.at(q).x)
 
 
-def _jacobian(at: Moment) -> Floats:
+def _jacobian(at: MemberState) -> Floats:
     return np.zeros((len(at.x), 0)) if at.J is None else at.J
 
 

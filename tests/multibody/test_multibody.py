@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from morembs import multibody, nonlinear
 from morembs.errors import InputError, SolverError
 from morembs.multibody import (
     Assembly,
@@ -477,13 +478,17 @@ def test_bad_systems_are_told():
 
 
 def test_old_names_still_work_and_say_so():
-    import morembs.multibody as multibody
-
-    for old, new in (("Place", "MarkerState"), ("Restart", "RestartState"), ("Switch", "EventHandler")):
-        with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
-            assert getattr(multibody, old) is getattr(multibody, new)
-    with pytest.raises(AttributeError, match="has no attribute 'Plaice'"):
-        multibody.Plaice  # noqa: B018
+    in_multibody = {"Place": "MarkerState", "Restart": "RestartState", "Switch": "EventHandler"}
+    in_nonlinear = {
+        "Moment": "MemberState", "Motion": "MechanismMotion", "Settled": "EquilibriumPath",
+        "settle": "follow_equilibrium",
+    }  # fmt: skip
+    for module, names in ((multibody, in_multibody), (nonlinear, in_nonlinear)):
+        for old, new in names.items():
+            with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+                assert getattr(module, old) is getattr(module, new)
+        with pytest.raises(AttributeError, match="has no attribute 'Plaice'"):
+            module.Plaice  # noqa: B018
     system = System(gravity=DOWN)
     system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1)))
     with pytest.warns(DeprecationWarning, match=r"events=\.\.\."):
