@@ -43,7 +43,7 @@ class FloatingBody(Component):
             raise InputError(
                 f"body {self.name!r}: its mass matrix is not positive definite; expected a positive mass, an inertia "
                 "with three positive principal moments, elastic shapes that are no rigid motion, and with stiffening a "
-                "deflection that is small in its frame (mean axes and chord frames bear the largest)"
+                "deflection that is small in its frame (mean axes and chord frames tolerate the largest)"
             )
         for what, matrix in (("Ke", self.Ke), ("De", self.De)):
             if np.abs(matrix - matrix.T).max(initial=0.0) > 1e-8 * np.abs(matrix).max(initial=0.0):

@@ -103,7 +103,7 @@ class Marker(ABC):
 
     @property
     def label(self) -> str:
-        """Words for messages."""
+        """How messages name it."""
         return f"{self.component.name}.{self.name}" if self.component.size else f"ground.{self.name}"
 
 

@@ -71,7 +71,7 @@ class Constraint(ABC):
 
     @property
     def label(self) -> str:
-        """Words for messages."""
+        """How messages name it."""
         named = f" {self.name!r}" if self.name else ""
         return f"{type(self).__name__}{named} ({self.first.label} - {self.second.label})"
 

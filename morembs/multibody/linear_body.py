@@ -15,7 +15,7 @@ class LinearBody(VectorComponent):
     """M q'' + D q' + K q = loads, in the inertial frame: a body that is held, or whose motion is small.
 
     ``M``, ``K``, ``D`` (n, n); ``weight`` (n, 3) its loads under unit gravity along each axis; ``start`` and ``rate``
-    (n,) at the beginning.
+    (n,) at the startning.
 
     Raises:
         InputError: shapes that do not fit, a mass matrix that is not positive definite.

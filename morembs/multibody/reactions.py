@@ -138,7 +138,7 @@ class Reactions:
         return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: self.assembly.size])
 
     def state(self, state: State) -> State:
-        """The state with what was found at it."""
+        """The state together with the reactions at it."""
         return state
 
     def measure(self, state: State, length: float) -> float:

@@ -45,10 +45,10 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Energy:
-    """Histories (s,) in J: kinetic, potential (gravity, strain, springs), and the work put in since the begin.
+    """Histories (s,) in J: kinetic, potential (gravity, strain, springs), and the work put in since the start.
 
     ``work`` is that of loads, dampers and prescribed motions (negative where they take energy), by the trapezoidal
-    rule; ``total - work`` stays as it was but for errors of the integration.
+    rule; ``total - work`` is constant up to integration error.
     """
 
     kinetic: Floats

@@ -35,7 +35,7 @@ class RestartState:
 
 
 class Events:
-    """What may interrupt a run, none here: it cuts steps, gives the state after an event, and adds reactions.
+    """Events of a run, none here: they cut steps, give the state to restart from, and add reactions.
 
     ``advice``: what to change where events crowd in one step.
     """
@@ -53,7 +53,8 @@ class Events:
     def cut(self, before: State, after: State, repeat: Repeat) -> State | None:
         """The state at the first event of a step, None where it has none.
 
-        ``repeat`` takes the step from ``before`` anew, up to a time. An event at the begin gives ``before`` itself.
+        ``repeat`` repeats the step from ``before`` up to a given time. An event at the start of the step gives
+        ``before`` itself.
         """
         return None
 
@@ -118,7 +119,7 @@ def simulate(
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
 
     Raises:
-        InputError: nonsense times, joints that are open or redundant, velocities that break joints.
+        InputError: invalid times, joints that are open or redundant, velocities that break joints.
         SolverError: a step that does not converge, with its time and size; a deflection beyond ``max_deflection``.
     """
     if switch is not None:
@@ -163,7 +164,7 @@ class Run:
     """A run under ``events``: finished ``segments``, and the ``states`` of the one at work.
 
     Raises:
-        InputError: nonsense times, joints that are open or redundant, velocities that break joints.
+        InputError: invalid times, joints that are open or redundant, velocities that break joints.
     """
 
     def __init__(

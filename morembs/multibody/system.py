@@ -257,7 +257,7 @@ class Assembly:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:
-    """A moment of a simulation: time s, configuration x, velocity v, acceleration dv/dt, multipliers of joints."""
+    """A system at one time (s): configuration x, velocity v, acceleration dv/dt, multipliers of joints."""
 
     assembly: Assembly
     time: float

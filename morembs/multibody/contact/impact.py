@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int_]
-# A crossing this near to the begin of a step, as part of it, is the one that the step starts from.
+# A crossing this near to the start of a step, as part of it, is the one that the step starts from.
 _BEGIN = 1e-9
 _SHORTEST = 1e-4
 
@@ -112,7 +112,7 @@ def first_touch(before: ContactState, after: ContactState, watched: Ints) -> tup
 
 
 def _root(g0: float, g1: float, r0: float, r1: float) -> float:
-    """First falling zero of the cubic in (0, 1]; zero where it is negative at once, infinity for none."""
+    """First falling zero of the cubic in (0, 1]; zero where it is negative from the start, infinity for none."""
     if g0 <= 0 and r0 < 0:
         return 0.0
     cubic = np.array([2 * g0 - 2 * g1 + r0 + r1, -3 * g0 + 3 * g1 - 2 * r0 - r1, r0, g0])
@@ -125,8 +125,8 @@ def _root(g0: float, g1: float, r0: float, r1: float) -> float:
 
 
 def sliding_ends(before: ContactState, after: ContactState, group: Contacts, least: float) -> float:
-    """The part of the step at which sliding of a point first ends or turns round, from its velocity and acceleration
-    at the begin; infinity for none. Velocities up to ``least`` m/s are none."""
+    """The part of the step at which sliding of a point first stops or reverses, from its velocity and acceleration
+    at the start; infinity for none. Velocities up to ``least`` m/s are none."""
     pressed = (before.force > 0) & (after.force > 0) & (group.friction > 0)
     limit = max([least, *(s.kinematics.round_off(s.v, 1e-12) for s in (before, after))])
     h, earliest = after.time - before.time, np.inf

@@ -28,7 +28,7 @@ _AT_REST = 1e-8
 
 @runtime_checkable
 class Compliant(Protocol):
-    """A body whose points give way to forces on them at once: local shapes without inertia, amplitude = force."""
+    """A body with quasi-static local compliance at its points: shapes without inertia, amplitude = force."""
 
     def flexibility(self, points: Sequence[Marker]) -> ArrayLike:
         """(3 m, 3 m) m/N, symmetric and positive semidefinite: displacements of the m points per force on each,
@@ -66,7 +66,7 @@ class Contact:
         self.axis = direction(f"contact {name!r}: axis", axis)
         self._check(facets)
         angles = 2 * np.pi * np.arange(facets) / facets
-        # Whole numbers for the four directions: a block on a slope then sticks at the exact angle.
+        # Exact integers for the four directions: a block on a slope then sticks up to the exact angle.
         self.directions = np.round(np.stack((np.cos(angles), np.sin(angles)), axis=1), 15)
         self.compliance = None if compliance is None else self._checked_compliance(compliance)
 
@@ -179,7 +179,7 @@ class Contacts:
         return self.contacts[self._of[i]].name, int(i - self.rows[self._of[i]].start)
 
     def label(self, i: int) -> str:
-        """Words for a point in messages."""
+        """How messages name a point."""
         name, number = self.named(i)
         return f"contact {name!r}, point {number} ({self.contacts[self._of[i]].points[number].label})"
 
@@ -243,7 +243,7 @@ class Contacts:
         return sorted({i for i in numbers if i is not None})
 
     def stiffness(self, x: Floats, force: Floats, friction: Floats, step: float = 1e-6) -> Floats:
-        """(k, k): derivative of minus the contact forces by the configuration, for speed of Newton's method only."""
+        """(k, k): derivative of minus the contact forces by the configuration, for Newton's method only."""
         size = self.assembly.size
         K = np.zeros((size, size))
         if not force.any():

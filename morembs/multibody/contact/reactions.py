@@ -131,7 +131,7 @@ class ContactReactions(Reactions):
     def _sliding_friction(
         self, rows: NDArray[np.int_], slip: Floats, limit: float
     ) -> tuple[Floats, list[Floats | None]]:
-        """Friction (r, 2) per normal force of points that slide faster than ``limit``, and pyramids of the others."""
+        """Friction (r, 2) per normal force of points sliding faster than ``limit``; friction pyramids of the others."""
         against, pyramid = np.zeros((len(rows), 2)), list[Floats | None]()
         for number, i in enumerate(rows):
             D = self.contacts.pyramid(i)
@@ -226,5 +226,5 @@ class ContactReactions(Reactions):
 
 
 def _round_off(J: Floats, y: Floats) -> float:
-    """What rows J (..., k) of accelerations y (k,) may be by round-off."""
+    """Round-off of rows J (..., k) times accelerations y (k,)."""
     return _ROUND_AT_START * float((np.abs(J) @ np.abs(y)).max())

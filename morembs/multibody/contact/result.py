@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 class Impact:
     """An impact: ``time`` s, the points that met as (contact, number of the point), of all m points of the system the
     ``approach`` (m,) m/s before, the ``impulse`` (m,) and ``friction`` (m, 2) Ns, and the ``loss`` of energy, J: minus
-    the work of the impulses along the mean of the velocities before and after. It is the begin of ``segment``."""
+    the work of the impulses along the mean of the velocities before and after. ``segment`` starts with it."""
 
     time: float
     points: tuple[tuple[str, int], ...]
@@ -104,7 +104,7 @@ class ContactResult(Result):
     def balance(self) -> Energy:
         """Energies with contact: compliance is in ``potential``; friction and impacts take from ``work``.
 
-        ``total - work`` stays as it was but for errors of the integration.
+        ``total - work`` is constant up to integration error.
         """
         plain = self.energy()
         stored = np.concatenate([s.stored for s in self.touches])

@@ -1,9 +1,9 @@
 """simulate_contact(): a run with unilateral contact, driven by events.
 
 Between events: generalised-alpha of second order, with contact on the level of positions in each step. At a touch: the
-step is cut at it, positions are projected, velocities change by complementarity with restitution, and the scheme starts
-anew with its second-order start. Sliding that turns round or ends is an event too. Points that separate need none, nor
-do compliant points, whose forces begin at zero.
+step is cut at it, positions are projected, velocities change by complementarity with restitution, and the scheme
+restarts with its second-order start. Sliding that reverses or stops is an event too. Points that separate need none,
+nor do compliant points, whose forces begin at zero.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from morembs.multibody.system import Assembly, State, System
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-# Touching, as part of the size of the system: for the search, and at most at the begin.
+# Touching, as part of the size of the system: for the search, and at most at the start.
 _TOUCH, _PENETRATION = 1e-11, 1e-9
 _SEARCH = 8
 
@@ -47,7 +47,7 @@ def simulate_contact(
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
 
     Raises:
-        InputError: nonsense times, joints that are open, points that penetrate their surface at the begin.
+        InputError: invalid times, joints that are open, points that penetrate their surface at the start.
         ContactError: contact without solution, a step that does not converge, or a deflection beyond its limit, with
             time and place; its ``result`` is the run so far.
     """
@@ -195,7 +195,7 @@ class ContactEvents(Events):
         )
 
     def place(self, states: Sequence[State], points: Sequence[int] = ()) -> str:
-        """Words for some points at the last state, those that press unless told."""
+        """Text on some points at the last state, by default those under load."""
         last = states[-1] if states else None
         if not isinstance(last, ContactState):
             return "no point touches"
@@ -204,7 +204,7 @@ class ContactEvents(Events):
         return ("; ".join(named) or "no point touches") + (f" and {len(points) - 3} more" if len(points) > 3 else "")
 
     def no_solution(self, error: RayError, states: Sequence[State], begin: float) -> str:
-        """Words for a complementarity problem that has no solution."""
+        """Message on a complementarity problem without solution."""
         points = np.flatnonzero(error.direction > 1e-6 * max(error.direction.max(initial=0.0), 1e-300)).tolist()
         time = states[-1].time if states else begin
         return (

@@ -49,7 +49,7 @@ class Activation:
 class SlidingSwitch(EventHandler):
     """Moves the windows of all sliders of a body; ``log`` lists every change of a run.
 
-    A window moves at the end of the step in which its slider comes to depend on the outermost node, which still bears
+    A window moves at the end of the step in which its slider comes to depend on the outermost node, which carried
     no load before. It then has the full look-ahead on both sides, so a load that goes back and forth does not move it
     again. Displacements are projected in K, velocities in M: no energy grows.
     """
@@ -211,7 +211,7 @@ def simulate_sliding(
     """
     switch.reset()
     _refuse_mixed(system, switch)
-    # The second-order start looks one step ahead and back, which static modes far faster than a step do not bear.
+    # The second-order start looks one step ahead and back, which static modes far faster than a step do not tolerate.
     slow = all(body.variant == "quasi-static" for body in switch.bodies)
     run = None
     try:
