@@ -122,9 +122,7 @@ class Stepper:
         factor, last, refreshed, M, noise = None, math.inf, False, self.tangents[0], 0.0
         for _ in range(self.reactions.iterations):
             x = s.moved(old.x, it.step)
-            places = s.places(x)
-            mass, g = s.dynamics(time, x, it.v, places)
-            Phi, B = s.constraints(time, places)
+            mass, g, Phi, B = s.equations(time, x, it.v)
             if factor is None:
                 M, factor = mass, self._factor(it, mass, B)
                 noise = self._limit(M, g, it.v, old.time)

@@ -106,9 +106,7 @@ class Reactions:
     def accelerations(self, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats]:
         """As ``balance``, for a state near the start with the same rows held."""
         a, k = self.assembly, self.assembly.size
-        places, held = a.places(x), self.held(x, v, h)
-        M, g = a.dynamics(t, x, v, places)
-        _, B = a.constraints(t, places)
+        held, (M, g, _, B) = self.held(x, v, h), a.equations(t, x, v)
         given = a.driven(2, t) - a.curvature(x, v, h)
         if held is None:
             y = np.asarray(np.linalg.solve(saddle(M, B), np.concatenate((-g, given))), dtype=np.float64)
@@ -121,9 +119,7 @@ class Reactions:
     def correction(self, t: float, x: Floats, v: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """Smallest change of velocity that follows ``shift`` (k,) in all held rows, and that of joint multipliers."""
         a, k = self.assembly, self.assembly.size
-        places, closed = a.places(x), self.closed(x)
-        M, _ = a.dynamics(t, x, v, places)
-        _, B = a.constraints(t, places)
+        closed, (M, _, _, B) = self.closed(x), a.equations(t, x, v)
         J = B if closed is None else np.vstack((B, closed))
         right = np.concatenate((np.zeros(k), J @ shift))
         y = np.linalg.solve(saddle(M, J), right) if closed is None else least_norm(saddle(M, J), right)
@@ -131,11 +127,9 @@ class Reactions:
 
     def project(self, t: float, x: Floats, v: Floats, h: float) -> Floats:
         """The velocity nearest to v, in the norm of kinetic energy, that joints (and closed contacts) allow."""
-        places = self.assembly.places(x)
-        M, _ = self.assembly.dynamics(t, x, v, places)
-        _, B = self.assembly.constraints(t, places)
-        right = np.concatenate((np.zeros(self.assembly.size), self.assembly.driven(1, t) - B @ v))
-        return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: self.assembly.size])
+        M, _, _, B = self.assembly.equations(t, x, v)
+        right = np.concatenate((np.zeros(len(v)), self.assembly.driven(1, t) - B @ v))
+        return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: len(v)])
 
     def state(self, state: State) -> State:
         """The state together with the reactions at it."""

@@ -144,6 +144,11 @@ class Assembly:
             self.load(force, t, v, [places[id(m)] for m in force.markers], g)
         return M, g
 
+    def equations(self, t: float, x: Floats, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """M and g of ``dynamics``, Phi and B of ``constraints``."""
+        places = self.places(x)
+        return *self.dynamics(t, x, v, places), *self.constraints(t, places)
+
     def load(self, force: Force, t: float, v: Floats, at: Sequence[MarkerState], g: Floats) -> None:
         """Take the generalised forces of one force from g (k,)."""
         twists = [self.twist(m, p, v) for m, p in zip(force.markers, at, strict=True)]

@@ -49,9 +49,7 @@ def resolve_impact(
         RayError: no impulses keep the points apart.
     """
     k, rows = assembly.size, np.flatnonzero(touching)
-    places, kinematics = assembly.places(x), group.kinematics(x)
-    M, g = assembly.dynamics(t, x, v, places)
-    _, B = assembly.constraints(t, places)
+    kinematics, (M, g, _, B) = group.kinematics(x), assembly.equations(t, x, v)
     N, T = kinematics.N[rows], kinematics.T[rows]
     least = kinematics.round_off(v, h * float(np.abs(kinematics.N @ np.linalg.solve(M, g)).max(initial=0.0)))
     right = np.concatenate((np.zeros(k), assembly.driven(1, t) - B @ v))
@@ -83,9 +81,8 @@ def project_positions(assembly: Assembly, group: Contacts, t: float, x: Floats, 
     """The configuration nearest to x, in the norm of the mass matrix, where touching points and joints are closed."""
     rows = np.flatnonzero(touching)
     for _ in range(3):
-        places, kinematics = assembly.places(x), group.kinematics(x)
-        M, _ = assembly.dynamics(t, x, np.zeros(assembly.size), places)
-        Phi, B = assembly.constraints(t, places)
+        kinematics = group.kinematics(x)
+        M, _, Phi, B = assembly.equations(t, x, np.zeros(assembly.size))
         S = saddle(M, np.vstack((B, kinematics.N[rows])))
         right = np.concatenate((np.zeros(assembly.size), -Phi, -kinematics.gap[rows]))
         if not np.abs(right).max(initial=0.0) > 0:

@@ -99,11 +99,9 @@ class ContactReactions(Reactions):
             RayError: no forces keep the points apart.
         """
         a, k, group = self.assembly, self.assembly.size, self.contacts
-        kinematics, places = self._kinematics(x), a.places(x)
+        kinematics, (M, g, _, B) = self._kinematics(x), a.equations(t, x, v)
         given = self._compliant_forces(x, kinematics)
         rows = np.flatnonzero(self.points_closed | group.compliant)
-        M, g = a.dynamics(t, x, v, places)
-        _, B = a.constraints(t, places)
         N, T = kinematics.N[rows], kinematics.T[rows]
         right = np.concatenate((-g, a.driven(2, t) - a.curvature(x, v, h)))
         responses = Responses.solved(lambda columns: np.linalg.solve(saddle(M, B), columns), right, N, T)
