@@ -133,7 +133,7 @@ class Stepper:
             size = it.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
             if size <= noise:
                 self._v, self._auxiliary, self._multipliers = it.v, it.auxiliary, it.multipliers
-                self.state = self.reactions.accept(it.state(s, time, s.moved(old.x, it.step)))
+                self.state = self.reactions.state(it.state(s, time, s.moved(old.x, it.step)), converged=True)
                 return self.state
             if size > _SLOW * last:
                 if not refreshed:

@@ -131,8 +131,8 @@ class Reactions:
         right = np.concatenate((np.zeros(len(v)), self.assembly.driven(1, t) - B @ v))
         return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: len(v)])
 
-    def state(self, state: State) -> State:
-        """The state together with the reactions at it."""
+    def state(self, state: State, converged: bool = False) -> State:
+        """The state together with the reactions at it, at a start or after a ``converged`` step."""
         return state
 
     def measure(self, state: State, length: float) -> float:
@@ -146,7 +146,3 @@ class Reactions:
     def solve(self, lu: LU, residual: Floats, x: Floats, it: Iterate) -> Floats:
         """Newton's change of accelerations and multipliers (k + m,) for a factored matrix and a residual at x."""
         return np.asarray(-sl.lu_solve(lu, residual, check_finite=False))
-
-    def accept(self, state: State) -> State:
-        """The converged state of a step, with the reactions found."""
-        return self.state(state)

@@ -177,11 +177,17 @@ class ContactReactions(Reactions):
 
     # Steps: complementarity of positions and of velocities at the end.
 
-    def state(self, state: State) -> ContactState:
+    def state(self, state: State, converged: bool = False) -> ContactState:
+        """The state with contact; points that separate in a ``converged`` step are no longer closed."""
         kinematics = self._kinematics(state.x)
+        deflection = self.contacts.flexibility(state.x, kinematics) @ self.force
+        if converged:
+            gap = kinematics.gap + deflection
+            self.points_closed = self.points_closed & ((self.force > 0) | (gap <= _OPEN * self.size))
         return ContactState(
-            **vars(state), kinematics=kinematics, force=self.force, friction=self.friction, sliding=self.sliding,
-            deflection=self.contacts.flexibility(state.x, kinematics) @ self.force, closed=self.points_closed,
+            assembly=state.assembly, time=state.time, x=state.x, v=state.v, acceleration=state.acceleration,
+            multipliers=state.multipliers, kinematics=kinematics, force=self.force, friction=self.friction,
+            sliding=self.sliding, deflection=deflection, closed=self.points_closed,
         )  # fmt: skip
 
     def measure(self, state: State, length: float) -> float:
@@ -214,13 +220,6 @@ class ContactReactions(Reactions):
         forces = problem.solve(rows, group.count)
         self._take(rows, forces)
         return responses.total(forces)
-
-    def accept(self, state: State) -> ContactState:
-        """Points that separate are no longer closed."""
-        kinematics = self._kinematics(state.x)
-        gap = kinematics.gap + self.contacts.flexibility(state.x, kinematics) @ self.force
-        self.points_closed = self.points_closed & ((self.force > 0) | (gap <= _OPEN * self.size))
-        return self.state(state)
 
 
 def _round_off(J: Floats, y: Floats) -> float:
