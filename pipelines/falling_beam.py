@@ -26,9 +26,9 @@ from morembs.model.material import isotropic
 from morembs.multibody import FlexibleBody, System, ground
 from morembs.multibody.component import Marker
 from morembs.multibody.contact import Contact
-from morembs.multibody.contact_result import ContactResult
-from morembs.multibody.contact_run import simulate_contact
-from morembs.multibody.surfaces import GridSurface
+from morembs.multibody.contact.result import ContactResult
+from morembs.multibody.contact.run import simulate_contact
+from morembs.multibody.contact.surfaces import GridSurface
 from morembs.problem import Problem
 from morembs.reducers import Modal
 

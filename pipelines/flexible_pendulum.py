@@ -19,7 +19,7 @@ from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, par
 
 from morembs.errors import MorembsError
 from morembs.gmp import Formulation, ReducedMember
-from morembs.nonlinear import FullMember, Mechanism, Member, Motion, PlanarBeam, Section, simulate
+from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
 LENGTH, A, I, DENSITY, GRAVITY = 0.304, 7.854e-5, 4.909e-10, 2770.0, (0.0, -9.81)  # noqa: E741
 ELEMENTS, END, STEP, QUICK_END = 24, 0.5, 5e-4, 0.15
@@ -44,7 +44,7 @@ class Case:
 class Fall:
     """A run: motion, path of the tip (T, 2) m and the time in s that it took; offline: the making of the member."""
 
-    motion: Motion
+    motion: MechanismMotion
     tip: Floats
     seconds: float
     offline: float = 0.0

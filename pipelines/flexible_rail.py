@@ -28,11 +28,11 @@ from morembs.model.stress_operator import StressOperator, stress_operator
 from morembs.multibody import DrivenPosition, Motion, RigidBody, System, ground
 from morembs.multibody.component import Marker
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import local_response
 from morembs.multibody.result import Result
-from morembs.multibody.sliding import MovingLoad, PathSupport
-from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
+from morembs.multibody.sliding.loads import MovingLoad, PathSupport
+from morembs.multibody.sliding.response import local_response
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import Switching

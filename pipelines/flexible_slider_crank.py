@@ -20,7 +20,7 @@ import numpy as np
 from both_simulators import OURS, THEIRS, THIRD, Curve, ExudynSystem, Floats, Panel, draw, exudyn_missing, parse
 
 from morembs.gmp import Formulation, ReducedMember
-from morembs.nonlinear import FullMember, Mechanism, Member, Motion, PlanarBeam, Section, simulate
+from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
 CRANK, ROD, A, I, DENSITY, SLIDER = 0.152, 0.304, 7.854e-5, 4.909e-10, 2770.0, 0.01  # noqa: E741
 E_CRANK, E_ROD = 2e7, 2e6  # Pa, nominal
@@ -44,7 +44,7 @@ class Run:
     coordinates: int
     step: float
     offline: float = 0.0
-    motion: Motion | None = None
+    motion: MechanismMotion | None = None
 
     def errors(self, reference: Run) -> tuple[float, float]:
         """Root mean square of the deflection per largest deflection, and of the slider per stroke."""

@@ -26,7 +26,7 @@ from morembs.interface import make_interface
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
-from morembs.multibody.lemke import lemke
+from morembs.multibody.contact.lemke import lemke
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import Switching

@@ -20,11 +20,11 @@ from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, par
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.multibody import System
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import amplitudes, local_response, state_of
 from morembs.multibody.result import Result
-from morembs.multibody.sliding import MovingLoad
-from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
+from morembs.multibody.sliding.loads import MovingLoad
+from morembs.multibody.sliding.response import amplitudes, local_response, state_of
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import Switching

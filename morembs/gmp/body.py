@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError, SolverError, nearest
 from morembs.gmp.member import ReducedMember
-from morembs.multibody.component import Marker, Place, VectorComponent, checked_rotation, direction, vector
+from morembs.multibody.component import Marker, MarkerState, VectorComponent, checked_rotation, direction, vector
 from morembs.multibody.joints import Constraint, Rows, frame_about
-from morembs.nonlinear.member import Moment
+from morembs.nonlinear.member import MemberState
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class ParameterisedBody(VectorComponent):
         return self.member.nodes(self.member.at(q).x)
 
 
-def _jacobian(at: Moment) -> Floats:
+def _jacobian(at: MemberState) -> Floats:
     return np.zeros((len(at.x), 0)) if at.J is None else at.J
 
 
@@ -115,13 +115,13 @@ class EndMarker(Marker):
     name: str
     first: int
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         axes, k = self.component.axes, self.first
         c, s = math.cos(x[k + 2]), math.sin(x[k + 2])
         jacobian = np.zeros((6, self.component.size))
         jacobian[:3, k : k + 2], jacobian[3:, k + 2] = axes[:, :2], axes[:, 2]
         turned = axes @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Place(position=self.component.origin + axes[:, :2] @ x[k : k + 2], axes=turned, jacobian=jacobian)
+        return MarkerState(position=self.component.origin + axes[:, :2] @ x[k : k + 2], axes=turned, jacobian=jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class PlaneJoint(Constraint):
         object.__setattr__(self, "_on_b", b.axes.T @ frame[:, 1])
         object.__setattr__(self, "count", 3 if self.fixed else 2)
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         plane, normal = self._plane[:2], self._plane[2]
         Ga, Gb, values = np.zeros((self.count, 6)), np.zeros((self.count, 6)), np.empty(self.count)
         Ga[:2, :3], Gb[:2, :3] = -plane, plane

@@ -17,7 +17,7 @@ from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.plan import TOLERANCE, Envelope, Plan, Report
 from morembs.gmp.shapes import shapes
 from morembs.nonlinear.component import NonlinearComponent
-from morembs.nonlinear.member import Moment
+from morembs.nonlinear.member import MemberState
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -104,7 +104,7 @@ class ReducedMember:
         phi += 2 * math.pi * round((q[2] - phi) / (2 * math.pi))
         return math.hypot(dx, dy), phi, np.array([q[2] - phi, q[5] - phi])
 
-    def at(self, q: Floats) -> Moment:
+    def at(self, q: Floats) -> MemberState:
         d, phi, t = self.chord(q)
         value, first, (W, W_t, W_tt) = self.data.at(t)
         (X, A, d0, k, c, H), (X_t, A_t, d0_t, k_t, c_t, H_t) = self.data.parts(value), self.data.parts(first)
@@ -143,7 +143,7 @@ class ReducedMember:
         S[3:, 3:] += self._stiff + tension * H
         S[:2, 3:] += tension * c_t
         S[3:, :2] += tension * c_t.T
-        return Moment(x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P)
+        return MemberState(x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P)
 
     def bending(self, q: Floats, v: Floats) -> Floats:
         """(dJ/dt) v, (p,): the acceleration of x while q moves on at the constant rate v, from second derivatives of
@@ -187,7 +187,7 @@ class ReducedMember:
             return None
         return ("t1", "t2")[worst], float(t[worst]), self.data.reach
 
-    def neglected(self, q: Floats, moment: Moment, load: Floats) -> float:
+    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         data, m = self.data, self.modes
         Psi = data.Psi[:, m:]
         if Psi.shape[1] == 0:

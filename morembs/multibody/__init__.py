@@ -7,14 +7,25 @@ result = simulate(system, end=0.5, step=1e-3)
 result.position(rod.marker("end")), result.reaction(joint), result.energy().total
 """
 
+import warnings
+
 from morembs.multibody.bodies import BodyMarker, FlexibleBody, FloatingBody, RigidBody
-from morembs.multibody.component import Component, Ground, Marker, Place, VectorComponent
-from morembs.multibody.contact import Compliant, Contact
-from morembs.multibody.contact_patches import TriangleSurface
-from morembs.multibody.contact_result import ContactError, ContactResult, Impact
-from morembs.multibody.contact_run import simulate_contact
+from morembs.multibody.component import Component, Ground, Marker, MarkerState, VectorComponent
+from morembs.multibody.contact import (
+    Compliant,
+    Contact,
+    ContactError,
+    ContactResult,
+    GridSurface,
+    Impact,
+    Path,
+    Plane,
+    Sphere,
+    Surface,
+    TriangleSurface,
+    simulate_contact,
+)
 from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
-from morembs.multibody.integrate import State
 from morembs.multibody.joints import (
     Constraint,
     DrivenAngle,
@@ -26,17 +37,26 @@ from morembs.multibody.joints import (
     SphericalJoint,
 )
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import LocalResponse, local_response
 from morembs.multibody.result import Energy, Result, Segment
 from morembs.multibody.rotations import rotation
-from morembs.multibody.run import Restart, Switch, simulate
-from morembs.multibody.sliding import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding_switch import Activation, SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.surfaces import GridSurface, Path, Plane, Sphere, Surface
-from morembs.multibody.switching import SwitchingBody
-from morembs.multibody.system import Assembly, System
+from morembs.multibody.run import EventHandler, RestartState, simulate
+from morembs.multibody.sliding import (
+    Activation,
+    LocalResponse,
+    MovingLoad,
+    PathSupport,
+    PointOnPath,
+    SlidingSwitch,
+    SwitchingBody,
+    UnfinishedRunError,
+    local_response,
+    simulate_sliding,
+)
+from morembs.multibody.system import Assembly, State, System
 
 ground = Ground()
+
+_OLD_NAMES: dict[str, type] = {"Place": MarkerState, "Restart": RestartState, "Switch": EventHandler}
 
 __all__ = [
     "Activation",
@@ -51,6 +71,7 @@ __all__ = [
     "DrivenAngle",
     "DrivenPosition",
     "Energy",
+    "EventHandler",
     "FixedJoint",
     "FlexibleBody",
     "FloatingBody",
@@ -61,16 +82,16 @@ __all__ = [
     "LinearBody",
     "LocalResponse",
     "Marker",
+    "MarkerState",
     "Motion",
     "MovingLoad",
     "Path",
     "PathSupport",
-    "Place",
     "Plane",
     "PointLoad",
     "PointOnPath",
     "PrismaticJoint",
-    "Restart",
+    "RestartState",
     "Result",
     "RevoluteJoint",
     "RigidBody",
@@ -81,7 +102,6 @@ __all__ = [
     "SpringDamper",
     "State",
     "Surface",
-    "Switch",
     "SwitchingBody",
     "System",
     "TorsionSpring",
@@ -95,3 +115,11 @@ __all__ = [
     "simulate_contact",
     "simulate_sliding",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _OLD_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    new = _OLD_NAMES[name]
+    warnings.warn(f"morembs.multibody.{name} is now {new.__name__}", DeprecationWarning, stacklevel=2)
+    return new

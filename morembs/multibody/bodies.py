@@ -6,15 +6,17 @@ inertial axes (3), angular velocity along the axes of the body (3), dq/dt (n).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
-from morembs.multibody.component import Component, Marker, Place, checked_rotation, numbers, vector
+from morembs.multibody.component import Component, Marker, MarkerState, checked_rotation, numbers, vector
 from morembs.multibody.inertia import Foreshortening, Inertia
 from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent
 
@@ -41,7 +43,7 @@ class FloatingBody(Component):
             raise InputError(
                 f"body {self.name!r}: its mass matrix is not positive definite; expected a positive mass, an inertia "
                 "with three positive principal moments, elastic shapes that are no rigid motion, and with stiffening a "
-                "deflection that is small in its frame (mean axes and chord frames bear the largest)"
+                "deflection that is small in its frame (mean axes and chord frames tolerate the largest)"
             )
         for what, matrix in (("Ke", self.Ke), ("De", self.De)):
             if np.abs(matrix - matrix.T).max(initial=0.0) > 1e-8 * np.abs(matrix).max(initial=0.0):
@@ -92,6 +94,26 @@ class FloatingBody(Component):
     def power(self, x: Floats, v: Floats) -> float:
         return -float(v[6:] @ self.De @ v[6:])
 
+    @cached_property
+    def length(self) -> float:
+        """Diagonal of the box with the inertia of the undeformed body, or what its markers span if that is more, m."""
+        inertia = self.inertia
+        center = inertia.first / inertia.mass
+        gyration = float(np.trace(inertia.inertia)) / (2 * inertia.mass) - float(center @ center)
+        points = np.array([m.point for m in self.markers.values()]).reshape(-1, 3)
+        span = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+        return max(math.sqrt(max(12 * gyration, 0.0)), span)
+
+    def deflection(self, x: Floats) -> float | None:
+        """Of markers and of the body's mass (root of the mean square), per ``length``."""
+        q = x[12:]
+        if not len(q):
+            return None
+        rows = np.array([m.motion[:3] for m in self.markers.values()]).reshape(-1, len(q))
+        at_markers = np.linalg.norm((rows @ q).reshape(-1, 3), axis=1)
+        mean = math.sqrt(max(float(q @ self.inertia.Me @ q), 0.0) / self.inertia.mass)
+        return max(mean, float(at_markers.max(initial=0.0))) / self.length
+
     def marker(self, name: str) -> Marker:
         if name not in self.markers:
             raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}")
@@ -120,7 +142,7 @@ class BodyMarker(Marker):
     axes: Floats
     short: Floats | None
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         R, q, n = x[3:12].reshape(3, 3), x[12:], len(x) - 12
         jacobian = np.zeros((6, 6 + n))
         jacobian[:3, :3] = np.eye(3)
@@ -128,7 +150,7 @@ class BodyMarker(Marker):
             arm = R @ self.point
             jacobian[:3, 3:6] = -hat(arm) @ R
             jacobian[3:, 3:6] = R
-            return Place(position=x[:3] + arm, axes=R @ self.axes, jacobian=jacobian)
+            return MarkerState(position=x[:3] + arm, axes=R @ self.axes, jacobian=jacobian)
         motion = self.motion
         small = motion @ q
         if self.short is not None:
@@ -139,7 +161,7 @@ class BodyMarker(Marker):
         jacobian[3:, 3:6] = R
         jacobian[:3, 6:] = R @ motion[:3]
         jacobian[3:, 6:] = (R @ tangent(small[3:]).T) @ motion[3:]
-        return Place(position=x[:3] + R @ arm, axes=R @ exponential(small[3:]) @ self.axes, jacobian=jacobian)
+        return MarkerState(position=x[:3] + R @ arm, axes=R @ exponential(small[3:]) @ self.axes, jacobian=jacobian)
 
 
 def _placed(

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class Place:
+class MarkerState:
     """Where a marker is: position (3,) m, axes (3, 3) as columns, jacobian (6, k).
 
     ``jacobian @ v`` is its velocity (3) and angular velocity (3) along the inertial axes.
@@ -69,6 +69,10 @@ class Component(ABC):
     def power(self, x: Floats, v: Floats) -> float:
         """Power of inner forces that is not stored, W: minus the damping."""
 
+    def deflection(self, x: Floats) -> float | None:
+        """Largest displacement by linear elastic shapes per length of the body; None for all other components."""
+        return None
+
     @abstractmethod
     def marker(self, name: str) -> Marker:
         """The marker of that name; raises InputError for unknown names."""
@@ -94,12 +98,12 @@ class Marker(ABC):
     name: str
 
     @abstractmethod
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         """Where it is for a configuration of its component."""
 
     @property
     def label(self) -> str:
-        """Words for messages."""
+        """How messages name it."""
         return f"{self.component.name}.{self.name}" if self.component.size else f"ground.{self.name}"
 
 
@@ -109,9 +113,9 @@ class FixedMarker(Marker):
 
     component: Component
     name: str
-    fixed: Place
+    fixed: MarkerState
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         return self.fixed
 
 
@@ -140,7 +144,7 @@ class Ground(VectorComponent):
     def marker_at(self, point: ArrayLike = (0.0, 0.0, 0.0), *, axes: ArrayLike | None = None, name: str = "") -> Marker:
         """Marker at ``point`` (3,) m with ``axes`` (3, 3) as columns, the inertial ones unless told."""
         turn = checked_rotation("axes of a ground marker", axes)
-        place = Place(position=vector("point of a ground marker", point), axes=turn, jacobian=np.zeros((6, 0)))
+        place = MarkerState(position=vector("point of a ground marker", point), axes=turn, jacobian=np.zeros((6, 0)))
         return FixedMarker(self, name or "marker", place)
 
 
@@ -151,8 +155,8 @@ def numbers(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     except (TypeError, ValueError):
         raise InputError(f"{what}: {value!r} was given; expected numbers of shape {shape}") from None
     if array.shape != shape or not np.isfinite(array).all():
-        found = f"shape {array.shape}" if array.shape != shape else "a value that is not finite"
-        raise InputError(f"{what}: {found} was given; expected finite numbers of shape {shape}")
+        problem = f"shape {array.shape}" if array.shape != shape else "a value that is not finite"
+        raise InputError(f"{what}: {problem} was given; expected finite numbers of shape {shape}")
     array.flags.writeable = False
     return array
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.component import Marker, Place, direction, vector
+from morembs.multibody.component import Marker, MarkerState, direction, vector
 from morembs.multibody.joints import frame_about, turn_angle
 
 Floats = NDArray[np.float64]
@@ -24,15 +24,15 @@ class Force(ABC):
     name: str
 
     @abstractmethod
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         """One wrench (6,) per marker; a twist (6,) is the velocity and angular velocity of a marker."""
 
     @abstractmethod
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         """Potential energy, J."""
 
     @abstractmethod
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         """Power put into the system that is not taken from ``stored``, W."""
 
 
@@ -66,16 +66,16 @@ class PointLoad(Force):
         laws = _load(f"force of {self.name!r}", self.force), _load(f"moment of {self.name!r}", self.moment)
         object.__setattr__(self, "_laws", laws)
 
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         force, moment = self._laws[0](t), self._laws[1](t)
         if self.follows:
             force, moment = places[0].axes @ force, places[0].axes @ moment
         return (np.concatenate((force, moment)),)
 
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         return 0.0
 
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         return float(self.wrenches(t, places, twists)[0] @ twists[0])
 
 
@@ -115,7 +115,7 @@ class SpringDamper(Force):
         object.__setattr__(self, "rest", rest)
         object.__setattr__(self, "markers", (self.first, self.second))
 
-    def _pull(self, places: Sequence[Place], twists: Sequence[Floats]) -> tuple[Floats, Floats]:
+    def _pull(self, places: Sequence[MarkerState], twists: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Vectors of the elongation and of its rate."""
         gap, rate = places[1].position - places[0].position, twists[1][:3] - twists[0][:3]
         if self.rest == 0:
@@ -124,16 +124,16 @@ class SpringDamper(Force):
         line = gap / length
         return (length - self.rest) * line, (line @ rate) * line
 
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         stretch, rate = self._pull(places, twists)
         wrench = np.concatenate((self.stiffness * stretch + self.damping * rate, np.zeros(3)))
         return wrench, -wrench
 
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         length = float(np.linalg.norm(places[1].position - places[0].position))
         return 0.5 * self.stiffness * (length - self.rest) ** 2
 
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         _, rate = self._pull(places, twists)
         return -self.damping * float(rate @ rate)
 
@@ -164,17 +164,17 @@ class TorsionSpring(Force):
         object.__setattr__(self, "_frames", (on_a, b.axes.T @ a.axes @ on_a))
         object.__setattr__(self, "markers", (self.first, self.second))
 
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         angle, gradient = turn_angle(places[0], places[1], *self._frames)
         rate = gradient @ (twists[1][3:] - twists[0][3:])
         moment = (self.stiffness * (angle - self.angle) + self.damping * rate) * gradient
         wrench = np.concatenate((np.zeros(3), moment))
         return wrench, -wrench
 
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         angle, _ = turn_angle(places[0], places[1], *self._frames)
         return 0.5 * self.stiffness * (angle - self.angle) ** 2
 
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         _, gradient = turn_angle(places[0], places[1], *self._frames)
         return -self.damping * float(gradient @ (twists[1][3:] - twists[0][3:])) ** 2

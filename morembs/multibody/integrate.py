@@ -1,8 +1,8 @@
 """Generalised-alpha for constrained systems on Lie groups, index 3 (Chung and Hulbert 1993; Bruels and Cardona 2010).
 
-Start and restart of second order after Arnold, Bruels and Cardona (2015): the auxiliary acceleration is taken at its
-own time, and velocity and multipliers start from a small perturbation that removes the first-order error of
-multipliers.
+One stepper for all: contacts take part as ``Reactions``, loads that slide along a body as forces and joints. Start and
+restart are of second order after Arnold, Bruels and Cardona (2015): the auxiliary acceleration is taken at its own
+time, and velocity and multipliers start from a small perturbation that removes the first-order error of multipliers.
 """
 
 from __future__ import annotations
@@ -15,24 +15,12 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.system import Assembly
+from morembs.multibody.reactions import LU, Iterate, Reactions, saddle
+from morembs.multibody.system import State
 from morembs.multibody.tangents import stiffness_and_damping
 
 Floats = NDArray[np.float64]
-_ITERATIONS = 15
 _SLOW = 0.15
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class State:
-    """A moment of a simulation: time s, configuration x, velocity v, acceleration dv/dt, multipliers of joints."""
-
-    assembly: Assembly
-    time: float
-    x: Floats
-    v: Floats
-    acceleration: Floats
-    multipliers: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,121 +50,100 @@ class Scheme:
         return 0.25 * (self.gamma + 0.5) ** 2
 
 
-def _saddle(M: Floats, B: Floats) -> Floats:
-    m, k = B.shape
-    S = np.zeros((k + m, k + m))
-    S[:k, :k], S[:k, k:], S[k:, :k] = M, B.T, B
-    return S
-
-
-def accelerations(assembly: Assembly, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats, Floats]:
-    """Acceleration, multipliers and the saddle matrix [[M, B'], [B, 0]] at a consistent state."""
-    places = assembly.places(x)
-    M, g = assembly.dynamics(t, x, v, places)
-    _, B = assembly.constraints(t, places)
-    S = _saddle(M, B)
-    right = np.concatenate((-g, assembly.driven(2, t) - assembly.curvature(x, v, h)))
-    solution: Floats = np.asarray(np.linalg.solve(S, right), dtype=np.float64)
-    return solution[: assembly.size], solution[assembly.size :], S
-
-
-def projected(assembly: Assembly, t: float, x: Floats, v: Floats) -> Floats:
-    """The velocity nearest to v, in the norm of kinetic energy, that the joints allow."""
-    places = assembly.places(x)
-    M, _ = assembly.dynamics(t, x, v, places)
-    _, B = assembly.constraints(t, places)
-    right = np.concatenate((np.zeros(assembly.size), assembly.driven(1, t) - B @ v))
-    return np.asarray(v + np.linalg.solve(_saddle(M, B), right)[: assembly.size])
-
-
-def _newton(A: Floats, B: Floats, BT: Floats) -> Floats:
-    S = _saddle(A, B)
-    S[len(A) :, : len(A)] = BT
-    return S
-
-
 class Stepper:
-    """Steps of one size from a consistent state on: the state, the auxiliary acceleration and the Newton matrix."""
+    """Steps of one size from a consistent state on: the state, the auxiliary acceleration and the Newton matrix.
+
+    ``reactions`` are solved for in every iteration; ``tangents`` K and C (k, k) of another stepper of the same state.
+
+    Raises:
+        LinAlgError: joints that are dependent at the start.
+    """
 
     def __init__(
-        self, scheme: Scheme, assembly: Assembly, t: float, x: Floats, v: Floats, h: float, tolerance: float,
-        corrected: bool = True,
+        self, scheme: Scheme, reactions: Reactions, *, t: float, x: Floats, v: Floats, h: float, tolerance: float,
+        corrected: bool = True, tangents: tuple[Floats, Floats] | None = None,
     ) -> None:  # fmt: skip
-        self.scheme, self.assembly, self.h = scheme, assembly, h
-        a, s = scheme, assembly
-        rate, multipliers, S = accelerations(s, t, x, v, h)
-        self.state = State(assembly=s, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
-        offset = a.alpha_m - a.alpha_f
-        self._v, self._auxiliary = v, rate
+        self.scheme, self.reactions, self.assembly, self.h = scheme, reactions, reactions.assembly, h
+        rate, multipliers = reactions.balance(t, x, v, h)
+        state = State(assembly=self.assembly, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
+        self.state, self._v, self._auxiliary, self._multipliers = reactions.state(state), v, rate, multipliers
         if corrected:
-            ahead, behind = (
-                accelerations(s, t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0] for k in (h, -h)
-            )
-            jerk = 0.5 * (ahead - behind)
-            self._auxiliary = rate + offset * jerk
-            shift = h * ((1 - 6 * a.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
-            right = np.concatenate((np.zeros(s.size), S[s.size :, : s.size] @ shift))
-            change = np.linalg.solve(S, right)
-            self._v = v + change[: s.size]
-            self._multipliers = multipliers + change[s.size :]
-        else:
-            self._multipliers = multipliers
-        self._K, self._C = stiffness_and_damping(s, t, x, v, rate, multipliers)
-        length = max([1e-3, *(float(np.abs(p.position).max()) for p in s.places(x).values())])
+            self._correct_start(state)
+        positions = [float(np.abs(p.position).max()) for p in self.assembly.places(x).values()]
+        length = reactions.measure(self.state, max([1e-3, *positions]))
         self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
+        self.tangents = tangents or self._tangents(self.state)
+
+    def _correct_start(self, state: State) -> None:
+        """The start values of second order of Arnold, Bruels and Cardona (2015)."""
+        s, a, t, h, x, v, rate = (
+            self.assembly, self.scheme, state.time, self.h, state.x, state.v, state.acceleration
+        )  # fmt: skip
+        ahead, behind = (
+            self.reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0]
+            for k in (h, -h)
+        )
+        jerk, offset = 0.5 * (ahead - behind), a.alpha_m - a.alpha_f
+        shift = h * ((1 - 6 * a.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
+        dv, dm = self.reactions.correction(t, x, v, shift)
+        self._v, self._auxiliary, self._multipliers = v + dv, rate + offset * jerk, state.multipliers + dm
+
+    def _tangents(self, at: State) -> tuple[Floats, Floats]:
+        K, C = stiffness_and_damping(self.assembly, at.time, at.x, at.v, at.acceleration, at.multipliers)
+        return K + self.reactions.stiffness(at.x), C
+
+    def _predicted(self) -> Iterate:
+        """Unknowns at the end of the step if the acceleration stays as it is."""
+        h, a, old = self.h, self.scheme, self.state.acceleration
+        c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
+        auxiliary = (a.alpha_f * old - a.alpha_m * self._auxiliary) / (1 - a.alpha_m) + c_a * old
+        return Iterate(
+            acceleration=old.copy(), multipliers=self._multipliers.copy(), auxiliary=auxiliary,
+            step=h * (self._v + h * ((0.5 - a.beta) * self._auxiliary + a.beta * auxiliary)),
+            v=self._v + h * ((1 - a.gamma) * self._auxiliary + a.gamma * auxiliary),
+            c_a=c_a, c_v=h * a.gamma * c_a, c_q=h * h * a.beta * c_a,
+        )  # fmt: skip
+
+    def _factor(self, it: Iterate, mass: Floats, B: Floats) -> LU:
+        K, C = self.tangents
+        S = saddle(mass + it.c_v * C + self.assembly.tangent(it.c_q * K, it.step), B)
+        S[self.assembly.size :, : self.assembly.size] = self.assembly.tangent(B, it.step)
+        lu: LU = sl.lu_factor(S, check_finite=False)
+        return lu
 
     def advance(self, time: float) -> State:
         """One step, to ``time``; the new state.
 
         Raises:
+            RayError: no forces keep the points of contacts apart.
             SolverError: Newton's method does not converge.
         """
-        s, h, a = self.assembly, self.h, self.scheme
-        t, old = time, self.state
-        c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
-        c_v, c_q = h * a.gamma * c_a, h * h * a.beta * c_a
-        rate, multipliers = old.acceleration.copy(), self._multipliers.copy()
-        auxiliary = (a.alpha_f * old.acceleration - a.alpha_m * self._auxiliary) / (1 - a.alpha_m) + c_a * rate
-        step = h * (self._v + h * ((0.5 - a.beta) * self._auxiliary + a.beta * auxiliary))
-        v = self._v + h * ((1 - a.gamma) * self._auxiliary + a.gamma * auxiliary)
-        factor, last, refreshed, M, noise = None, math.inf, False, self._K, 0.0
-        for _ in range(_ITERATIONS):
-            x = s.moved(old.x, step)
-            places = s.places(x)
-            mass, g = s.dynamics(t, x, v, places)
-            Phi, B = s.constraints(t, places)
+        s, old, it = self.assembly, self.state, self._predicted()
+        factor, last, refreshed, M, noise = None, math.inf, False, self.tangents[0], 0.0
+        for _ in range(self.reactions.iterations):
+            x = s.moved(old.x, it.step)
+            mass, g, Phi, B = s.equations(time, x, it.v)
             if factor is None:
-                M = mass
-                tangent = s.tangent(c_q * self._K, step)
-                factor = sl.lu_factor(_newton(M + c_v * self._C + tangent, B, s.tangent(B, step)), check_finite=False)
-                noise = self._limit(M, g, v, old.time)
-            residual = np.concatenate((mass @ rate + g + multipliers @ B, Phi / c_q))
+                M, factor = mass, self._factor(it, mass, B)
+                noise = self._limit(M, g, it.v, old.time)
+            residual = np.concatenate((mass @ it.acceleration + g + it.multipliers @ B, Phi / it.c_q))
             if not np.isfinite(residual).all():
                 break
-            change = -sl.lu_solve(factor, residual, check_finite=False)
-            d = change[: s.size]
-            rate += d
-            multipliers += change[s.size :]
-            auxiliary += c_a * d
-            step += c_q * d
-            v = v + c_v * d
-            size = c_v * math.sqrt(max(float(d @ M @ d), 0.0))
+            d = it.correct(self.reactions.solve(factor, residual, x, it))
+            size = it.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
             if size <= noise:
-                self._v, self._auxiliary, self._multipliers = v, auxiliary, multipliers
-                self.state = State(
-                    assembly=s, time=t, x=s.moved(old.x, step), v=v, acceleration=rate, multipliers=multipliers
-                )
+                self._v, self._auxiliary, self._multipliers = it.v, it.auxiliary, it.multipliers
+                self.state = self.reactions.state(it.state(s, time, s.moved(old.x, it.step)), converged=True)
                 return self.state
             if size > _SLOW * last:
                 if not refreshed:
-                    self._K, self._C = stiffness_and_damping(s, t, s.moved(old.x, step), v, rate, multipliers)
+                    self.tangents = self._tangents(it.state(s, time, s.moved(old.x, it.step)))
                 factor, refreshed = None, True
             last = size
         raise SolverError(
-            f"the step from t = {old.time:.9g} s with h = {h:.3g} s does not converge in {_ITERATIONS} "
-            f"Newton iterations (last change {last:.2g}, limit {noise:.2g}, in the norm of "
-            "kinetic energy). Take a smaller step; check "
-            "for positions where joints lock or a force that jumps"
+            f"the step from t = {old.time:.9g} s with h = {self.h:.3g} s does not converge in "
+            f"{self.reactions.iterations} Newton iterations (last change {last:.2g}, limit {noise:.2g}, in the norm of "
+            f"kinetic energy). Take a smaller step; {self.reactions.advice}"
         )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.component import Marker, Place, direction
+from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.rotations import cross, hat
 
 Floats = NDArray[np.float64]
@@ -66,12 +66,12 @@ class Constraint(ABC):
     periodic: bool = False
 
     @abstractmethod
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         """Geometry (m,) and its derivatives (m, 6) by velocity and angular velocity of both markers."""
 
     @property
     def label(self) -> str:
-        """Words for messages."""
+        """How messages name it."""
         named = f" {self.name!r}" if self.name else ""
         return f"{type(self).__name__}{named} ({self.first.label} - {self.second.label})"
 
@@ -82,7 +82,7 @@ class Constraint(ABC):
         return (self.motion.value, self.motion.rate, self.motion.acceleration)[order](t)
 
 
-def _starts(joint: Constraint) -> tuple[Place, Place]:
+def _starts(joint: Constraint) -> tuple[MarkerState, MarkerState]:
     a, b = (m.place(m.component.start()[0]) for m in (joint.first, joint.second))
     return a, b
 
@@ -96,13 +96,13 @@ def frame_about(e: Floats) -> Floats:
     return np.stack((t1, cross(e, t1), e), axis=1)
 
 
-def _coincide(a: Place, b: Place) -> Rows:
+def _coincide(a: MarkerState, b: MarkerState) -> Rows:
     G = np.zeros((3, 6))
     G[:, :3] = np.eye(3)
     return b.position - a.position, -G, G
 
 
-def _perpendicular(a: Place, b: Place, on_a: Floats, on_b: Floats) -> Rows:
+def _perpendicular(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> Rows:
     """Products of pairs of columns (3, m), fixed on a and on b."""
     first, second = a.axes @ on_a, b.axes @ on_b
     G = np.zeros((first.shape[1], 6))
@@ -111,7 +111,7 @@ def _perpendicular(a: Place, b: Place, on_a: Floats, on_b: Floats) -> Rows:
     return np.einsum("ij,ij->j", first, second), -G, G
 
 
-def _along(a: Place, b: Place, on_a: Floats) -> Rows:
+def _along(a: MarkerState, b: MarkerState, on_a: Floats) -> Rows:
     """Distance of the markers along columns (3, m) fixed on a."""
     lines, gap = (a.axes @ on_a).T, b.position - a.position
     Ga, Gb = np.zeros((len(lines), 6)), np.zeros((len(lines), 6))
@@ -125,7 +125,7 @@ def _stacked(*rows: Rows) -> Rows:
     return value, Ga, Gb
 
 
-def turn_angle(a: Place, b: Place, on_a: Floats, on_b: Floats) -> tuple[float, Floats]:
+def turn_angle(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> tuple[float, Floats]:
     """Angle (rad, within pi) of b about the third column of ``on_a``, and its derivative (3,) by relative rotation."""
     x, y, u = a.axes @ on_a[:, 0], a.axes @ on_a[:, 1], b.axes @ on_b[:, 0]
     cosine, sine = float(u @ x), float(u @ y)
@@ -143,7 +143,7 @@ class SphericalJoint(Constraint):
     name: str = ""
     count = 3
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _coincide(a, b)
 
 
@@ -171,7 +171,7 @@ class RevoluteJoint(_Aligned):
 
     count = 5
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]]))
 
 
@@ -180,7 +180,7 @@ class PrismaticJoint(_Aligned):
 
     count = 5
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_along(a, b, self.on_a[:, :2]), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
 
 
@@ -189,7 +189,7 @@ class FixedJoint(_Aligned):
 
     count = 6
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
 
 
@@ -204,7 +204,7 @@ class DrivenAngle(_Aligned):
     count = 1
     periodic = True
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         angle, gradient = turn_angle(a, b, self.on_a, self.on_b)
         G = np.zeros((1, 6))
         G[0, 3:] = gradient
@@ -218,5 +218,5 @@ class DrivenPosition(_Aligned):
     motion: Motion = field(kw_only=True)
     count = 1
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _along(a, b, self.on_a[:, 2:])

@@ -15,7 +15,7 @@ class LinearBody(VectorComponent):
     """M q'' + D q' + K q = loads, in the inertial frame: a body that is held, or whose motion is small.
 
     ``M``, ``K``, ``D`` (n, n); ``weight`` (n, 3) its loads under unit gravity along each axis; ``start`` and ``rate``
-    (n,) at the beginning.
+    (n,) at the startning.
 
     Raises:
         InputError: shapes that do not fit, a mass matrix that is not positive definite.
@@ -30,7 +30,7 @@ class LinearBody(VectorComponent):
         self.M, self.K = numbers(f"{label}: M", M, (n, n)), numbers(f"{label}: K", K, (n, n))
         self.D = np.zeros((n, n)) if D is None else numbers(f"{label}: D", D, (n, n))
         self.weight = np.zeros((n, 3)) if weight is None else numbers(f"{label}: weight", weight, (n, 3))
-        x, v = (np.zeros(n) if one is None else vector(f"{label}: start", one, n) for one in (start, rate))
+        x, v = (np.zeros(n) if value is None else vector(f"{label}: start", value, n) for value in (start, rate))
         self._start = x, v
         if n and np.linalg.eigvalsh(self.M)[0] <= 0:
             raise InputError(f"{label}: its mass matrix is not positive definite")

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.multibody.bodies import FlexibleBody, FloatingBody
-from morembs.multibody.component import Component, Marker, Place
-from morembs.multibody.integrate import State
+from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.system import Assembly
+from morembs.multibody.system import Assembly, State
 
 Floats = NDArray[np.float64]
 
@@ -46,10 +45,10 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Energy:
-    """Histories (s,) in J: kinetic, potential (gravity, strain, springs), and the work put in since the begin.
+    """Histories (s,) in J: kinetic, potential (gravity, strain, springs), and the work put in since the start.
 
     ``work`` is that of loads, dampers and prescribed motions (negative where they take energy), by the trapezoidal
-    rule; ``total - work`` stays as it was but for errors of the integration.
+    rule; ``total - work`` is constant up to integration error.
     """
 
     kinetic: Floats
@@ -73,13 +72,13 @@ class Result:
         """Times (s,), s."""
         return np.concatenate([s.time for s in self.segments])
 
-    def _markers(self, marker: Marker, value: Callable[[Place, Floats], Floats]) -> Floats:
+    def _markers(self, marker: Marker, value: Callable[[MarkerState, Floats], Floats]) -> Floats:
         rows = []
         for segment in self.segments:
-            one, assembly = _same(marker, segment.assembly), segment.assembly
+            same, assembly = _same(marker, segment.assembly), segment.assembly
             for x, v in zip(segment.x, segment.v, strict=True):
-                place = assembly.place(one, x)
-                rows.append(value(place, assembly.twist(one, place, v)))
+                place = assembly.place(same, x)
+                rows.append(value(place, assembly.twist(same, place, v)))
         return np.array(rows)
 
     def position(self, marker: Marker) -> Floats:
@@ -140,11 +139,11 @@ class Result:
         body. Contacts are not in it."""
         rows = []
         for segment in self.segments:
-            one, assembly = _same(marker, segment.assembly), segment.assembly
+            same, assembly = _same(marker, segment.assembly), segment.assembly
             for t, x, v, multipliers in zip(segment.time, segment.x, segment.v, segment.multipliers, strict=True):
-                wrench = _wrench(one, assembly, float(t), x, v, multipliers)
-                number = assembly.index(one.component)
-                if number is not None and isinstance(one.component, FloatingBody):
+                wrench = _wrench(same, assembly, float(t), x, v, multipliers)
+                number = assembly.index(same.component)
+                if number is not None and isinstance(same.component, FloatingBody):
                     R = x[assembly.in_x[number]][3:12].reshape(3, 3)
                     wrench = np.concatenate((wrench[:3] @ R, wrench[3:] @ R))
                 rows.append(wrench)
@@ -168,13 +167,13 @@ class Result:
         x, times = self.configuration(body), self.time
         if len(x) != len(times):
             raise InputError(f"{body.name!r} is not in the system during the whole run; take its segments")
-        found = {"times": times, "coordinates": x}
+        arrays = {"times": times, "coordinates": x}
         if isinstance(body, FlexibleBody):
-            found |= {"coordinates": x[:, 12:], "position": x[:, :3], "rotation": x[:, 3:12].reshape(-1, 3, 3)}
+            arrays |= {"coordinates": x[:, 12:], "position": x[:, :3], "rotation": x[:, 3:12].reshape(-1, 3, 3)}
         if interfaces:
-            found["loads"] = np.hstack([self.load(body.marker(name)) for name in interfaces])
+            arrays["loads"] = np.hstack([self.load(body.marker(name)) for name in interfaces])
         last = np.append(np.diff(times) > 0, True)
-        return {name: values[last] for name, values in found.items()}
+        return {name: values[last] for name, values in arrays.items()}
 
     def energy(self) -> Energy:
         """Kinetic and potential energy and work over time."""
@@ -202,11 +201,11 @@ def _wrench(marker: Marker, assembly: Assembly, t: float, x: Floats, v: Floats, 
             for end, G in ((joint.first, on_first), (joint.second, on_second)):
                 total -= multipliers[rows] @ G if end is marker else 0.0
     for force in assembly.forces:
-        if any(one is marker for one in force.markers):
-            places = [assembly.place(one, x) for one in force.markers]
-            twists = [assembly.twist(one, place, v) for one, place in zip(force.markers, places, strict=True)]
-            for one, wrench in zip(force.markers, force.wrenches(t, places, twists), strict=True):
-                total += wrench[:6] if one is marker else 0.0
+        if any(end is marker for end in force.markers):
+            places = [assembly.place(end, x) for end in force.markers]
+            twists = [assembly.twist(end, place, v) for end, place in zip(force.markers, places, strict=True)]
+            for end, wrench in zip(force.markers, force.wrenches(t, places, twists), strict=True):
+                total += wrench[:6] if end is marker else 0.0
     return total
 
 
@@ -223,7 +222,7 @@ def _same(marker: Marker, assembly: Assembly) -> Marker:
 
 
 def _number(joint: Constraint, assembly: Assembly) -> int:
-    for number, one in enumerate(assembly.joints):
-        if one is joint or (joint.name and one.name == joint.name):
+    for number, other in enumerate(assembly.joints):
+        if other is joint or (joint.name and other.name == joint.name):
             return number
     raise InputError(f"{joint.label} is not in the system during the whole run; name joints that a switch replaces")

@@ -1,37 +1,75 @@
-"""simulate(): a run from start to end, with restarts where a switch asks for them."""
+"""simulate() and the run loop that all simulations share: steps, events that cut them, restarts."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.integrate import Scheme, State, Stepper, projected
+from morembs.multibody.integrate import Scheme, Stepper
+from morembs.multibody.reactions import Reactions
 from morembs.multibody.result import Result, Segment
-from morembs.multibody.system import Assembly, System
+from morembs.multibody.system import Assembly, State, System
 
 Floats = NDArray[np.float64]
+Repeat = Callable[[float], State]
 # The part of a step that is too short to be a step; an event that near to the end of a step is at its end.
-_CLOSE = 1e-6
-# Restarts at one time after which the run is given up.
-_RESTARTS = 50
+CLOSE = 1e-6
+# Events within one step after which a run is given up.
+_EVENTS = 400
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Restart:
-    """Configuration and velocity to go on with after a switch; ``system`` only where parts or coordinates change."""
+class RestartState:
+    """Configuration and velocity to go on with after an event; ``system`` only where parts or coordinates change."""
 
     x: Floats
     v: Floats
     system: System | None = None
 
 
-class Switch(ABC):
+class Events:
+    """Events of a run, none here: they cut steps, give the state to restart from, and add reactions.
+
+    ``advice``: what to change where events crowd in one step.
+    """
+
+    advice = "Take a smaller step"
+
+    def reactions(self, assembly: Assembly) -> Reactions:
+        """Reactions of the steps from the last restart on."""
+        return Reactions(assembly)
+
+    def start(self, assembly: Assembly, t: float, x: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """Configuration and velocity to begin with."""
+        return x, v
+
+    def cut(self, before: State, after: State, repeat: Repeat) -> State | None:
+        """The state at the first event of a step, None where it has none.
+
+        ``repeat`` repeats the step from ``before`` up to a given time. An event at the start of the step gives
+        ``before`` itself.
+        """
+        return None
+
+    def restart(self, state: State) -> tuple[Assembly, Floats, Floats]:
+        """Assembly, configuration and velocity after an event."""
+        raise NotImplementedError
+
+    def keep(self, states: list[State]) -> None:
+        """Keep what is needed of a finished segment."""
+
+
+class EventHandler(Events, ABC):
     """Watches a run and may stop a step, change the system or its coordinates, and let it go on."""
+
+    advice = "Let the event handler change more at each event"
 
     @abstractmethod
     def time(self, before: State, after: State) -> float | None:
@@ -41,51 +79,57 @@ class Switch(ABC):
         """
 
     @abstractmethod
-    def change(self, state: State) -> Restart:
+    def change(self, state: State) -> RestartState:
         """The state to go on with; velocities are made to fit the joints."""
+
+    def cut(self, before: State, after: State, repeat: Repeat) -> State | None:
+        wanted, h = self.time(before, after), after.time - before.time
+        if wanted is None:
+            return None
+        if not before.time < wanted <= after.time + CLOSE * h:
+            raise InputError(
+                f"an event handler asked for a restart at t = {wanted:.9g} s in the step from {before.time:.9g} to "
+                f"{after.time:.9g} s; expected a time after its begin and up to its end"
+            )
+        if wanted - before.time < CLOSE * h:
+            return before
+        return repeat(wanted) if after.time - wanted > CLOSE * h else after
+
+    def restart(self, state: State) -> tuple[Assembly, Floats, Floats]:
+        new = self.change(state)
+        assembly = state.assembly if new.system is None else Assembly(new.system)
+        x, v = _fitting("x", new.x, state.x, assembly), _fitting("v", new.v, state.v, assembly)
+        assembly.check_positions(state.time, x)
+        return assembly, x, Reactions(assembly).project(state.time, x, v, 0.0)
 
 
 def simulate(
     system: System, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0, tolerance: float = 1e-9,
-    switch: Switch | None = None, corrected_start: bool = True,
+    events: EventHandler | None = None, corrected_start: bool = True, max_deflection: float | None = 1.0,
+    switch: EventHandler | None = None,
 ) -> Result:  # fmt: skip
     """Integrate from ``begin`` to ``end`` (s) with equal steps of at most ``step``.
 
     Args:
         rho: spectral radius at infinite frequency, 1 no numerical damping, 0 the most.
         tolerance: of Newton's method, relative to the largest velocity in the norm of kinetic energy.
-        switch: events, with a restart of second order at each.
+        events: stops the run at events, with a restart of second order at each (``switch`` is its old name).
         corrected_start: start and restart of second order (Arnold, Bruels and Cardona 2015). Without it multipliers
             are of first order after each start.
+        max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
 
     Raises:
-        InputError: nonsense times, joints that are open or redundant, velocities that break joints.
-        SolverError: a step that does not converge, with its time and size.
+        InputError: invalid times, joints that are open or redundant, velocities that break joints.
+        SolverError: a step that does not converge, with its time and size; a deflection beyond ``max_deflection``.
     """
-    _check_times(begin, end, step, tolerance)
-    scheme, assembly = Scheme(rho=rho), Assembly(system)
-    x, v = assembly.start()
-    assembly.check_start(begin, x, v)
-    segments: list[Segment] = []
-    t, stuck = begin, 0
-    while True:
-        run = _Run(scheme, tolerance, corrected_start, switch, end, step)
-        states, stopped = run.until_switch(assembly, t, x, v)
-        segments.append(Segment.of(states))
-        if not stopped or switch is None:
-            return Result(segments=tuple(segments))
-        last, stuck = states[-1], stuck + 1 if len(states) == 1 else 0
-        if stuck > _RESTARTS:
-            raise SolverError(
-                f"the switch restarts the run again and again at t = {last.time:.9g} s; let it change more"
-            )
-        restart = switch.change(last)
-        assembly = assembly if restart.system is None else Assembly(restart.system)
-        t, x, v = last.time, _fitting("x", restart.x, last.x, assembly), _fitting("v", restart.v, last.v, assembly)
-        assembly.check_positions(t, x)
-        v = projected(assembly, t, x, v)
-        if t >= end - _CLOSE * step:
-            return Result(segments=tuple(segments))
+    if switch is not None:
+        warnings.warn("simulate(switch=...) is now simulate(events=...)", DeprecationWarning, stacklevel=2)
+    run = Run(
+        system, events or switch or Events(), begin=begin, end=end, step=step, rho=rho, tolerance=tolerance,
+        corrected=corrected_start, max_deflection=max_deflection,
+    )  # fmt: skip
+    run.finish()
+    return run.result()
 
 
 def _check_times(begin: float, end: float, step: float, tolerance: float) -> None:
@@ -100,55 +144,145 @@ def _check_times(begin: float, end: float, step: float, tolerance: float) -> Non
         raise InputError(f"tolerance = {tolerance:g} was given; expected a number between 0 and 0.01, such as 1e-9")
 
 
+def _checked_deflection(value: float | None) -> float:
+    limit = math.inf if value is None else float(value)
+    if not limit > 0:
+        raise InputError(f"max_deflection = {value} was given; expected a positive part of the length, or None")
+    return limit
+
+
 def _fitting(what: str, value: Floats, old: Floats, assembly: Assembly) -> Floats:
     wanted = sum(c.configuration_size for c in assembly.components) if what == "x" else assembly.size
     if np.shape(value) != (wanted,):
-        raise InputError(f"a switch gave {what} of shape {np.shape(value)} (it was {old.shape}); expected ({wanted},)")
+        raise InputError(
+            f"an event handler gave {what} of shape {np.shape(value)} (it was {old.shape}); expected ({wanted},)"
+        )
     return np.array(value, dtype=float)
 
 
-class _Run:
-    """The steps between two restarts."""
+class Run:
+    """A run under ``events``: finished ``segments``, and the ``states`` of the one at work.
+
+    Raises:
+        InputError: invalid times, joints that are open or redundant, velocities that break joints.
+    """
 
     def __init__(
-        self, scheme: Scheme, tolerance: float, corrected: bool, switch: Switch | None, end: float, step: float
-    ) -> None:
-        self.scheme, self.tolerance, self.corrected = scheme, tolerance, corrected
-        self.switch, self.end, self.step = switch, end, step
+        self, system: System, events: Events, *, begin: float, end: float, step: float, rho: float, tolerance: float,
+        corrected: bool = True, max_deflection: float | None = None,
+    ) -> None:  # fmt: skip
+        _check_times(begin, end, step, tolerance)
+        self.scheme, self.events, self.end, self.step = Scheme(rho=rho), events, end, step
+        self.tolerance, self.corrected = tolerance, corrected
+        self.max_deflection = _checked_deflection(max_deflection)
+        self.segments: list[Segment] = []
+        self.states: list[State] = []
+        self._times: list[float] = []
+        assembly = Assembly(system)
+        x, v = assembly.start()
+        assembly.check_start(begin, x, v)
+        self._next = assembly, begin, x, v
 
-    def _stepper(self, assembly: Assembly, t: float, x: Floats, v: Floats, h: float) -> Stepper:
+    def finish(self) -> None:
+        """All steps to the end.
+
+        Raises:
+            SolverError: a step that does not converge, events that crowd in one step.
+        """
+        assembly, t, x, v = self._next
+        x, v = self.events.start(assembly, t, x, v)
+        while self._segment(assembly, t, x, v):
+            last = self.states[-1]
+            self._count(last.time)
+            self._close()
+            assembly, x, v = self.events.restart(last)
+            t = last.time
+        self._close()
+
+    def result(self) -> Result:
+        """All finished segments."""
+        return Result(segments=tuple(self.segments))
+
+    def so_far(self) -> bool:
+        """Close the segment at work where a run failed; whether there is anything to show."""
+        done = self.segments[-1].time[-1] if self.segments else -math.inf
+        if self.states and self.states[-1].time > done:
+            self._close()
+        return bool(self.segments)
+
+    def _segment(self, assembly: Assembly, t: float, x: Floats, v: Floats) -> bool:
+        """States from t on, and whether an event ended them."""
+        left, reactions = self.end - t, self.events.reactions(assembly)
+        if left <= CLOSE * self.step:
+            self.states = [self._stepper(reactions, t, x, v, self.step).state]
+            return False
+        count = max(1, math.ceil(left / self.step * (1 - 1e-12)))
+        h = left / count
+        stepper = self._stepper(reactions, t, x, v, h)
+        self.states = [stepper.state]
+        self._elastic = [
+            (c, at) for c, at in zip(assembly.components, assembly.in_x, strict=True)
+            if self.max_deflection < math.inf and c.deflection(x[at]) is not None
+        ]  # fmt: skip
+        for number in range(1, count + 1):
+            before = self.states[-1]
+            after = stepper.advance(t + number * h)
+            cut = self.events.cut(before, after, self._repeat(stepper, before))
+            if cut is not before:
+                self._check_deflection(cut or after)
+                self.states.append(cut or after)
+            if cut is not None:
+                return True
+        return False
+
+    def _stepper(
+        self, reactions: Reactions, t: float, x: Floats, v: Floats, h: float,
+        tangents: tuple[Floats, Floats] | None = None,
+    ) -> Stepper:  # fmt: skip
         try:
-            return Stepper(self.scheme, assembly, t, x, v, h, self.tolerance, self.corrected)
+            return Stepper(
+                self.scheme, reactions, t=t, x=x, v=v, h=h, tolerance=self.tolerance, corrected=self.corrected,
+                tangents=tangents,
+            )  # fmt: skip
         except np.linalg.LinAlgError:
             raise SolverError(
                 f"no accelerations fit the joints at t = {t:.9g} s: their equations are dependent there (a lock or "
                 "dead point). Start the run elsewhere, or free a joint"
             ) from None
 
-    def until_switch(self, assembly: Assembly, t: float, x: Floats, v: Floats) -> tuple[list[State], bool]:
-        """States from t on, and whether a switch ended them."""
-        count = max(1, math.ceil((self.end - t) / self.step * (1 - 1e-12)))
-        h = (self.end - t) / count
-        stepper = self._stepper(assembly, t, x, v, h)
-        states = [stepper.state]
-        for number in range(1, count + 1):
-            before = states[-1]
-            after = stepper.advance(t + number * h)
-            wanted = None if self.switch is None else self.switch.time(before, after)
-            if wanted is None:
-                states.append(after)
-                continue
-            if not before.time < wanted <= after.time + _CLOSE * h:
-                raise InputError(
-                    f"a switch asked for a restart at t = {wanted:.9g} s in the step from {before.time:.9g} to "
-                    f"{after.time:.9g} s; expected a time after its begin and up to its end"
+    def _repeat(self, stepper: Stepper, before: State) -> Repeat:
+        """Steps of other sizes from a state inside a segment: each is a start of its own."""
+        t, x, velocity = before.time, before.x, list[Floats]()
+
+        def repeat(time: float) -> State:
+            if not velocity:
+                again = stepper.reactions.restarted(before)
+                velocity.append(again.project(t, x, before.v, stepper.h))
+            reactions = stepper.reactions.restarted(before)
+            return self._stepper(reactions, t, x, velocity[0], time - t, stepper.tangents).advance(time)
+
+        return repeat
+
+    def _check_deflection(self, state: State) -> None:
+        """Raise SolverError where a body that deflects linearly does so by more than the limit."""
+        for component, at in self._elastic:
+            deflection = component.deflection(state.x[at])
+            if deflection is not None and not deflection <= self.max_deflection:
+                raise SolverError(
+                    f"at t = {state.time:.9g} s body {component.name!r} deflects by {deflection:.3g} of its length in "
+                    f"its floating frame; the limit max_deflection is {self.max_deflection:g}. Linear elastic shapes "
+                    "do not hold there: spinning or pressed parts need geometric stiffening (stiffening=True), large "
+                    "bending several bodies or a geometrically nonlinear one. max_deflection=None takes the limit away"
                 )
-            if wanted - before.time < _CLOSE * h:
-                return states, True
-            if after.time - wanted > _CLOSE * h:
-                # The step is repeated with another size: a start of its own.
-                v0 = projected(assembly, before.time, before.x, before.v)
-                short = wanted - before.time
-                after = self._stepper(assembly, before.time, before.x, v0, short).advance(wanted)
-            return [*states, after], True
-        return states, False
+
+    def _count(self, time: float) -> None:
+        self._times = [t for t in self._times if t > time - self.step] + [time]
+        if len(self._times) > _EVENTS:
+            raise SolverError(
+                f"the run restarts again and again at t = {time:.9g} s: more than {_EVENTS} events within one step. "
+                f"{self.events.advice}"
+            )
+
+    def _close(self) -> None:
+        self.segments.append(Segment.of(self.states))
+        self.events.keep(self.states)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeVar
 
@@ -12,7 +13,7 @@ import scipy.linalg as sl
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.multibody.component import Component, Marker, Place, vector
+from morembs.multibody.component import Component, Marker, MarkerState, vector
 from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
 
@@ -57,14 +58,14 @@ class System:
 
     def _attached(self, what: str, markers: Sequence[Marker]) -> None:
         for marker in markers:
-            if marker.component.size and not any(marker.component is one for one in self.components):
+            if marker.component.size and not any(marker.component is component for component in self.components):
                 raise InputError(f"{what}: {marker.label} is not in the system; add its body first")
 
     def component(self, name: str) -> Component:
         """The component of that name; raises InputError for unknown names."""
-        for one in self.components:
-            if one.name == name:
-                return one
+        for component in self.components:
+            if component.name == name:
+                return component
         raise InputError(f"the system has no body {name!r}; {nearest(name, [c.name for c in self.components])}")
 
 
@@ -120,21 +121,21 @@ class Assembly:
         """Lie bracket of two velocities."""
         return np.concatenate([c.bracket(a[j], b[j]) for c, j in zip(self.components, self.in_v, strict=True)])
 
-    def place(self, marker: Marker, x: Floats) -> Place:
+    def place(self, marker: Marker, x: Floats) -> MarkerState:
         """Where a marker is."""
         i = self.index(marker.component)
         return marker.place(x[:0] if i is None else x[self.in_x[i]])
 
-    def twist(self, marker: Marker, place: Place, v: Floats) -> Floats:
+    def twist(self, marker: Marker, place: MarkerState, v: Floats) -> Floats:
         """Velocity and angular velocity (6,) of a marker."""
         i = self.index(marker.component)
         return np.zeros(6) if i is None else np.asarray(place.jacobian @ v[self.in_v[i]])
 
-    def places(self, x: Floats) -> dict[int, Place]:
+    def places(self, x: Floats) -> dict[int, MarkerState]:
         """The places of all markers in use, by their id."""
         return {id(m): self.place(m, x) for m in self._markers}
 
-    def dynamics(self, t: float, x: Floats, v: Floats, places: dict[int, Place]) -> tuple[Floats, Floats]:
+    def dynamics(self, t: float, x: Floats, v: Floats, places: dict[int, MarkerState]) -> tuple[Floats, Floats]:
         """Mass matrix (k, k) and all forces but those of joints, on the left side of M dv/dt + g."""
         M, g = np.zeros((self.size, self.size)), np.zeros(self.size)
         for c, i, j in zip(self.components, self.in_x, self.in_v, strict=True):
@@ -143,7 +144,12 @@ class Assembly:
             self.load(force, t, v, [places[id(m)] for m in force.markers], g)
         return M, g
 
-    def load(self, force: Force, t: float, v: Floats, at: Sequence[Place], g: Floats) -> None:
+    def equations(self, t: float, x: Floats, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """M and g of ``dynamics``, Phi and B of ``constraints``."""
+        places = self.places(x)
+        return *self.dynamics(t, x, v, places), *self.constraints(t, places)
+
+    def load(self, force: Force, t: float, v: Floats, at: Sequence[MarkerState], g: Floats) -> None:
         """Take the generalised forces of one force from g (k,)."""
         twists = [self.twist(m, p, v) for m, p in zip(force.markers, at, strict=True)]
         for marker, place, wrench in zip(force.markers, at, force.wrenches(t, at, twists), strict=True):
@@ -151,7 +157,7 @@ class Assembly:
             if k is not None:
                 g[self.in_v[k]] -= wrench @ place.jacobian
 
-    def constraints(self, t: float, places: dict[int, Place]) -> tuple[Floats, Floats]:
+    def constraints(self, t: float, places: dict[int, MarkerState]) -> tuple[Floats, Floats]:
         """Phi (m,) and B (m, k)."""
         Phi, B = np.zeros(self.rows), np.zeros((self.rows, self.size))
         for joint, r in zip(self.joints, self.in_rows, strict=True):
@@ -252,3 +258,15 @@ class Assembly:
             "motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the body "
             "elastic modes along it"
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """A system at one time (s): configuration x, velocity v, acceleration dv/dt, multipliers of joints."""
+
+    assembly: Assembly
+    time: float
+    x: Floats
+    v: Floats
+    acceleration: Floats
+    multipliers: Floats

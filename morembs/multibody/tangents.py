@@ -1,4 +1,4 @@
-"""Stiffness and damping matrices of a system by differences; only the speed of Newton's method depends on them."""
+"""Stiffness and damping matrices of a system by differences; they affect only the convergence of Newton's method."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class Tangents:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Settled:
+class EquilibriumPath:
     """Coordinates ``x`` (N,) in equilibrium, ``reaction`` (h,) on the held ones (what the support exerts), numbers of
     load steps and of factorisations."""
 
@@ -108,7 +108,7 @@ class Settled:
     factorisations: int
 
 
-def settle(
+def follow_equilibrium(
     component: Conservative,
     *,
     held: Integers,
@@ -119,7 +119,7 @@ def settle(
     tolerance: float = 1e-10,
     stable: bool = True,
     solver: LinearSolver | None = None,
-) -> Settled:
+) -> EquilibriumPath:
     """Equilibrium under a ``load`` with the ``held`` coordinates moved by ``motion`` (h,).
 
     Args:
@@ -159,7 +159,7 @@ def settle(
                 continue
             done, taken = goal, taken + 1
             share = min(share * _GROWTH, 1.0 / steps)
-        return Settled(
+        return EquilibriumPath(
             x=at, reaction=(component.force(at) - force(at))[held], steps=taken, factorisations=tangents.count
         )
 

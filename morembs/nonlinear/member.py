@@ -18,7 +18,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class Moment:
+class MemberState:
     """A member at one configuration q (k,).
 
     ``x`` (N,) coordinates of the motion, those of the nodes or fewer, ``J`` (N, k) dx/dq or None for x = q, strain
@@ -57,13 +57,13 @@ class Member(Protocol):
     def start(self, frames: Floats) -> Floats:
         """Configuration at rest without strain; ``frames`` (6,) must be at the distance ``length`` and aligned."""
 
-    def at(self, q: Floats) -> Moment:
+    def at(self, q: Floats) -> MemberState:
         """Everything at a configuration; raises nothing for any finite q."""
 
     def outside(self, q: Floats) -> tuple[str, float, float] | None:
         """A coordinate that left the tabulated range, its value and limit; None within."""
 
-    def neglected(self, q: Floats, moment: Moment, load: Floats) -> float:
+    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         """Static answer, per length, of the first modes left out to ``load`` (N,), the force less inertia."""
 
 
@@ -93,11 +93,11 @@ class FullMember:
         placed[at] = self.component.reference[at] @ np.array([[c, s], [-s, c]]) + frames[:2]
         return np.asarray(placed[self._order])
 
-    def at(self, q: Floats) -> Moment:
+    def at(self, q: Floats) -> MemberState:
         x = q[self._back]
         K = sp.coo_matrix(self.component.tangent(x))
         ordered = sp.coo_matrix((K.data, (self._back[K.row], self._back[K.col])), shape=K.shape)
-        return Moment(
+        return MemberState(
             x=q, J=None, V=self.component.energy(x), force=self.component.force(x)[self._order], stiffness=ordered
         )
 
@@ -107,7 +107,7 @@ class FullMember:
     def outside(self, q: Floats) -> tuple[str, float, float] | None:
         return None
 
-    def neglected(self, q: Floats, moment: Moment, load: Floats) -> float:
+    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         return 0.0
 
 

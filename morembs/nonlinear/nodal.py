@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dgetrs as getrs
 from morembs.errors import InputError, SolverError
 from morembs.multibody.integrate import Scheme
 from morembs.nonlinear.mechanism import Mechanism
-from morembs.nonlinear.member import Moment
+from morembs.nonlinear.member import MemberState
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -34,7 +34,7 @@ _DENSE = 40_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class MechanismMotion:
     """A simulated motion of T times.
 
     ``times`` (T,) s; ``q`` (T, size); ``x``: per member (N, T) coordinates of its motion, of which ``member.nodes``
@@ -75,14 +75,14 @@ class _Run:
         self.warnings: dict[str, str] = {}
         self.shares: dict[int, tuple[float, float]] = {}
 
-    def at(self, q: Floats, t: float) -> tuple[Floats, list[Moment], Any]:
+    def at(self, q: Floats, t: float) -> tuple[Floats, list[MemberState], Any]:
         """Nodes x, the members, and J = dx/dq."""
         mechanism = self.mechanism
-        moments = [member.at(mechanism.configuration(k, q, t)) for k, member in enumerate(mechanism.members)]
+        states = [member.at(mechanism.configuration(k, q, t)) for k, member in enumerate(mechanism.members)]
         points = [np.where(numbers >= 0, q[numbers], position) for numbers, position, _ in mechanism.masses]
-        x = np.concatenate([*(m.x for m in moments), *points])
+        x = np.concatenate([*(m.x for m in states), *points])
         shape = self.M.shape[0], mechanism.size
-        matrices = [*(m.J for m in moments), *(None for _ in mechanism.masses)]
+        matrices = [*(m.J for m in states), *(None for _ in mechanism.masses)]
         if self.dense:
             J = np.zeros(shape)
             for part, (free, columns), one in zip(self.slices, self.free, matrices, strict=True):
@@ -90,7 +90,7 @@ class _Run:
                     J[part.start + free, columns] = 1
                 else:
                     J[part, columns] = one[:, free]
-            return x, moments, J
+            return x, states, J
         rows, places, values = [], [], []
         for part, (free, columns), one in zip(self.slices, self.free, matrices, strict=True):
             count = part.stop - part.start
@@ -98,39 +98,39 @@ class _Run:
             places.append(columns if one is None else np.tile(columns, count))
             values.append(np.ones(len(free)) if one is None else one[:, free].ravel())
         where = np.concatenate(rows), np.concatenate(places)
-        return x, moments, sp.csr_matrix((np.concatenate(values), where), shape=shape)
+        return x, states, sp.csr_matrix((np.concatenate(values), where), shape=shape)
 
     def inertia(self, x: Floats) -> Floats:
         """M x."""
         return np.asarray(self.M @ x if self.masses is None else self.masses * x)
 
-    def forces(self, t: float, moments: list[Moment]) -> Floats:
+    def forces(self, t: float, states: list[MemberState]) -> Floats:
         """dV/dq less torques (size,)."""
         total = np.zeros(self.mechanism.size)
-        for (free, columns), moment in zip(self.free, moments, strict=False):
-            total[columns] += moment.force[free]
+        for (free, columns), state in zip(self.free, states, strict=False):
+            total[columns] += state.force[free]
         for number, torque in self.mechanism.torques:
             total[number] -= torque(t)
         return total
 
-    def factor(self, moments: list[Moment], J: Any, scale: float) -> Callable[[Floats], Floats]:
+    def factor(self, states: list[MemberState], J: Any, scale: float) -> Callable[[Floats], Floats]:
         """Solver of scale J'MJ + d2V/dq2."""
         A = scale * (J.T @ (self.M @ J if self.masses is None else self.masses[:, None] * J))
         if self.dense:
-            for (free, columns), moment in zip(self.free, moments, strict=False):
-                S = moment.stiffness if isinstance(moment.stiffness, np.ndarray) else moment.stiffness.toarray()
+            for (free, columns), state in zip(self.free, states, strict=False):
+                S = state.stiffness if isinstance(state.stiffness, np.ndarray) else state.stiffness.toarray()
                 A[columns[:, None], columns] += S[free[:, None], free]
             lu, pivots, _ = getrf(A)
             return lambda right: np.asarray(getrs(lu, pivots, right)[0])
-        for numbers, moment in zip(self.mechanism.numbers, moments, strict=True):
-            K = sp.coo_matrix(moment.stiffness)
+        for numbers, state in zip(self.mechanism.numbers, states, strict=True):
+            K = sp.coo_matrix(state.stiffness)
             i, j = numbers[K.row], numbers[K.col]
             free = (i >= 0) & (j >= 0)
             A = A + sp.csr_matrix((K.data[free], (i[free], j[free])), shape=A.shape)
         factor = spl.splu(sp.csc_matrix(A))
         return lambda right: np.asarray(factor.solve(right))
 
-    def watch(self, t: float, q: Floats, moments: list[Moment], load: Floats) -> None:
+    def watch(self, t: float, q: Floats, states: list[MemberState], load: Floats) -> None:
         """Range of the tables and modes left out, at the end of a step.
 
         Raises:
@@ -148,7 +148,7 @@ class _Run:
                         "outside='continue' (tables go on as straight lines, results lose accuracy)"
                     )
                 self.warnings.setdefault(f"{k}{name}", f"{text}; from there on the tables are extended")
-            share = member.neglected(local, moments[k], load[self.slices[k]])
+            share = member.neglected(local, states[k], load[self.slices[k]])
             if share > max(_NEGLECTED, self.shares.get(k, (0.0, 0.0))[0]):
                 self.shares[k] = share, t
 
@@ -170,7 +170,7 @@ def simulate(
     rho: float = 0.9,
     tolerance: float = 1e-9,
     outside: str = "stop",
-) -> Motion:
+) -> MechanismMotion:
     """Motion from rest to ``end`` (s) in steps of ``step`` (s).
 
     Args:
@@ -204,28 +204,28 @@ class _Integration:
         self.tolerance = tolerance * max(1e-3, min(m.length for m in run.mechanism.members))
         self.q = run.mechanism.start()
         self.past = [self.q] * 3
-        self.x, moments, J = run.at(self.q, 0.0)
+        self.x, states, J = run.at(self.q, 0.0)
         self.iterations = 0
         # At rest: the acceleration of the nodes is J d2q/dt2, and its rate is zero unless a torque jumps. A little
         # of the stiffness stands in where a coordinate has no mass.
         scale = (1e4 / h) ** 2
-        self.rate = J @ (scale * run.factor(moments, J, scale)(J.T @ run.weight - run.forces(0.0, moments)))
+        self.rate = J @ (scale * run.factor(states, J, scale)(J.T @ run.weight - run.forces(0.0, states)))
         self.v, self.auxiliary = np.zeros_like(self.x), self.rate.copy()
-        self.moments = moments
+        self.states = states
 
-    def run(self, steps: int) -> Motion:
+    def run(self, steps: int) -> MechanismMotion:
         size, run = self.run_.mechanism.size, self.run_
         q, x = np.empty((steps + 1, size)), np.empty((steps + 1, len(self.x)))
         kinetic, potential = np.zeros(steps + 1), np.zeros(steps + 1)
         for k in range(steps + 1):
             if k:
                 self._advance(k * self.h)
-            run.watch(k * self.h, self.q, self.moments, run.weight - run.inertia(self.rate))
+            run.watch(k * self.h, self.q, self.states, run.weight - run.inertia(self.rate))
             q[k], x[k] = self.q, self.x
             kinetic[k] = 0.5 * float(self.v @ run.inertia(self.v))
-            potential[k] = sum(m.V for m in self.moments) - float(run.weight @ self.x)
+            potential[k] = sum(m.V for m in self.states) - float(run.weight @ self.x)
         count = len(run.mechanism.members)
-        return Motion(
+        return MechanismMotion(
             times=np.asarray(self.h * np.arange(steps + 1), dtype=np.float64), q=q,
             x=tuple(x[:, s].T for s in run.slices[:count]),
             kinetic=kinetic, potential=potential, iterations=self.iterations / max(1, steps),
@@ -238,27 +238,27 @@ class _Integration:
         # The first guess goes on as in the last two steps.
         old, factor, last = self.x, None, np.inf
         q = 3 * self.q - 3 * self.past[1] + self.past[0]
-        x, moments, J = run.at(q, t)
+        x, states, J = run.at(q, t)
         first = True
         for _ in range(_ITERATIONS):
             self.iterations += 1
             auxiliary = ((x - old) / h - self.v) / (a.beta * h) - (0.5 - a.beta) / a.beta * self.auxiliary
             rate = ((1 - a.alpha_m) * auxiliary + a.alpha_m * self.auxiliary - a.alpha_f * self.rate) / (1 - a.alpha_f)
             if factor is None:
-                factor = run.factor(moments, J, c)
-            residual = J.T @ (run.inertia(rate) - run.weight) + run.forces(t, moments)
+                factor = run.factor(states, J, c)
+            residual = J.T @ (run.inertia(rate) - run.weight) + run.forces(t, states)
             dq = -factor(residual)
             size = float(np.abs(J @ dq).max())
             if not np.isfinite(size):
                 break
             q += dq
-            x, moments, J = run.at(q, t)
+            x, states, J = run.at(q, t)
             if size <= self.tolerance:
                 auxiliary = ((x - old) / h - self.v) / (a.beta * h) - (0.5 - a.beta) / a.beta * self.auxiliary
                 rate = (1 - a.alpha_m) * auxiliary + a.alpha_m * self.auxiliary - a.alpha_f * self.rate
                 self.rate = rate / (1 - a.alpha_f)
                 self.v = self.v + h * ((1 - a.gamma) * self.auxiliary + a.gamma * auxiliary)
-                self.x, self.q, self.auxiliary, self.moments = x, q, auxiliary, moments
+                self.x, self.q, self.auxiliary, self.states = x, q, auxiliary, states
                 self.past = [*self.past[1:], q]
                 return
             if first or size > _SLOW * last:

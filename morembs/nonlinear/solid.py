@@ -1,7 +1,7 @@
 """A solid at large displacements with interface frames: nodes as positions, rigid frames as points that turn.
 
 solid = NonlinearSolid(model, [make_interface(model, name="root", nodes=...), ...])
-found = settle(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(0, 0, 100.0)))
+found = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(0, 0, 100.0)))
 
 Coordinates: positions of the nodes that no rigid frame carries (m), then for every rigid frame the position of its
 point and a rotation vector p along the fixed axes (rad). Nodes of a rigid frame are c + exp(p) a. An average frame

@@ -14,7 +14,7 @@ from morembs.errors import InputError, OutputError
 from morembs.gmp import Envelope, ReducedMember, Solver, manifold, solid_member
 from morembs.gmp.symmetry import symmetries
 from morembs.nonlinear import PlanarBeam, Section
-from morembs.nonlinear.continuation import settle
+from morembs.nonlinear.continuation import follow_equilibrium
 from tests.gmp.test_gmp import LENGTH, Softening, rod
 from tests.gmp.test_solid_member import LENGTH as SOLID
 from tests.gmp.test_solid_member import SIDE, E, prism
@@ -118,7 +118,7 @@ def test_the_range_of_a_solid_follows_from_end_moments():
     # The same moments, applied to the frames of the solid with its start held.
     moments = np.zeros(solid.size)
     moments[solid.frames["end"][5]] = moment
-    turned = settle(solid, held=solid.frames["start"], load=moments, steps=1, stable=False).x
+    turned = follow_equilibrium(solid, held=solid.frames["start"], load=moments, steps=1, stable=False).x
     assert report.reach == pytest.approx(1.05 * turned[solid.frames["end"][5]] / 2, rel=1e-2)
 
 

@@ -11,7 +11,7 @@ from morembs.gmp.solid_manifold import SolidEquilibria, plane_bending_modes
 from morembs.gmp.solid_member import solid_member
 from morembs.interface import make_interface
 from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
-from morembs.nonlinear.continuation import settle
+from morembs.nonlinear.continuation import follow_equilibrium
 from morembs.nonlinear.solid import NonlinearSolid
 from tests.support.meshes import box, steel, where
 
@@ -126,7 +126,7 @@ def test_tension_stiffens_the_modes_as_it_does_the_solid(member):
     held = np.concatenate([solid.frames["start"], solid.frames["end"]])
     motion = np.zeros(12)
     motion[6] = share * LENGTH
-    stretched = settle(solid, held=held, motion=motion, steps=1).x
+    stretched = follow_equilibrium(solid, held=held, motion=motion, steps=1).x
     Psi = plane_bending_modes(solid, 4).Psi[:, :2]
     more = Psi.T @ ((solid.tangent(stretched) - solid.tangent(solid.reference)) @ Psi)
     q = [member.start(np.array([0, 0, 0, (1 + s) * LENGTH, 0, 0])) for s in (0, share)]

@@ -19,13 +19,13 @@ from morembs.multibody import (
     ground,
     rotation,
 )
-from morembs.multibody.component import Marker, Place
-from morembs.multibody.contact import Contact, Contacts
-from morembs.multibody.contact_impact import closed_up
-from morembs.multibody.contact_patches import TriangleSurface
-from morembs.multibody.contact_result import ContactError
-from morembs.multibody.contact_run import simulate_contact
-from morembs.multibody.surfaces import GridSurface, Path, Plane, Sphere
+from morembs.multibody.component import Marker, MarkerState
+from morembs.multibody.contact.impact import project_positions
+from morembs.multibody.contact.kinematics import Contact, Contacts
+from morembs.multibody.contact.patches import TriangleSurface
+from morembs.multibody.contact.result import ContactError
+from morembs.multibody.contact.run import simulate_contact
+from morembs.multibody.contact.surfaces import GridSurface, Path, Plane, Sphere
 from morembs.multibody.system import Assembly
 
 G = 9.81
@@ -122,7 +122,7 @@ def jumps(surface):
     rng, faces, place, turn = np.random.default_rng(1), np.asarray(surface.triangles), 0.0, 0.0
     for t, corners in enumerate(faces):
         for k in range(3):
-            other = surface._neighbours[t, k]
+            other = surface.neighbours[t, k]
             if other < 0:
                 continue
             b, c, s = np.zeros(3), np.zeros(3), rng.uniform()
@@ -201,9 +201,9 @@ def test_rates_of_gaps_are_their_derivatives(kind):
     group = Contacts(assembly, [contact])
     x, _ = assembly.start()
     x = assembly.moved(x, 0.05 * rng.standard_normal(assembly.size))
-    meeting, e = group.meet(x), 1e-6
+    meeting, e = group.kinematics(x), 1e-6
     for k, unit in enumerate(np.eye(assembly.size)):
-        ahead, behind = (group.meet(assembly.moved(x, s * unit)).gap for s in (e, -e))
+        ahead, behind = (group.kinematics(assembly.moved(x, s * unit)).gap for s in (e, -e))
         assert (ahead - behind) / (2 * e) == pytest.approx(meeting.N[:, k], abs=2e-8)
     frames = np.concatenate((meeting.tangents, meeting.normal[:, None]), axis=1)
     assert frames @ frames.transpose(0, 2, 1) == pytest.approx(np.array([np.eye(3)] * 2), abs=1e-12)
@@ -402,8 +402,8 @@ def test_positions_are_closed_up_with_the_joints():
     system.add(PrismaticJoint(wall, body.marker_at((0, 0, 0), axes=rotation((1, 0, 0), 0.1)), axis=(0, 0, 1)))
     assembly = Assembly(system)
     group = Contacts(assembly, [Contact([body.marker("c")], Plane((0.3, 0.1, 0)), on=ground.marker_at())])
-    x = closed_up(assembly, group, 0.0, assembly.start()[0], np.array([True]))
-    assert group.meet(x).gap == pytest.approx(0, abs=1e-15)
+    x = project_positions(assembly, group, 0.0, assembly.start()[0], np.array([True]))
+    assert group.kinematics(x).gap == pytest.approx(0, abs=1e-15)
     assert assembly.constraints(0.0, assembly.places(x))[0] == pytest.approx(np.zeros(5), abs=1e-15)
 
 
@@ -419,7 +419,7 @@ class End(Marker):
     def place(self, x):
         jacobian = np.zeros((6, len(x)))
         jacobian[0, 0] = 1.0
-        return Place(position=np.array([x[0], 0, 0]), axes=np.eye(3), jacobian=jacobian)
+        return MarkerState(position=np.array([x[0], 0, 0]), axes=np.eye(3), jacobian=jacobian)
 
 
 class Rod(VectorComponent):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError
-from morembs.multibody.lemke import RayError, lemke
+from morembs.multibody.contact.lemke import RayError, lemke
 
 
 def enumerated(M, q):

@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from morembs import multibody, nonlinear
 from morembs.errors import InputError, SolverError
 from morembs.multibody import (
     Assembly,
     DrivenAngle,
     DrivenPosition,
+    EventHandler,
     FixedJoint,
     FlexibleBody,
     Motion,
     PointLoad,
     PrismaticJoint,
-    Restart,
+    RestartState,
     RevoluteJoint,
     RigidBody,
     SphericalJoint,
     SpringDamper,
-    Switch,
     System,
     TorsionSpring,
     VectorComponent,
@@ -297,7 +298,7 @@ def test_two_bodies_fixed_together_move_as_one():
     assert pair.multipliers(joint).shape == (1001, 6)
 
 
-class Floor(Switch):
+class Floor(EventHandler):
     """A body that falls on the floor at z = 0 and leaves it with the same speed."""
 
     def time(self, before, after):
@@ -310,13 +311,13 @@ class Floor(Switch):
     def change(self, state):
         v = state.v.copy()
         v[2] = -v[2]
-        return Restart(x=state.x, v=v)
+        return RestartState(x=state.x, v=v)
 
 
-def test_a_switch_stops_inside_a_step_and_restarts():
+def test_an_event_stops_inside_a_step_and_restarts():
     system = System(gravity=DOWN)
     ball = system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1), markers={"c": (0, 0, 0)}))
-    result = simulate(system, end=2.0, step=7e-3, switch=Floor())
+    result = simulate(system, end=2.0, step=7e-3, events=Floor())
     fall = np.sqrt(2 / 9.81)
     assert [s.time[0] for s in result.segments[1:]] == pytest.approx([fall, 3 * fall], abs=1e-9)
     phase = (result.time + fall) % (2 * fall) - fall
@@ -324,7 +325,7 @@ def test_a_switch_stops_inside_a_step_and_restarts():
     assert result.time[-1] == 2.0 and (np.diff(result.time) <= 7e-3 * (1 + 1e-9)).all()
 
 
-class Break(Switch):
+class Break(EventHandler):
     """Takes the joint away at a time, and names the body anew in another system."""
 
     def __init__(self, when, system):
@@ -334,10 +335,10 @@ class Break(Switch):
         return self.when if before.time < self.when <= after.time else None
 
     def change(self, state):
-        return Restart(x=state.x, v=state.v, system=self.system)
+        return RestartState(x=state.x, v=state.v, system=self.system)
 
 
-def test_a_switch_may_change_the_system():
+def test_an_event_may_change_the_system():
     """A pendulum that comes off its joint flies on as a free body."""
 
     def hung(joined):
@@ -348,7 +349,7 @@ def test_a_switch_may_change_the_system():
         return system, body
 
     (system, body), (free, _) = hung(True), hung(False)
-    result = simulate(system, end=0.8, step=1.7e-3, switch=Break(0.5, free))
+    result = simulate(system, end=0.8, step=1.7e-3, events=Break(0.5, free))
     center = 0.5 * (result.position(body.marker("left")) + result.position(body.marker("right")))
     velocity = 0.5 * (result.velocity(body.marker("left")) + result.velocity(body.marker("right")))
     k = len(result.segments[0].time) - 1
@@ -368,7 +369,7 @@ def test_multipliers_stay_of_second_order_after_a_restart():
         system = System(gravity=DOWN)
         body = system.add(link(position=(0.5, 0, 0), angular_velocity=(0, 4.0, 0), velocity=(0, 0, -2.0)))
         joint = system.add(RevoluteJoint(ground.marker_at(), body.marker("left"), axis=(0, 1, 0)))
-        restarted = simulate(system, end=0.6, step=step, switch=Break(0.3001, system))
+        restarted = simulate(system, end=0.6, step=step, events=Break(0.3001, system))
         angle = path(restarted.time)
         c, s = np.cos(angle[0]), np.sin(angle[0])
         turning, spin = 9.81 * c / about_end, angle[1] ** 2
@@ -473,12 +474,31 @@ def test_bad_systems_are_told():
     with pytest.raises(InputError, match="no body 'lonk'; did you mean 'link'"):
         system.component("lonk")
     with pytest.raises(SolverError, match="again and again at t = 0 s"):
-        simulate(system, end=1, step=0.1, switch=Again())
+        simulate(system, end=1, step=0.1, events=Again())
 
 
-class Again(Switch):
+def test_old_names_still_work_and_say_so():
+    in_multibody = {"Place": "MarkerState", "Restart": "RestartState", "Switch": "EventHandler"}
+    in_nonlinear = {
+        "Moment": "MemberState", "Motion": "MechanismMotion", "Settled": "EquilibriumPath",
+        "settle": "follow_equilibrium",
+    }  # fmt: skip
+    for module, names in ((multibody, in_multibody), (nonlinear, in_nonlinear)):
+        for old, new in names.items():
+            with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+                assert getattr(module, old) is getattr(module, new)
+        with pytest.raises(AttributeError, match="has no attribute 'Plaice'"):
+            module.Plaice  # noqa: B018
+    system = System(gravity=DOWN)
+    system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1)))
+    with pytest.warns(DeprecationWarning, match=r"events=\.\.\."):
+        old = simulate(system, end=0.5, step=7e-3, switch=Floor())
+    assert len(old.segments) == 2
+
+
+class Again(EventHandler):
     def time(self, before, after):
         return before.time + 1e-12
 
     def change(self, state):
-        return Restart(x=state.x, v=state.v)
+        return RestartState(x=state.x, v=state.v)

@@ -1,5 +1,6 @@
 """Elastic bodies in the simulator: inertia forces, motion, frames, order, stiffening."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import scipy.linalg as sl
 from scipy.integrate import solve_ivp
 
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.floating.stiffening_terms import geometric_stiffening
@@ -322,6 +323,39 @@ def test_stiffening_keeps_the_mass_matrix_definite_and_the_energy_where_shapes_h
     total = energy.total - energy.work
     assert np.linalg.norm(result.elastic(body) @ tip.T, axis=1).max() > 1e-3
     assert np.ptp(total) < 1e-5 * energy.kinetic.max()
+
+
+def spun(frame, end, spin=80.0, **options):
+    """A rod that is turned about its left end faster than its first frequency across the axis, without stiffening."""
+    lag = np.linalg.solve(frame.Ke, frame.markers["right"].motion[1])
+    left, tip = frame.markers["left"].point, frame.markers["right"].motion[1] @ lag
+    system = System()
+    body = system.add(
+        FlexibleBody(
+            frame, position=frame.origin, angular_velocity=(0, 0, spin), elastic=1e-4 / tip * lag,
+            velocity=-np.cross((0, 0, spin), left), name="rod",
+        )
+    )  # fmt: skip
+    base = ground.marker_at(left + frame.origin)
+    system.add(RevoluteJoint(base, body.marker("left"), axis=(0, 0, 1)))
+    system.add(DrivenAngle(base, body.marker("left"), axis=(0, 0, 1), motion=Motion.steady(spin)))
+    result = simulate(system, end=end, step=1e-3, **options)
+    return body, np.linalg.norm(result.elastic(body) @ frame.markers["right"].motion[:3].T, axis=1)
+
+
+def test_a_linear_deflection_as_long_as_the_body_stops_the_run(rod):
+    frame = slow_modes(rod["tangent"])
+    body, far = spun(frame, 0.2, max_deflection=None)
+    # The diagonal of the bar, from its inertia.
+    assert body.length == pytest.approx(np.sqrt(0.5**2 + 0.02**2 + 0.01**2), rel=1e-6)
+    assert far[-1] > 2 * body.length
+    for limit, options in ((1.0, {}), (0.1, {"max_deflection": 0.1})):
+        with pytest.raises(SolverError, match=r"body 'rod' deflects by .* geometric stiffening") as told:
+            spun(frame, 0.2, **options)
+        time = float(re.search(r"at t = (\S+) s", str(told.value))[1])
+        assert far[round(1e3 * time) - 1] <= limit * body.length < far[round(1e3 * time)]
+    with pytest.raises(InputError, match="max_deflection = -1"):
+        spun(frame, 0.2, max_deflection=-1)
 
 
 def test_tension_at_the_tip_stiffens_a_cantilever_as_beam_theory_says(rod):

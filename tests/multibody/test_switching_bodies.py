@@ -14,10 +14,10 @@ from morembs.model import DofMap, FEModel
 from morembs.model.stress_operator import stress_operator
 from morembs.multibody import FlexibleBody, RigidBody, System
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import local_response
-from morembs.multibody.sliding import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding_switch import SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
+from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
+from morembs.multibody.sliding.response import local_response
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from morembs.reducers.switching_tables import Switching

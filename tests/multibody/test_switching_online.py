@@ -8,12 +8,12 @@ import scipy.linalg as sl
 from scipy.integrate import solve_ivp
 
 from morembs.interface import make_interface
-from morembs.multibody import RigidBody, State, System
+from morembs.multibody import RigidBody, System
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.local_response import amplitudes, local_response, state_of
-from morembs.multibody.sliding import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding_switch import SlidingSwitch, simulate_sliding
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.handler import SlidingSwitch, project_in_mass, project_in_stiffness, simulate_sliding
+from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
+from morembs.multibody.sliding.response import amplitudes, local_response, state_of
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from tests.support.sliding import ELEMENTS, hermite_beam, reduced_beam
@@ -169,7 +169,7 @@ def test_projection_at_a_switch_is_the_nearest_in_stiffness_and_mass(base):
     new = (old[0] + 2,)
     a, b = (body.active_of(k).set for k in (old, new))
     z, rate = rng.standard_normal(body.extra), rng.standard_normal(body.extra)
-    got = SlidingSwitch._in_stiffness(body, body.active_of(old), body.active_of(new), z)
+    got = project_in_stiffness(body, body.active_of(old), body.active_of(new), z)
     before, basis = Psi[:, a.candidates] @ a.Y @ z, Psi[:, b.candidates]
     want = basis @ np.linalg.lstsq(basis.T @ K @ basis, basis.T @ K @ before, rcond=1e-11)[0]
     after = basis @ (b.Y @ got)
@@ -182,8 +182,7 @@ def test_projection_at_a_switch_is_the_nearest_in_stiffness_and_mass(base):
     # Velocities of basis and static modes together, in the norm of the mass.
     v = np.concatenate((rng.standard_normal(body.inner.size), rate))
     x = body.start()[0]
-    state = State(assembly=None, time=0.0, x=x, v=v, acceleration=v, multipliers=v)
-    got = SlidingSwitch._in_mass(body, state, x, body.active_of(old), body.active_of(new), v, rate)
+    got = project_in_mass(body, x, body.active_of(old), body.active_of(new), v)
     before = reduced.V @ v[: body.inner.size] + Psi[:, a.candidates] @ a.Y @ rate
     after = reduced.V @ got[: body.inner.size] + Psi[:, b.candidates] @ b.Y @ got[body.inner.size :]
     basis = np.hstack((reduced.V, Psi[:, b.candidates] @ b.Y[:, np.any(b.Y != 0, axis=0)]))

@@ -9,7 +9,7 @@ from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel
 from morembs.model.assembly import assemble
 from morembs.model.material import orthotropic
-from morembs.nonlinear.continuation import settle
+from morembs.nonlinear.continuation import follow_equilibrium
 from morembs.nonlinear.solid import NonlinearSolid
 from tests.support.elastica import tip_of_elastica
 from tests.support.meshes import box, steel, where
@@ -126,7 +126,7 @@ def test_a_slender_cantilever_converges_to_the_elastica(load):
         model = steel(box("hex20", (n, 1, 1), (1.0, thickness, thickness)), poisson=0.0)
         solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
         force = (0, load * 2.1e11 * thickness**4 / 12, 0)
-        found = settle(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=4)
+        found = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=4)
         point, R = solid.frame(found.x, "tip")
         tip = np.array([point[0] - along, point[1] - thickness / 2 - across, np.arctan2(R[1, 0], R[0, 0]) - angle])
         errors.append(np.abs(tip).max())
@@ -166,7 +166,7 @@ def test_an_average_and_a_rigid_end_bend_a_slender_beam_alike():
     force, tips = (0.0, 2 * 2.1e11 * 0.02**4 / 12, 0.0), []
     for coupling in ("rigid", "average"):
         solid = NonlinearSolid(model, ends(model, "rigid", coupling))
-        found = settle(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=2)
+        found = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=2)
         tips.append(solid.frame(found.x, "tip")[0])
     assert np.abs(tips[0] - tips[1]).max() < 1e-4
 
@@ -178,7 +178,7 @@ def test_a_turned_end_has_the_moment_of_the_circle():
     held = np.concatenate((solid.frames["root"], solid.frames["tip"][3:]))
     motion = np.zeros(9)
     motion[8] = 1.2
-    found = settle(solid, held=held, motion=motion, steps=2)
+    found = follow_equilibrium(solid, held=held, motion=motion, steps=2)
     EI = 2.1e11 * 0.02**4 / 12
     assert found.reaction[8] == pytest.approx(1.2 * EI, rel=2e-3)
     assert found.x[solid.frames["tip"][0]] == pytest.approx(np.sin(1.2) / 1.2, abs=1e-3)
@@ -189,9 +189,10 @@ def test_a_strut_beyond_buckling_is_refused_with_the_share_reached():
     model = steel(box("hex20", (10, 1, 1), (1.0, 0.02, 0.02)), poisson=0.0)
     solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
     euler = np.pi**2 / 4 * 2.1e11 * 0.02**4 / 12
-    settle(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(-0.99 * euler, 0, 0)), steps=1)
+    follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(-0.99 * euler, 0, 0)), steps=1)
     with pytest.raises(InputError, match=r"no equilibrium beyond 0\.[89]\d* of the load: .*not stable"):
-        settle(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(-1.1 * euler, 0, 0)), steps=10)
+        load = solid.wrench("tip", force=(-1.1 * euler, 0, 0))
+        follow_equilibrium(solid, held=solid.frames["root"], load=load, steps=10)
 
 
 def test_crushed_elements_are_refused():

@@ -7,7 +7,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from morembs.errors import InputError
-from morembs.nonlinear.continuation import settle
+from morembs.nonlinear.continuation import follow_equilibrium
 from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from tests.support.elastica import tip_of_elastica
@@ -68,7 +68,7 @@ def test_an_end_moment_turns_a_beam_by_a_full_turn(axis):
     # All stiffnesses of turning are one: the frames turn evenly about the axis of the moment, in torsion, too.
     beam = SpatialBeam.straight(1.0, 8, section(EA=1e4, GA2=1e4, GA3=1e4, GJ=1.0, EI2=1.0, EI3=1.0))
     moment = 2 * np.pi * np.array(axis)
-    found = settle(beam, held=CLAMPED, load=end_load(beam, 0, 0, 0, *moment), stable=False)
+    found = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0, 0, *moment), stable=False)
     s = np.linspace(0, 1, 9)
     line = np.linspace(0, 1, 8 * 40 + 1)
     rate = Rotation.from_rotvec(line[:, None] * moment).apply([1.0, 0, 0])
@@ -93,7 +93,7 @@ def test_a_cantilever_follows_the_elastica(load, angle):
     errors = []
     for elements in (8, 16):
         beam = SpatialBeam.straight(1.0, elements, slender())
-        tip = settle(beam, held=CLAMPED, load=end_load(beam, *(load * side)), steps=4).x[-6:]
+        tip = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, *(load * side)), steps=4).x[-6:]
         axis = slope * np.cross([1.0, 0, 0], side)
         errors.append(np.abs(tip - np.concatenate((along * np.eye(3)[0] + across * side, axis))).max())
     assert errors[1] < 2e-5 and np.log2(errors[0] / errors[1]) > 1.9
@@ -135,7 +135,7 @@ BEND = SpatialSection(EA=1e7, GA2=0.5e7, GA3=0.5e7, GJ=1e7 / 12, EI2=1e7 / 12, E
 def test_the_bend_of_45_degrees(force, published):
     """Positions of Simo and Vu-Quoc (1986), who took eight straight linear elements."""
     beam = SpatialBeam.arc(100.0, np.pi / 4, 8, BEND)
-    tip = settle(beam, held=CLAMPED, load=end_load(beam, 0, 0, force), steps=4).x[-6:-3]
+    tip = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0, force), steps=4).x[-6:-3]
     assert np.abs(tip / published - 1).max() < 0.01
 
 
@@ -144,7 +144,7 @@ def test_the_bend_converges_to_the_differential_equations_of_the_rod():
     errors = []
     for elements in (8, 16):
         beam = SpatialBeam.arc(100.0, np.pi / 4, elements, BEND)
-        tip = settle(beam, held=CLAMPED, load=end_load(beam, 0, 0, 600.0), steps=4).x[-6:-3]
+        tip = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0, 600.0), steps=4).x[-6:-3]
         errors.append(np.abs(tip - exact).max() / 100)
     assert errors[0] < 2e-4 and np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
 
@@ -197,9 +197,9 @@ def test_a_strip_buckles_sideways_at_prandtls_load():
     s = slender(EI2=1.0, EI3=1e5, GJ=0.5, EA=1e9, GA2=1e9, GA3=1e9)
     critical = 4.01260 * np.sqrt(s.EI2 * s.GJ)
     beam = SpatialBeam.straight(1.0, 24, s)
-    settle(beam, held=CLAMPED, load=end_load(beam, 0, 0.99 * critical), steps=1)
+    follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0.99 * critical), steps=1)
     with pytest.raises(InputError, match=r"no equilibrium beyond 0\.9[0-9]+ of the load.*not stable"):
-        settle(beam, held=CLAMPED, load=end_load(beam, 0, 1.05 * critical), steps=40)
+        follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 1.05 * critical), steps=40)
 
 
 def test_a_spinning_beam_stretches():
@@ -212,7 +212,7 @@ def test_a_spinning_beam_stretches():
         radial[beam.translations[:, :2]] = x[beam.translations[:, :2]]
         return 36 * (beam.M @ radial)
 
-    tip = settle(beam, held=CLAMPED, load=centrifugal, steps=1).x[-6] - 10
+    tip = follow_equilibrium(beam, held=CLAMPED, load=centrifugal, steps=1).x[-6] - 10
     assert tip == pytest.approx(5.142857e-4, rel=0.01)
 
 
@@ -223,7 +223,7 @@ def test_held_frames_can_be_moved(turns):
     held = np.concatenate((CLAMPED, beam.frames["end"][3:]))
     motion = np.zeros(9)
     motion[8] = angle = 2 * np.pi * turns
-    found = settle(beam, held=held, motion=motion, steps=8, stable=False)
+    found = follow_equilibrium(beam, held=held, motion=motion, steps=8, stable=False)
     assert found.x[-6:-3] == pytest.approx([np.sin(angle) / angle, (1 - np.cos(angle)) / angle, 0], abs=1e-9)
     assert found.reaction[-1] == pytest.approx(angle, rel=1e-9)
     # The frames are moved by a linear step of the whole beam; alone they would leave it torn.
@@ -263,8 +263,8 @@ def test_bad_input_is_named():
         SpatialBeam.straight(1.0, 0, section())
     beam = SpatialBeam.straight(1.0, 2, section())
     with pytest.raises(InputError, match=r"\(18,\) finite"):
-        settle(beam, held=CLAMPED, load=np.zeros(3))
+        follow_equilibrium(beam, held=CLAMPED, load=np.zeros(3))
     with pytest.raises(InputError, match="different numbers from 0 to 17"):
-        settle(beam, held=np.array([0, 0]))
+        follow_equilibrium(beam, held=np.array([0, 0]))
     with pytest.raises(InputError, match=r"no equilibrium beyond 0 of the load: the tangent stiffness is singular"):
-        settle(beam, held=np.arange(3), load=end_load(beam, 0.1, 0.1, 0.1))
+        follow_equilibrium(beam, held=np.arange(3), load=end_load(beam, 0.1, 0.1, 0.1))

@@ -14,7 +14,7 @@ sys.path.insert(0, str(PIPELINES))
 import gear_teeth  # noqa: E402
 import moving_load  # noqa: E402
 
-from morembs.multibody.sliding_switch import UnfinishedRunError  # noqa: E402
+from morembs.multibody.sliding.handler import UnfinishedRunError  # noqa: E402
 
 
 def printed(name, folder):

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.integrate import State
 from morembs.multibody.result import Result, Segment
-from morembs.multibody.sliding import Slider
-from morembs.multibody.switching import SwitchingBody
+from morembs.multibody.sliding.body import SwitchingBody
+from morembs.multibody.sliding.loads import Slider
+from morembs.multibody.system import State
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,14 +37,14 @@ def local_response(
     Raises:
         InputError: a place too far from the loads for the band of the tables, stress that was not stored.
     """
-    its, rows = body.switching, []
+    tables, rows = body.switching, []
     for segment in result.segments:
         for k, t in enumerate(segment.time):
             state = state_of(segment, k)
             s = position.along(state) if isinstance(position, Slider) else position(float(t))
-            s = float(np.clip(0.0 if s is None else s, 0.0, its.length))
+            s = float(np.clip(0.0 if s is None else s, 0.0, tables.length))
             rows.append((s, *_local(state, body, s, stress)))
-    s_, u, tensor, loads = (np.array(one) for one in zip(*rows, strict=True))
+    s_, u, tensor, loads = (np.array(column) for column in zip(*rows, strict=True))
     return LocalResponse(position=s_, displacement=u, stress=tensor if stress else None, loads=loads)
 
 
@@ -71,18 +71,18 @@ def amplitudes(state: State, body: SwitchingBody) -> tuple[Floats, Ints, Floats]
 
 
 def _local(state: State, body: SwitchingBody, s: float, stress: bool) -> tuple[Floats, Floats, float]:
-    its = body.switching
+    tables = body.switching
     q, candidates, a = amplitudes(state, body)
     acts = a != 0
     candidates, a = candidates[acts], a[acts]
-    curve = its.curve(s, body.interpolation)
+    curve = tables.curve(s, body.interpolation)
     nodes, i = curve.span.nodes, curve.span.interval
-    here = its.of_nodes(int(nodes[0]), len(nodes))
-    u = curve.rows(here) @ (its.modes[here] @ q + its.R(here, candidates) @ a)
+    here = tables.of_nodes(int(nodes[0]), len(nodes))
+    u = curve.rows(here) @ (tables.modes[here] @ q + tables.R(here, candidates) @ a)
     tensor = np.zeros(6)
     if stress:
-        share = (s - its.s[i]) / curve.span.length
-        ends = [its.stress_at(i + k, q, candidates, a) for k in (0, 1)]
+        share = (s - tables.s[i]) / curve.span.length
+        ends = [tables.stress_at(i + k, q, candidates, a) for k in (0, 1)]
         tensor = (1 - share) * ends[0] + share * ends[1]
     return u, tensor, float(np.abs(a).max(initial=0.0))
 

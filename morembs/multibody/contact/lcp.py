@@ -7,14 +7,14 @@ and sliding s of each point: 0 <= gap(y) _|_ l >= 0, 0 <= D v(y) + s _|_ b >= 0,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import SolverError
-from morembs.multibody.lemke import Complementary, RayError, lemke
+from morembs.multibody.contact.lemke import Complementary, RayError, lemke
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,8 +34,33 @@ class Forces:
     sliding: Bools
 
 
+NO_FORCES = Forces(normal=np.zeros(0), friction=np.zeros((0, 2)), sliding=np.zeros(0, dtype=bool))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Law:
+class Responses:
+    """Solutions without contact forces y (s,), and per unit of normal force YN (s, r) and of friction YT (s, r, 2)."""
+
+    y: Floats
+    YN: Floats
+    YT: Floats
+
+    @classmethod
+    def solved(cls, solve: Callable[[Floats], ArrayLike], right: Floats, N: Floats, T: Floats) -> Responses:
+        """Those of ``solve`` to the right-hand side (s,) and to the forces of rows N (r, k) and T (r, 2, k)."""
+        r, k = N.shape
+        columns = np.zeros((len(right), 1 + 3 * r))
+        columns[:, 0], columns[:k, 1 : 1 + r], columns[:k, 1 + r :] = right, N.T, T.reshape(-1, k).T
+        Y = np.asarray(solve(columns), dtype=np.float64)
+        return cls(y=Y[:, 0], YN=Y[:, 1 : 1 + r], YT=Y[:, 1 + r :].reshape(len(Y), r, 2))
+
+    def total(self, forces: Forces) -> Floats:
+        """(s,) with contact forces."""
+        return np.asarray(self.y + self.YN @ forces.normal + np.einsum("kia,ia->k", self.YT, forces.friction))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactLCP:
     """The problem of r points.
 
     ``gap`` (r,) and ``slip`` (r, 2): values without contact forces; ``NN`` (r, r), ``NT`` (r, r, 2), ``TN`` (r, 2, r)
@@ -54,6 +79,26 @@ class Law:
     pyramid: Sequence[Floats | None]
     noise: tuple[float, float]
 
+    @classmethod
+    def of(
+        cls, *, N: Floats, T: Floats, XN: Floats, XT: Floats, gap: Floats, slip: Floats, friction: Floats,
+        pyramid: Sequence[Floats | None], compliance: Floats, noise: tuple[float, float],
+    ) -> ContactLCP:  # fmt: skip
+        """The problem of rows N (r, k), T (r, 2, k) with the responses XN (k, r) and XT (k, r, 2) to unit forces."""
+        return cls(
+            gap=gap, slip=slip, NN=N @ XN + compliance, NT=np.einsum("ik,kjc->ijc", N, XT), TN=T @ XN,
+            TT=np.einsum("iak,kjc->iajc", T, XT), friction=friction, pyramid=pyramid, noise=noise,
+        )  # fmt: skip
+
+    def given(self, known: NDArray[np.int_], force: Floats) -> ContactLCP:
+        """The same problem with some normal forces given: those of compliant points follow from their gaps."""
+        if not len(known):
+            return self
+        gap, NN, NT = self.gap.copy(), self.NN.copy(), self.NT.copy()
+        NN[known], NT[known] = 0.0, 0.0
+        NN[known, known], gap[known] = 1.0, -force[known]
+        return replace(self, gap=gap, NN=NN, NT=NT)
+
     def solve(self, rows: NDArray[np.int_], count: int) -> Forces:
         """The forces; the points are ``rows`` (r,) of ``count`` in all.
 
@@ -63,12 +108,12 @@ class Law:
         """
         M, q, scale, owner = self._matrix()
         try:
-            found = self._solved(M, q)
+            solution = self._solved(M, q)
         except RayError as error:
             direction = np.zeros(count)
             direction[rows] = (error.direction * scale)[: len(rows)]
             raise RayError(str(error), direction=direction) from None
-        z, r = found.z * scale, len(self.gap)
+        z, r = solution.z * scale, len(self.gap)
         friction, sliding = np.zeros((r, 2)), np.zeros(r, dtype=bool)
         end = r
         for i in owner:
@@ -77,7 +122,7 @@ class Law:
                 friction[i] = z[end : end + len(D)] @ D
                 end += len(D)
         for k, i in enumerate(owner):
-            sliding[i] = found.basic[end + k] and z[end + k] > 0
+            sliding[i] = solution.basic[end + k] and z[end + k] > 0
         return Forces(normal=z[:r], friction=friction, sliding=sliding)
 
     @staticmethod
@@ -93,16 +138,17 @@ class Law:
                 z = np.zeros(len(q))
                 try:
                     for _ in range(_REPEATS):
-                        found = lemke(M + part * np.diag(diagonal), q - part * diagonal * z)
+                        solution = lemke(M + part * np.diag(diagonal), q - part * diagonal * z)
                         # Huge forces in a problem without solution would pass a check against their own size.
-                        if (part * np.abs(diagonal * (found.z - z)) * unit <= _BROKEN * np.abs(q * unit).max()).all():
-                            return found
-                        z = found.z
+                        change = part * np.abs(diagonal * (solution.z - z)) * unit
+                        if (change <= _BROKEN * np.abs(q * unit).max()).all():
+                            return solution
+                        z = solution.z
                 except SolverError:
                     continue
             raise
 
-    def near(self, normal: Floats, friction: Floats) -> Law:
+    def near(self, normal: Floats, friction: Floats) -> ContactLCP:
         """The same problem with a little compliance about given forces (r,), (r, 2): of the many solutions with
         redundant points it has one near to them, and where they solve the problem they are the solution."""
         r = np.arange(len(self.gap))
@@ -139,15 +185,3 @@ class Law:
         # Sliding is a velocity: in the units of friction forces all of its rows are of order one.
         scale[r + b :] = np.sqrt(np.maximum(np.diag(self.NN)[owner], 1e-300))
         return M * np.outer(scale, scale), q * scale, scale, owner
-
-
-def law(
-    *, N: Floats, T: Floats, XN: Floats, XT: Floats, gap: Floats, slip: Floats, friction: Floats,
-    pyramid: Sequence[Floats | None], compliance: Floats, noise: tuple[float, float],
-) -> Law:  # fmt: skip
-    """The law of rows N (r, k), T (r, 2, k) with the responses XN (k, r) and XT (k, r, 2) to unit forces."""
-    return Law(
-        gap=gap, slip=slip, NN=N @ XN + compliance, NT=np.einsum("ik,kjc->ijc", N, XT), TN=T @ XN,
-        TT=np.einsum("iak,kjc->iajc", T, XT), friction=friction, pyramid=pyramid,
-        noise=noise,
-    )  # fmt: skip

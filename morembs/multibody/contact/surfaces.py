@@ -25,7 +25,7 @@ _CLOSE = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class Foot:
+class ClosestPoint:
     """The nearest point of a surface: ``gap`` m (negative inside), ``point`` (3,), unit ``normal`` (3,) outwards.
 
     ``vertices`` (v,) and ``weights`` (v,), of sum one: how the displacements of vertices move the point.
@@ -47,7 +47,7 @@ class Surface(ABC):
     name: str
 
     @abstractmethod
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         """The foot of ``point`` (3,)."""
 
 
@@ -74,10 +74,12 @@ class Plane(Surface):
         object.__setattr__(self, "point", vector(f"point of {self.name!r}", self.point))
         object.__setattr__(self, "normal", direction(f"normal of {self.name!r}", self.normal))
 
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         normal = np.asarray(self.normal, dtype=float)
         gap = float(normal @ (point - np.asarray(self.point, dtype=float)))
-        return Foot(gap=gap, point=point - gap * normal, normal=normal, vertices=_NO_VERTICES, weights=_NO_WEIGHTS)
+        return ClosestPoint(
+            gap=gap, point=point - gap * normal, normal=normal, vertices=_NO_VERTICES, weights=_NO_WEIGHTS
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +97,14 @@ class Sphere(Surface):
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius = {self.radius} m of {self.name!r} was given; expected a positive length")
 
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         center = np.asarray(self.center, dtype=float)
         arm = point - center
         distance = float(np.linalg.norm(arm))
         # From the centre all directions are as near.
         out = arm / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
         sign = -1.0 if self.hollow else 1.0
-        return Foot(
+        return ClosestPoint(
             gap=sign * (distance - self.radius), point=center + self.radius * out, normal=sign * out,
             vertices=_NO_VERTICES, weights=_NO_WEIGHTS,
         )  # fmt: skip
@@ -288,7 +290,7 @@ class GridSurface(NodalSurface):
         first = u[0] % n if self.closed else min(max(u[0], 0.0), n - 1.0)
         return np.array([first, min(max(u[1], 0.0), m - 1.0)])
 
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         n, m = self.shape
         start = np.array(np.unravel_index(int(np.argmin(np.sum((self.points - point) ** 2, axis=1))), (n, m)), float)
         u = _descend(self.at, start, point, self._kept)
@@ -306,11 +308,11 @@ class GridSurface(NodalSurface):
         return moved
 
 
-def foot_at(point: Floats, foot: Floats, normal: Floats, vertices: Ints, weights: Floats) -> Foot:
+def foot_at(point: Floats, foot: Floats, normal: Floats, vertices: Ints, weights: Floats) -> ClosestPoint:
     """The foot with its gap; over an edge the gap is the distance, along the line to the point."""
     arm = point - foot
     gap, distance = float(normal @ arm), float(np.linalg.norm(arm))
     beside = float(np.linalg.norm(arm - gap * normal))
     if beside > 1e-7 * max(distance, 1e-300) and beside > 1e-12:
         gap, normal = distance, arm / distance
-    return Foot(gap=gap, point=foot, normal=normal, vertices=vertices, weights=weights)
+    return ClosestPoint(gap=gap, point=foot, normal=normal, vertices=vertices, weights=weights)

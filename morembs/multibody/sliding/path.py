@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.multibody.component import Place
+from morembs.multibody.component import MarkerState
 from morembs.multibody.rotations import cross, hat
 from morembs.reducers.switching_tables import Curve, Switching
 
@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
-class PathPlace(Place):
+class PathState(MarkerState):
     """A window of the path: ``amplitudes`` (k,) are the displacements of its ``candidates``.
 
     ``position`` and ``axes`` are those of the frame of the body. Rows of ``jacobian`` (6 + k, .): velocity and angular
@@ -36,24 +36,24 @@ class PathPlace(Place):
 
     def at(self, s: float) -> PointOfPath:
         """The point of the path at ``s`` (m), beyond the window on the polynomial at its end."""
-        its = self.switching
-        interval = min(max(its.interval(s), self.first), self.first + self.width - 2)
-        curve = its.curve(s, self.interpolation, interval)
+        tables = self.switching
+        interval = min(max(tables.interval(s), self.first), self.first + self.width - 2)
+        curve = tables.curve(s, self.interpolation, interval)
         W = curve.rows(self.candidates)
         arm = self.axes @ (curve.point - self.offset + W @ self.amplitudes)
         return PointOfPath(self, curve, self.position + arm, arm, W)
 
     def nearest(self, point: Floats) -> float:
         """Position s (m) along the path whose point is nearest to ``point`` (3,), within a little of the window."""
-        its = self.switching
+        tables = self.switching
         inside = self.axes.T @ (point - self.position) + self.offset
-        nodes = its.xyz[self.first : self.first + self.width]
-        s = float(its.s[self.first + int(np.argmin(np.linalg.norm(nodes - inside, axis=1)))])
+        nodes = tables.xyz[self.first : self.first + self.width]
+        s = float(tables.s[self.first + int(np.argmin(np.linalg.norm(nodes - inside, axis=1)))])
         for _ in range(30):
             here = self.at(s)
             step = float(here.slope @ (point - here.position) / (here.slope @ here.slope))
             s += step
-            if abs(step) <= 1e-14 * max(its.length, abs(s)):
+            if abs(step) <= 1e-14 * max(tables.length, abs(s)):
                 break
         return s
 
@@ -63,7 +63,7 @@ class PointOfPath:
     """``position`` (3,) m and ``arm`` (3,) m from the origin of the frame, along the inertial axes; ``W`` (3, k)
     displacement along the axes of the body by the candidates."""
 
-    place: PathPlace
+    place: PathState
     curve: Curve
     position: Floats
     arm: Floats

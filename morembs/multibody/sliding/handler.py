@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, MorembsError
-from morembs.multibody.integrate import State
-from morembs.multibody.result import Result, Segment
-from morembs.multibody.run import Restart, Switch, simulate
-from morembs.multibody.sliding import PathSupport, Slider
-from morembs.multibody.switching import Active, SwitchingBody
-from morembs.multibody.system import Assembly, System
+from morembs.multibody.result import Result
+from morembs.multibody.run import EventHandler, RestartState, Run
+from morembs.multibody.sliding.body import Active, SwitchingBody
+from morembs.multibody.sliding.loads import PathSupport, Slider
+from morembs.multibody.system import Assembly, State, System
 
 Floats = NDArray[np.float64]
 # Amplitudes below this part of the largest drop out without a trace.
@@ -47,10 +46,10 @@ class Activation:
         return self.dropped <= QUIET
 
 
-class SlidingSwitch(Switch):
+class SlidingSwitch(EventHandler):
     """Moves the windows of all sliders of a body; ``log`` lists every change of a run.
 
-    A window moves at the end of the step in which its slider comes to depend on the outermost node, which still bears
+    A window moves at the end of the step in which its slider comes to depend on the outermost node, which carried
     no load before. It then has the full look-ahead on both sides, so a load that goes back and forth does not move it
     again. Displacements are projected in K, velocities in M: no energy grows.
     """
@@ -58,20 +57,17 @@ class SlidingSwitch(Switch):
     def __init__(self, *bodies: SwitchingBody) -> None:
         self.bodies = bodies
         self.log: list[Activation] = []
-        self.runs: list[list[State]] = []
         self._wanted: list[tuple[SwitchingBody, int, str, float]] = []
 
     def reset(self) -> None:
-        """Forget all runs."""
-        self.log, self.runs = [], []
+        """Forget the last run."""
+        self.log = []
 
     def _sliders(self, assembly: Assembly, body: SwitchingBody) -> list[Slider]:
         parts = [*assembly.forces, *assembly.joints]
-        return [one for one in parts if isinstance(one, Slider) and one.path.component is body]
+        return [part for part in parts if isinstance(part, Slider) and part.path.component is body]
 
     def time(self, before: State, after: State) -> float | None:
-        if not self.runs or self.runs[-1][-1] is not before:
-            self.runs.append([before])
         self._wanted = []
         for body in self.bodies:
             number = after.assembly.index(body)
@@ -80,8 +76,6 @@ class SlidingSwitch(Switch):
             firsts = body.firsts(after.x[after.assembly.in_x[number]])
             for slider in self._sliders(after.assembly, body):
                 self._look(body, slider, firsts, before, after)
-        # A step that left its window is none to keep.
-        self.runs[-1].append(after)
         return after.time if self._wanted else None
 
     def _look(self, body: SwitchingBody, slider: Slider, firsts: tuple[int, ...], before: State, after: State) -> None:
@@ -89,9 +83,9 @@ class SlidingSwitch(Switch):
         if s is None:
             return
         body.refuse_outside(s, f"at t = {after.time:.9g} s ({slider.name or 'joint'})")
-        its, window = body.switching, slider.path.window
+        tables, window = body.switching, slider.path.window
         first, last = firsts[window], firsts[window] + body.width - 1
-        i, end = its.interval(s), len(its.node_ids) - 1
+        i, end = tables.interval(s), len(tables.node_ids) - 1
         low, high = max(i - 1, 0), min(i + 2, end)
         if low < first or high > last:
             old = slider.along(before)
@@ -103,10 +97,10 @@ class SlidingSwitch(Switch):
         if (high == last and last < end) or (low == first and first > 0):
             self._wanted.append((body, window, slider.name, s))
 
-    def change(self, state: State) -> Restart:
+    def change(self, state: State) -> RestartState:
         x, v = state.x.copy(), state.v.copy()
         for body in self.bodies:
-            mine = [one for one in self._wanted if one[0] is body]
+            mine = [window for window in self._wanted if window[0] is body]
             if not mine:
                 continue
             number = state.assembly.index(body)
@@ -120,7 +114,7 @@ class SlidingSwitch(Switch):
                 x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, mine)
             except InputError as error:
                 raise InputError(f"at t = {state.time:.9g} s, s = {mine[0][3]:.9g} m: {error}") from error
-        return Restart(x=x, v=v)
+        return RestartState(x=x, v=v)
 
     def _moved(
         self, body: SwitchingBody, x: Floats, v: Floats, firsts: tuple[int, ...], state: State,
@@ -133,10 +127,10 @@ class SlidingSwitch(Switch):
         x1[body.configuration_size - body.windows :] = firsts
         v1, dropped = v, 0.0
         if old.set is not None and new.set is not None:
-            k, inner = body.inner.size, body.inner.configuration_size
-            z, rate = x[inner : inner + body.extra], v[k:]
-            x1[inner : inner + body.extra] = self._in_stiffness(body, old, new, z)
-            v1 = self._in_mass(body, state, x, old, new, v, rate)
+            inner = body.inner.configuration_size
+            z = x[inner : inner + body.extra]
+            x1[inner : inner + body.extra] = project_in_stiffness(body, old, new, z)
+            v1 = project_in_mass(body, x, old, new, v)
             a = old.set.Y @ z
             gone = ~np.isin(old.set.candidates, new.set.candidates)
             scale = np.sqrt(body.switching.stiffness[0, old.set.candidates])
@@ -162,45 +156,40 @@ class SlidingSwitch(Switch):
             )
         return x1, v1
 
-    @staticmethod
-    def _in_stiffness(body: SwitchingBody, old: Active, new: Active, z: Floats) -> Floats:
-        if old.set is None or new.set is None:
-            return z
-        cross = body.switching.R(new.set.candidates, old.set.candidates)
-        return np.asarray(new.set.Y.T @ (cross @ (old.set.Y @ z)) / new.set.omega**2)
+    def places(self, state: State) -> str:
+        """Where all sliders are at a state, in words."""
+        sliders = [slider for body in self.bodies for slider in self._sliders(state.assembly, body)]
+        along = [(slider.name or "joint", slider.along(state)) for slider in sliders]
+        return ", ".join(f"{name} at s = {s:.9g} m" for name, s in along if s is not None) or "no load on the path"
 
-    @staticmethod
-    def _in_mass(
-        body: SwitchingBody, state: State, x: Floats, old: Active, new: Active, v: Floats, rate: Floats
-    ) -> Floats:
-        """M-projection of all velocities of the body: static modes may share mass with its basis."""
-        if old.set is None or new.set is None:
-            return v
-        k = body.inner.size
-        inner, _ = body.split(x)
-        M, _ = body.inner.dynamics(state.time, inner, v[:k], np.zeros(3))
-        whole = np.eye(body.size)
-        whole[:k, :k] = M
-        shared = body.on_inner(new, inner)
-        whole[:k, k:], whole[k:, :k] = shared, shared.T
-        momentum = np.empty(body.size)
-        momentum[:k] = M @ v[:k] + body.on_inner(old, inner) @ rate
-        cross = body.switching.Q(new.set.candidates, old.set.candidates)
-        momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
-        return np.asarray(np.linalg.solve(whole, momentum))
 
-    def places(self) -> str:
-        """Where all sliders were at the last state, in words."""
-        if not self.runs:
-            return "at the start"
-        state = self.runs[-1][-1]
-        found = [(one.name or "joint", one.along(state)) for body in self.bodies
-                 for one in self._sliders(state.assembly, body)]  # fmt: skip
-        return ", ".join(f"{name} at s = {s:.9g} m" for name, s in found if s is not None) or "no load on the path"
+def project_in_stiffness(body: SwitchingBody, old: Active, new: Active, z: Floats) -> Floats:
+    """Coordinates of the new active set whose displacement is nearest to that of z (r,) in the norm of K."""
+    if old.set is None or new.set is None:
+        return z
+    cross = body.switching.R(new.set.candidates, old.set.candidates)
+    return np.asarray(new.set.Y.T @ (cross @ (old.set.Y @ z)) / new.set.omega**2)
 
-    def so_far(self) -> Result | None:
-        """What was integrated, None for nothing."""
-        return Result(segments=tuple(Segment.of(one) for one in self.runs)) if self.runs else None
+
+def project_in_mass(body: SwitchingBody, x: Floats, old: Active, new: Active, v: Floats) -> Floats:
+    """Velocity of the body with the new active set that is nearest to v in the norm of M at the configuration x.
+
+    All velocities change: static modes may share mass with the constant basis.
+    """
+    if old.set is None or new.set is None:
+        return v
+    k, rate = body.inner.size, v[body.inner.size :]
+    inner, _ = body.split(x)
+    M, _ = body.inner.dynamics(0.0, inner, v[:k], np.zeros(3))
+    whole = np.eye(body.size)
+    whole[:k, :k] = M
+    shared = body.on_inner(new, inner)
+    whole[:k, k:], whole[k:, :k] = shared, shared.T
+    momentum = np.empty(body.size)
+    momentum[:k] = M @ v[:k] + body.on_inner(old, inner) @ rate
+    cross = body.switching.Q(new.set.candidates, old.set.candidates)
+    momentum[k:] = shared.T @ v[:k] + new.set.Y.T @ (cross @ (old.set.Y @ rate))
+    return np.asarray(np.linalg.solve(whole, momentum))
 
 
 class UnfinishedRunError(InputError):
@@ -213,7 +202,7 @@ class UnfinishedRunError(InputError):
 
 def simulate_sliding(
     system: System, switch: SlidingSwitch, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-9, max_deflection: float | None = 1.0,
 ) -> Result:  # fmt: skip
     """``simulate`` with a switch; what was integrated is not lost where the run cannot go on.
 
@@ -222,18 +211,25 @@ def simulate_sliding(
     """
     switch.reset()
     _refuse_mixed(system, switch)
+    # The second-order start looks one step ahead and back, which static modes far faster than a step do not tolerate.
+    slow = all(body.variant == "quasi-static" for body in switch.bodies)
+    run = None
     try:
-        # The second-order start looks one step ahead and back, which static modes far faster than a step do not bear.
-        slow = all(body.variant == "quasi-static" for body in switch.bodies)
-        return simulate(
-            system, end=end, step=step, rho=rho, begin=begin, tolerance=tolerance, switch=switch, corrected_start=slow
-        )
+        run = Run(
+            system, switch, begin=begin, end=end, step=step, rho=rho, tolerance=tolerance, corrected=slow,
+            max_deflection=max_deflection,
+        )  # fmt: skip
+        run.finish()
+        return run.result()
     except MorembsError as error:
-        found, text = switch.so_far(), f"{error}"
-        if found is not None and not ("t = " in text and "s = " in text):
+        text = f"{error}"
+        if run is None or not run.so_far():
+            raise UnfinishedRunError(text, None) from error
+        if not ("t = " in text and "s = " in text):
             # What a force or the integrator says while a step is tried.
-            text = f"in the step from t = {found.time[-1]:.9g} s on, {switch.places()}: {text}"
-        raise UnfinishedRunError(text, found) from error
+            last = run.states[-1]
+            text = f"in the step from t = {last.time:.9g} s on, {switch.places(last)}: {text}"
+        raise UnfinishedRunError(text, run.result()) from error
 
 
 def _refuse_mixed(system: System, switch: SlidingSwitch) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.contact import Contact, Contacts
-from morembs.multibody.contact_step import ContactState
+from morembs.multibody.contact.kinematics import Contact, Contacts
+from morembs.multibody.contact.reactions import ContactState
 from morembs.multibody.result import Energy, Result
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 class Impact:
     """An impact: ``time`` s, the points that met as (contact, number of the point), of all m points of the system the
     ``approach`` (m,) m/s before, the ``impulse`` (m,) and ``friction`` (m, 2) Ns, and the ``loss`` of energy, J: minus
-    the work of the impulses along the mean of the velocities before and after. It is the begin of ``segment``."""
+    the work of the impulses along the mean of the velocities before and after. ``segment`` starts with it."""
 
     time: float
     points: tuple[tuple[str, int], ...]
@@ -54,8 +54,8 @@ class ContactSegment:
             force=np.array([s.force for s in states]),
             friction=np.array([s.friction for s in states]),
             slip=np.array([s.slip for s in states]),
-            foot=np.array([s.meeting.foot for s in states]),
-            normal=np.array([s.meeting.normal for s in states]),
+            foot=np.array([s.kinematics.foot for s in states]),
+            normal=np.array([s.kinematics.normal for s in states]),
             sliding=np.array([s.sliding for s in states]),
             stored=np.array([0.5 * s.force @ s.deflection for s in states]),
         )
@@ -70,8 +70,8 @@ class ContactResult(Result):
     impacts: tuple[Impact, ...]
 
     def _rows(self, contact: Contact) -> slice:
-        for one, rows in zip(self.group.contacts, self.group.rows, strict=True):
-            if one is contact:
+        for other, rows in zip(self.group.contacts, self.group.rows, strict=True):
+            if other is contact:
                 return rows
         raise InputError(f"contact {contact.name!r} is not one of this run; give the contacts that were simulated")
 
@@ -104,7 +104,7 @@ class ContactResult(Result):
     def balance(self) -> Energy:
         """Energies with contact: compliance is in ``potential``; friction and impacts take from ``work``.
 
-        ``total - work`` stays as it was but for errors of the integration.
+        ``total - work`` is constant up to integration error.
         """
         plain = self.energy()
         stored = np.concatenate([s.stored for s in self.touches])

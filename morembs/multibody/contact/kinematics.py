@@ -16,18 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.component import Component, Marker, Place, direction, numbers
+from morembs.multibody.component import Component, Marker, MarkerState, direction, numbers
+from morembs.multibody.contact.surfaces import NodalSurface, Surface
 from morembs.multibody.rotations import cross, hat
-from morembs.multibody.surfaces import NodalSurface, Surface
 from morembs.multibody.system import Assembly
 
 Floats = NDArray[np.float64]
 _LARGEST_FACETS = 64
+_AT_REST = 1e-8
 
 
 @runtime_checkable
 class Compliant(Protocol):
-    """A body whose points give way to forces on them at once: local shapes without inertia, amplitude = force."""
+    """A body with quasi-static local compliance at its points: shapes without inertia, amplitude = force."""
 
     def flexibility(self, points: Sequence[Marker]) -> ArrayLike:
         """(3 m, 3 m) m/N, symmetric and positive semidefinite: displacements of the m points per force on each,
@@ -65,7 +66,7 @@ class Contact:
         self.axis = direction(f"contact {name!r}: axis", axis)
         self._check(facets)
         angles = 2 * np.pi * np.arange(facets) / facets
-        # Whole numbers for the four directions: a block on a slope then sticks at the exact angle.
+        # Exact integers for the four directions: a block on a slope then sticks up to the exact angle.
         self.directions = np.round(np.stack((np.cos(angles), np.sin(angles)), axis=1), 15)
         self.compliance = None if compliance is None else self._checked_compliance(compliance)
 
@@ -113,7 +114,7 @@ class Contact:
         """The bodies that meet."""
         return self.points[0].component, self.on.component
 
-    def surface_at(self, on: Place, vertices: Sequence[Place]) -> Surface:
+    def surface_at(self, on: MarkerState, vertices: Sequence[MarkerState]) -> Surface:
         """The surface as its vertices are now, along the axes of its marker."""
         if not vertices or not isinstance(self.surface, NodalSurface):
             return self.surface
@@ -122,7 +123,7 @@ class Contact:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Meeting:
+class ContactKinematics:
     """All points of all contacts of a system, for one configuration.
 
     gap (m,) m; foot (m, 3) m and normal (m, 3), inertial; N (m, k) and T (m, 2, k): normal and tangential velocity of
@@ -135,6 +136,11 @@ class Meeting:
     tangents: Floats
     N: Floats
     T: Floats
+
+    def round_off(self, v: Floats, least: float) -> float:
+        """Relative velocities below this are round-off, m/s; at least that of ``least`` m/s."""
+        parts = np.abs(self.N) @ np.abs(v), np.abs(self.T) @ np.abs(v)
+        return _AT_REST * max([least, *(float(p.max(initial=0.0)) for p in parts)])
 
 
 class Contacts:
@@ -164,17 +170,20 @@ class Contacts:
                 if marker.component.size and self.assembly.index(marker.component) is None:
                     raise InputError(f"contact {contact.name!r}: {marker.label} is not in the system; add its body")
 
-    def directions(self, i: int) -> Floats:
-        """(f, 2): the pyramid of a point."""
-        return np.asarray(self.contacts[self._of[i]].directions)
+    def pyramid(self, i: int | np.integer) -> Floats | None:
+        """(f, 2): directions of friction of a point, None where it has none."""
+        return np.asarray(self.contacts[self._of[i]].directions) if self.friction[i] > 0 else None
+
+    def named(self, i: int) -> tuple[str, int]:
+        """The contact of a point, and its number there."""
+        return self.contacts[self._of[i]].name, int(i - self.rows[self._of[i]].start)
 
     def label(self, i: int) -> str:
-        """Words for a point in messages."""
-        contact = self.contacts[self._of[i]]
-        number = i - self.rows[self._of[i]].start
-        return f"contact {contact.name!r}, point {number} ({contact.points[number].label})"
+        """How messages name a point."""
+        name, number = self.named(i)
+        return f"contact {name!r}, point {number} ({self.contacts[self._of[i]].points[number].label})"
 
-    def meet(self, x: Floats) -> Meeting:
+    def kinematics(self, x: Floats) -> ContactKinematics:
         """Gaps and Jacobians of all points."""
         m, k = self.count, self.assembly.size
         gap, foot, normal, tangents = np.zeros(m), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 2, 3))
@@ -186,19 +195,19 @@ class Contacts:
             first = on.axes @ contact.axis
             for i, marker in enumerate(contact.points, rows.start):
                 place = self.assembly.place(marker, x)
-                found = surface.nearest((place.position - on.position) @ on.axes)
-                gap[i], normal[i] = found.gap, on.axes @ found.normal
-                foot[i] = on.position + on.axes @ found.point
+                closest = surface.nearest((place.position - on.position) @ on.axes)
+                gap[i], normal[i] = closest.gap, on.axes @ closest.normal
+                foot[i] = on.position + on.axes @ closest.point
                 tangents[i] = _tangents(normal[i], first, on.axes)
                 if body is not None:
                     V[i, :, self.assembly.in_v[body]] += place.jacobian[:3]
                 if carrier is not None:
                     at = self.assembly.in_v[carrier]
-                    V[i, :, at] -= _surface_motion(on, corners, foot[i], found.vertices, found.weights)
+                    V[i, :, at] -= _surface_motion(on, corners, foot[i], closest.vertices, closest.weights)
         N = np.einsum("ia,iak->ik", normal, V)
-        return Meeting(gap=gap, foot=foot, normal=normal, tangents=tangents, N=N, T=tangents @ V)
+        return ContactKinematics(gap=gap, foot=foot, normal=normal, tangents=tangents, N=N, T=tangents @ V)
 
-    def flexibility(self, x: Floats, meeting: Meeting) -> Floats:
+    def flexibility(self, x: Floats, kinematics: ContactKinematics) -> Floats:
         """R (m, m) along the normals, zero for points without compliance."""
         R = np.zeros((self.count, self.count))
         for contact, rows in zip(self.contacts, self.rows, strict=True):
@@ -209,7 +218,7 @@ class Contacts:
                 continue
             local = [
                 self.assembly.place(p, x).axes.T @ n
-                for p, n in zip(contact.points, meeting.normal[rows], strict=True)
+                for p, n in zip(contact.points, kinematics.normal[rows], strict=True)
             ]  # fmt: skip
             rotated = np.zeros((len(contact.compliance), len(contact.points)))
             for i, n in enumerate(local):
@@ -223,26 +232,26 @@ class Contacts:
         s = min(3e-3 / max([1e-300, *turning]), h)
 
         def at(k: int) -> Floats:
-            meeting = self.meet(self.assembly.moved(x, k * s * v))
-            return np.concatenate(((meeting.N[rows] @ v)[:, None], meeting.T[rows] @ v), axis=1)
+            kinematics = self.kinematics(self.assembly.moved(x, k * s * v))
+            return np.concatenate(((kinematics.N[rows] @ v)[:, None], kinematics.T[rows] @ v), axis=1)
 
         change = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * s)
         return change[:, 0], change[:, 1:]
 
     def _moving(self) -> list[int]:
-        found = {i for c in self.contacts for one in c.components if (i := self.assembly.index(one)) is not None}
-        return sorted(found)
+        numbers = (self.assembly.index(body) for contact in self.contacts for body in contact.components)
+        return sorted({i for i in numbers if i is not None})
 
     def stiffness(self, x: Floats, force: Floats, friction: Floats, step: float = 1e-6) -> Floats:
-        """(k, k): derivative of minus the contact forces by the configuration, for speed of Newton's method only."""
+        """(k, k): derivative of minus the contact forces by the configuration, for Newton's method only."""
         size = self.assembly.size
         K = np.zeros((size, size))
         if not force.any():
             return K
 
         def pull(at: Floats) -> Floats:
-            meeting = self.meet(at)
-            return np.asarray(-(force @ meeting.N) - np.einsum("ia,iak->k", friction, meeting.T))
+            kinematics = self.kinematics(at)
+            return np.asarray(-(force @ kinematics.N) - np.einsum("ia,iak->k", friction, kinematics.T))
 
         base = pull(x)
         for i in self._moving():
@@ -267,7 +276,7 @@ def _tangents(normal: Floats, first: Floats, axes: Floats) -> Floats:
 
 
 def _surface_motion(
-    on: Place, corners: Sequence[Place], foot: Floats, vertices: NDArray[np.int_], weights: Floats
+    on: MarkerState, corners: Sequence[MarkerState], foot: Floats, vertices: NDArray[np.int_], weights: Floats
 ) -> Floats:
     """(3, k): velocity of the material point of the surface at ``foot`` per velocity of its body."""
     if not corners:

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.multibody.bodies import FlexibleBody
-from morembs.multibody.component import Component, FixedMarker, Marker, Place
+from morembs.multibody.component import Component, FixedMarker, Marker, MarkerState
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.path_place import PathPlace
+from morembs.multibody.sliding.path import PathState
 from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, Switching, active_set
 
 Floats = NDArray[np.float64]
@@ -115,9 +115,9 @@ class SwitchingBody(Component):
         """Refuse a floating frame so far from its body that restarts at switches lose their digits."""
         if not isinstance(self.inner, FlexibleBody):
             return
-        its = self.inner.frame.integrals
-        center = its.first / its.mass
-        about_center = np.trace(its.inertia) / (2 * its.mass) - center @ center
+        integrals = self.inner.frame.integrals
+        center = integrals.first / integrals.mass
+        about_center = np.trace(integrals.inertia) / (2 * integrals.mass) - center @ center
         if center @ center > FARTHEST**2 * about_center:
             raise InputError(
                 f"{label}: the origin of its frame is {np.linalg.norm(center):.4g} m from its centre of mass, more "
@@ -154,31 +154,31 @@ class SwitchingBody(Component):
 
     def active_of(self, firsts: tuple[int, ...]) -> Active:
         """The active set of windows that begin at these nodes."""
-        found = self._active.get(firsts)
-        if found is None:
-            found = self._active[firsts] = self._make(firsts)
+        active = self._active.get(firsts)
+        if active is None:
+            active = self._active[firsts] = self._make(firsts)
             if len(self._active) > _KEPT:
                 self._active.popitem(last=False)
-        return found
+        return active
 
     def _make(self, firsts: tuple[int, ...]) -> Active:
-        its = self.switching
-        read = tuple(its.of_nodes(first, self.width) for first in firsts)
+        tables = self.switching
+        read = tuple(tables.of_nodes(first, self.width) for first in firsts)
         # Beyond this many elastic coordinates nothing here grows: neither with all candidates nor with the model.
-        rows = tuple(np.zeros((6 + len(one), self.size)) for one in read)
-        for table, one in zip(rows, read, strict=True):
-            table[6:, self.in_v] = its.modes[one] @ self.map
-        R = tuple(its.R(one) for one in read)
+        rows = tuple(np.zeros((6 + len(window), self.size)) for window in read)
+        for table, window in zip(rows, read, strict=True):
+            table[6:, self.in_v] = tables.modes[window] @ self.map
+        R = tuple(tables.R(window) for window in read)
         if self.variant != "dynamic":
             return Active(None, np.zeros((self.inner.size, 0)), read, tuple(map(frozen, rows)), R)
         together = np.unique(np.concatenate(read))
-        chosen = active_set(its, together)
+        chosen = active_set(tables, together)
         pad = self.extra - chosen.rank
         Y = np.hstack([chosen.Y, np.zeros((len(together), pad))])
         chosen = ActiveSet(together, Y, np.concatenate([chosen.omega, np.full(pad, chosen.omega[0])]))
-        for table, one in zip(rows, read, strict=True):
-            table[6:, self.inner.size :] = its.R(one, together) @ Y
-        on_inner = self.all_inner.T @ (its.coupling[:, together] @ Y)
+        for table, window in zip(rows, read, strict=True):
+            table[6:, self.inner.size :] = tables.R(window, together) @ Y
+        on_inner = self.all_inner.T @ (tables.coupling[:, together] @ Y)
         return Active(chosen, on_inner, read, tuple(map(frozen, rows)), R)
 
     def on_inner(self, active: Active, inner: Floats) -> Floats:
@@ -224,11 +224,11 @@ class SwitchingBody(Component):
         M[k:, :k] = M[:k, k:].T
         M[k:, k:] = np.eye(self.extra)
         g[:k] = g_inner
-        its = active.set
-        if its is not None:
-            g[k:] = its.omega * (its.omega * z + 2 * self.damping_ratio * v[k:])
+        modes = active.set
+        if modes is not None:
+            g[k:] = modes.omega * (modes.omega * z + 2 * self.damping_ratio * v[k:])
             if gravity.any():
-                g[k:] -= (self._axes(inner).T @ gravity) @ (self.switching.static_weight[its.candidates].T @ its.Y)
+                g[k:] -= (self._axes(inner).T @ gravity) @ (self.switching.static_weight[modes.candidates].T @ modes.Y)
         return M, g
 
     def _axes(self, inner: Floats) -> Floats:
@@ -238,19 +238,23 @@ class SwitchingBody(Component):
         inner, z = self.split(x)
         k = self.inner.size
         T, U = self.inner.energy(inner, v[:k], gravity)
-        its = self.active(x)
-        if its.set is None:
+        active = self.active(x)
+        if active.set is None:
             return T, U
-        weight = self._axes(inner).T @ gravity @ self.switching.static_weight[its.set.candidates].T @ its.set.Y
-        T += float(0.5 * v[k:] @ v[k:] + v[:k] @ self.on_inner(its, inner) @ v[k:])
-        return T, U + float(0.5 * (its.set.omega * z) @ (its.set.omega * z) - weight @ z)
+        weight = self._axes(inner).T @ gravity @ self.switching.static_weight[active.set.candidates].T @ active.set.Y
+        T += float(0.5 * v[k:] @ v[k:] + v[:k] @ self.on_inner(active, inner) @ v[k:])
+        return T, U + float(0.5 * (active.set.omega * z) @ (active.set.omega * z) - weight @ z)
 
     def power(self, x: Floats, v: Floats) -> float:
         inner, _ = self.split(x)
         k = self.inner.size
-        its = self.active(x).set
-        lost = 0.0 if its is None else 2 * self.damping_ratio * float(its.omega @ v[k:] ** 2)
+        modes = self.active(x).set
+        lost = 0.0 if modes is None else 2 * self.damping_ratio * float(modes.omega @ v[k:] ** 2)
         return self.inner.power(inner, v[:k]) - lost
+
+    def deflection(self, x: Floats) -> float | None:
+        """That of the constant basis."""
+        return self.inner.deflection(self.split(x)[0])
 
     def path(self, window: int = 0) -> PathMarker:
         """The path as the slider of that number sees it."""
@@ -265,8 +269,8 @@ class SwitchingBody(Component):
         word, _, number = name.partition(" ")
         if word == "path" and number.isdigit():
             return self.path(int(number))
-        found = self.inner.marker(name)
-        return found if isinstance(found, FixedMarker) else InnerMarker(self, name, found)
+        inner = self.inner.marker(name)
+        return inner if isinstance(inner, FixedMarker) else InnerMarker(self, name, inner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +281,10 @@ class InnerMarker(Marker):
     name: str
     inner: Marker
 
-    def place(self, x: Floats) -> Place:
+    def place(self, x: Floats) -> MarkerState:
         place = self.inner.place(self.component.split(x)[0])
         extra = np.zeros((len(place.jacobian), self.component.extra))
-        return Place(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
+        return MarkerState(position=place.position, axes=place.axes, jacobian=np.hstack((place.jacobian, extra)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +295,7 @@ class PathMarker(Marker):
     name: str
     window: int
 
-    def place(self, x: Floats) -> PathPlace:
+    def place(self, x: Floats) -> PathState:
         body = self.component
         inner, z = body.split(x)
         active, k = body.active(x), body.inner.size
@@ -302,7 +306,7 @@ class PathMarker(Marker):
             position, axes, jacobian = inner[:3], inner[3:12].reshape(3, 3), jacobian.copy()
             jacobian[:3, :3] = np.eye(3)
             jacobian[3:6, 3:6] = axes
-        return PathPlace(
+        return PathState(
             position=position, axes=axes, jacobian=jacobian, switching=body.switching, candidates=read,
             amplitudes=amplitudes, R=active.R[self.window], offset=body.origin,
             first=body.firsts(x)[self.window], width=body.width, interpolation=body.interpolation,

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from morembs.errors import InputError
+from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, _points, foot_at
 from morembs.multibody.rotations import cross
-from morembs.multibody.surfaces import Foot, NodalSurface, _points, foot_at
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -132,6 +132,7 @@ class TriangleSurface(NodalSurface):
     _: KW_ONLY
     name: str = "surface"
     shift: Floats | None = field(default=None, repr=False)
+    neighbours: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         points = _points(f"surface {self.name!r}", self.vertices, 2)
@@ -146,11 +147,11 @@ class TriangleSurface(NodalSurface):
         normals = self._check_normals(points, normals, triangles, across)
         patches = [_patch(points[t], normals[t]) for t in triangles]
         tree = cKDTree(points[triangles].mean(axis=1))
-        made = {
+        values = {
             "points": points, "vertices": points, "triangles": triangles, "normals": normals, "_patches": patches,
-            "_neighbours": neighbours, "_tree": tree,
+            "neighbours": neighbours, "_tree": tree,
         }  # fmt: skip
-        for key, value in made.items():
+        for key, value in values.items():
             object.__setattr__(self, key, value)
 
     def _check(self, points: Floats, triangles: Ints) -> Floats:
@@ -171,19 +172,19 @@ class TriangleSurface(NodalSurface):
 
     def _neighbours(self, triangles: Ints) -> Ints:
         """(t, 3): the triangle over the edge opposite to each corner, -1 at a border."""
-        found: dict[tuple[int, int], tuple[int, int]] = {}
+        of_edge: dict[tuple[int, int], tuple[int, int]] = {}
         for t, corners in enumerate(triangles.tolist()):
             for k in range(3):
                 edge = corners[(k + 1) % 3], corners[(k + 2) % 3]
-                if edge in found:
+                if edge in of_edge:
                     raise InputError(
-                        f"surface {self.name!r}: triangles {found[edge][0]} and {t} run along the edge {edge} in the "
+                        f"surface {self.name!r}: triangles {of_edge[edge][0]} and {t} run along the edge {edge} in the "
                         "same sense; expected all triangles turned alike, and two at an edge at most"
                     )
-                found[edge] = t, k
+                of_edge[edge] = t, k
         result = np.full((len(triangles), 3), -1)
-        for (a, b), (t, k) in found.items():
-            result[t, k] = found.get((b, a), (-1, 0))[0]
+        for (a, b), (t, k) in of_edge.items():
+            result[t, k] = of_edge.get((b, a), (-1, 0))[0]
         return result
 
     def _check_normals(self, points: Floats, normals: Floats, triangles: Ints, across: Floats) -> Floats:
@@ -217,7 +218,7 @@ class TriangleSurface(NodalSurface):
         across = cross(slope[1] - slope[0], slope[2] - slope[0])
         return np.asarray(across / np.linalg.norm(across))
 
-    def nearest(self, point: Floats) -> Foot:
+    def nearest(self, point: Floats) -> ClosestPoint:
         seen: set[int] = set()
         triangle = int(self._tree.query(point)[1])  # type: ignore[attr-defined]
         best: tuple[float, int, Floats] | None = None
@@ -226,7 +227,7 @@ class TriangleSurface(NodalSurface):
             b, distance = self._foot(triangle, point)
             if best is None or distance < best[0]:
                 best = distance, triangle, b
-            around = self._neighbours[triangle]  # type: ignore[index]
+            around = self.neighbours[triangle]
             over = [int(around[k]) for k in range(3) if b[k] <= 1e-9 and around[k] >= 0 and int(around[k]) not in seen]
             if not over:
                 break
@@ -265,15 +266,15 @@ def _in_triangle(b: Floats, J: Floats) -> Floats:
     if b.min() >= 0:
         return b
     corners = np.vstack((J, np.zeros(3)))
-    target, best, found = b @ corners, np.inf, b
+    target, best, nearest = b @ corners, np.inf, b
     for i, k in ((0, 1), (1, 2), (2, 0)):
         d = corners[k] - corners[i]
         s = min(max(float((target - corners[i]) @ d / (d @ d)), 0.0), 1.0)
         away = float(np.linalg.norm(corners[i] + s * d - target))
         if away < best:
-            best, found = away, np.zeros(3)
-            found[i], found[k] = 1 - s, s
-    return found
+            best, nearest = away, np.zeros(3)
+            nearest[i], nearest[k] = 1 - s, s
+    return nearest
 
 
 def _mean_normals(points: Floats, triangles: Ints, across: Floats) -> Floats:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.component import Marker, Place, direction
+from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.forces import Force, Load, _load
-from morembs.multibody.integrate import State
 from morembs.multibody.joints import Constraint, Rows
-from morembs.multibody.path_place import PathPlace, PointOfPath
 from morembs.multibody.rotations import cross
-from morembs.multibody.switching import PathMarker
+from morembs.multibody.sliding.body import PathMarker
+from morembs.multibody.sliding.path import PathState, PointOfPath
+from morembs.multibody.system import State
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,8 +34,8 @@ class Slider:
         """Position at a state, m; None where it does not touch the path."""
 
 
-def _path(place: Place) -> PathPlace:
-    if not isinstance(place, PathPlace):
+def _path(place: MarkerState) -> PathState:
+    if not isinstance(place, PathState):
         raise InputError("a slider was given another marker than a path; take body.path()")
     return place
 
@@ -59,16 +59,16 @@ class MovingLoad(Force, Slider):
     def along(self, state: State) -> float | None:
         return float(self.position(state.time)) if self._law(state.time).any() else None
 
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         force = self._law(t)
         if not force.any():
             return (np.zeros(len(places[0].jacobian)),)
         return (_path(places[0]).at(float(self.position(t))).wrench(force),)
 
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         return 0.0
 
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         return float(self.wrenches(t, places, twists)[0] @ twists[0])
 
 
@@ -121,7 +121,7 @@ class PointOnPath(Constraint, Slider):
     def along(self, state: State) -> float | None:
         return _nearest(state, self.first, self.second)
 
-    def rows(self, a: Place, b: Place) -> Rows:
+    def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         place = _path(a)
         here = place.at(place.nearest(b.position))
         across, _ = _across(here, self.e)
@@ -167,7 +167,7 @@ class PathSupport(Force, Slider):
     def along(self, state: State) -> float | None:
         return _nearest(state, self.first, self.second)
 
-    def _compliance(self, place: PathPlace, s: float) -> tuple[float, Floats, PointOfPath]:
+    def _compliance(self, place: PathState, s: float) -> tuple[float, Floats, PointOfPath]:
         """Compliance along the first direction across, that direction, and the point."""
         here = place.at(s)
         normal = _across(here, self.e)[0][0]
@@ -181,7 +181,7 @@ class PathSupport(Force, Slider):
             )
         return value, normal, here
 
-    def _law(self, places: Sequence[Place]) -> tuple[Floats, float, float, PointOfPath]:
+    def _law(self, places: Sequence[MarkerState]) -> tuple[Floats, float, float, PointOfPath]:
         """Force on the rider (3,), gap, compliance, and the point."""
         place, rider = _path(places[0]), places[1].position
         s = place.nearest(rider)
@@ -194,15 +194,15 @@ class PathSupport(Force, Slider):
         force = -gap / value * normal + drift * here.slope / (here.slope @ here.slope)
         return force, gap, value, here
 
-    def wrenches(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> Sequence[Floats]:
+    def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         force, _, _, here = self._law(places)
         on_rider = np.zeros(len(places[1].jacobian))
         on_rider[:3] = force
         return here.wrench(-force), on_rider
 
-    def stored(self, places: Sequence[Place]) -> float:
+    def stored(self, places: Sequence[MarkerState]) -> float:
         _, gap, value, _ = self._law(places)
         return 0.5 * gap * gap / value
 
-    def power(self, t: float, places: Sequence[Place], twists: Sequence[Floats]) -> float:
+    def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
         return 0.0
