@@ -55,7 +55,8 @@ class Statics:
 
     def __init__(self, pencil: DynamicStiffness, Z: Floats) -> None:
         self.pencil, self.Z = pencil, Z
-        supported = sprung(pencil.lower, support_dofs(Z), pencil.budget) if Z.shape[1] else pencil.lower
+        self.supports = support_dofs(Z)
+        supported = sprung(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
         solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
@@ -67,6 +68,13 @@ class Statics:
     def apply(self, F: Floats) -> Floats:
         """K_c^-1 F (N, k): displacements with the supports on springs."""
         return np.asarray(self.factor.solve(F))
+
+    def supported(self, U: Floats) -> Floats:
+        """K_c U (N, k): forces with the supports on springs."""
+        lower = self.pencil.lower
+        F = np.asarray(lower @ U)
+        F[self.supports] += lower.diagonal()[self.supports, None] * U[self.supports]
+        return F
 
     def close(self) -> None:
         """Give the factor's memory back."""
