@@ -40,7 +40,7 @@ DECADES = 12
 SUPPORTS = ("free", "one direction", "point", "hinge", "all", "everywhere")
 FAMILIES = ("springs", "beams", "solid")
 # Relative error that no double solution needs to beat, and how many times the rounding of K a mode may be off.
-FINE, ROUNDING = 1e-6, 4.0
+FINE, ROUNDING = 1e-5, 4.0
 # No more than this, whatever the rounding: the program has to refuse then.
 WRONG = 1e-2
 MODES = 8
@@ -67,12 +67,14 @@ class Case:
         )  # fmt: skip
 
 
-def random_case(rng: np.random.Generator) -> Case:
-    """A connected structure, links far stiffer than it, a ground far softer, in random units."""
+def random_case(rng: np.random.Generator, largest: int = 200) -> Case:
+    """A connected structure of up to ``largest`` dofs, links far stiffer, a ground far softer, in random units."""
     family, support = str(rng.choice(FAMILIES)), str(rng.choice(SUPPORTS))
     make = {"springs": _springs, "beams": _beams, "solid": _solid}[family]
     while True:
         xyz, component, node, K, M = make(rng)
+        if len(K) > largest:
+            continue
         dofs = DofMap(node=node, component=component)
         base = float(np.median(np.diag(K)[component < 3]))
         spread = float(rng.uniform(0, DECADES))
@@ -151,7 +153,7 @@ def _beam(a: Floats, b: Floats, EA: float, EIy: float, EIz: float, GJ: float) ->
 
 def _solid(rng: np.random.Generator) -> tuple[Floats, NDArray, NDArray, Long, Floats]:  # type: ignore[type-arg]
     """A warped block of linear tetrahedra, six to a cell."""
-    cells = rng.integers(1, 4, 3)
+    cells = rng.integers(1, 3, 3)
     grid = np.stack(np.meshgrid(*(np.arange(k + 1) for k in cells), indexing="ij"), axis=-1).reshape(-1, 3)
     number = {tuple(p): i for i, p in enumerate(grid.tolist())}
     xyz = (grid + rng.uniform(-0.15, 0.15, grid.shape)) * rng.uniform(0.05, 1.0, 3)
@@ -245,10 +247,10 @@ class Eliminated:
 
 
 def exact_modes(case: Case) -> tuple[Floats, Floats]:
-    """The lowest elastic eigenvalues and vectors (N, m), by inverse iteration in extended precision."""
+    """The lowest eigenvalues and vectors (N, m), rigid motions first, by inverse iteration in extended precision."""
     K, M = case.K, case.M.astype(np.longdouble)
     values, V = sl.eigh(K.astype(float), case.M)
-    highest, p = float(values[-1]), min(MODES + 10, len(K))
+    highest, p = float(values[-1]), min(case.free + MODES + 10, len(K))
     V = V[:, :p].astype(np.longdouble)
     for shift in (1e-13 * highest, None):
         # Rigid motions have no stiffness; the last shift stays far below what is wanted.
@@ -261,7 +263,8 @@ def exact_modes(case: Case) -> tuple[Floats, Floats]:
                 V[:, k] /= np.sqrt(V[:, k] @ (M @ V[:, k]))
             V = V @ _jacobi(np.asarray(V.T @ (M @ inverse.solve(M @ V))))
             values = np.array([float(v @ (K @ v) / (v @ (M @ v))) for v in V.T])
-    return values[case.free :][:MODES], np.asarray(V[:, case.free :][:, :MODES], dtype=float)
+    values[: case.free] = 0.0
+    return values[: case.free + MODES], np.asarray(V[:, : case.free + MODES], dtype=float)
 
 
 def _jacobi(T: Long) -> Long:
@@ -292,8 +295,9 @@ class Verdict:
 
 def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
     """What the program makes of ``case``."""
-    values, vectors = exact_modes(case)
+    every, vectors = exact_modes(case)
     rounding = EPS * np.einsum("ij,ij->j", np.abs(vectors), np.abs(case.K).astype(float) @ np.abs(vectors))
+    values = every[case.free :]
     # Half a mode away from the next, and far below the first.
     omega = np.sqrt(values[0]) * np.array([0.03, 0.5]), np.sqrt(values[0]) + 0.4 * np.diff(np.sqrt(values[:2]))
     omega = np.concatenate(omega)
@@ -313,13 +317,13 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
     except MorembsError as error:
         return Verdict(kind="refused", words=str(error))
     H = _responses(case.K, case.M, B, B.T, omega)
-    near = np.abs(values[:, None] - omega**2)
+    near = np.abs(every[:, None] - omega**2)
     slack = FINE + ROUNDING * (rounding[:, None] / near).max(axis=0)
     for body in bodies:
         if body.recipe["method"] != "auto":
             found = _frequencies(body, 0.03 * values[0])[case.free :][: len(values)]
             off = np.abs(found / values[: len(found)] - 1) / 2
-            limit = np.minimum(FINE + ROUNDING * rounding / values, WRONG)[: len(found)]
+            limit = np.minimum(FINE + ROUNDING * rounding[case.free :] / values, WRONG)[: len(found)]
             worst = max(worst, float(off.max()))
             if not (off <= limit).all():
                 k = int(np.argmax(off / limit))
@@ -353,8 +357,8 @@ def _automatic(problem: Problem, omega: Floats) -> ReducedModel:
     band = [float(omega[0]) / 7, float(omega[-1]) / 6]
     body = Automatic(band_hz=band, tolerance=TOLERANCE).reduce(problem)
     (made,) = certify(problem, [body], np.linspace(*band, 9) + 1e-4 * band[0])
-    over = made.error > made.bound + made.reference_error
-    if made.bound_kind == "bound" and (over.any() or not np.isfinite(made.bound).all()):
+    over = ~(made.error <= made.bound + 1e-10 + 10 * made.reference_error)
+    if made.bound_kind == "bound" and over.any():
         raise ArithmeticError(f"proven bound {made.bound[over]} below the measured error {made.error[over]}")
     return body
 
@@ -366,12 +370,17 @@ def _responses(K: Floats | Long, M: Floats, B: Floats, C: Floats, omega: Floats)
     return np.array(found).astype(float)
 
 
-def main(count: int, seed: int, *, only: int | None = None, automatic: int = 5) -> list[tuple[Case, Verdict]]:
-    """The verdicts on ``count`` models of ``seed``; ``automatic`` every how many go through method "auto" too."""
+def main(
+    count: int, seed: int, *, only: int | None = None, automatic: int = 10, largest: int = 200
+) -> list[tuple[Case, Verdict]]:
+    """The verdicts on ``count`` models of ``seed`` of up to ``largest`` dofs.
+
+    ``automatic``: every how many go through method "auto" too.
+    """
     found = []
     for number in range(count) if only is None else [only]:
         rng = np.random.default_rng([seed, number])
-        case = random_case(rng)
+        case = random_case(rng, largest)
         try:
             verdict = check(case, rng, automatic=number % automatic == 0)
         except Exception as error:
@@ -380,7 +389,7 @@ def main(count: int, seed: int, *, only: int | None = None, automatic: int = 5) 
             if only is not None:
                 traceback.print_exc()
         found.append((case, verdict))
-        if verdict.kind == "wrong" or only is not None:
+        if verdict.kind != "right" or only is not None:
             _say(f"{verdict.kind}: --seed {seed} --only {number}: {case.words}: {verdict.words} ({verdict.error:.1e})")
     return found
 

@@ -100,8 +100,10 @@ def lowest_modes(
 
 
 def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
-    C = dense(pencil.C)
-    Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
+    # Displacements and rotations, whatever their units, count alike.
+    s = 1.0 / np.sqrt(np.maximum(pencil.statics.pencil.lower.diagonal(), np.finfo(float).tiny))[:, None]
+    C = s * dense(pencil.C)
+    Q = s * (sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0]))
     K = Q.T @ (pencil.statics.pencil.lower @ Q)
     Mq = Q.T @ (M @ Q)
     values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))

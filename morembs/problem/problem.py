@@ -99,7 +99,12 @@ class Problem:
     def length(self) -> float:
         """Radius of gyration in m: it turns rotations and moments into the units of motions and forces."""
         mass, _, inertia = self.mass_properties
-        return float(np.sqrt(np.trace(inertia) / (2 * mass)))
+        turning = float(np.trace(inertia))
+        if not turning > 0:
+            # Masses that differ along x, y and z have no centre; about the middle of the nodes there is an inertia.
+            R = self.coupling.R[:, 3:]
+            turning = float(np.einsum("ij,ij->", R, self.M @ R))
+        return float(np.sqrt(turning / (2 * mass))) if turning > 0 and mass > 0 else 1.0
 
     @cached_property
     def motion_scale(self) -> Floats:
@@ -120,7 +125,7 @@ class Problem:
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
         try:
-            statics = Statics(self.stiffness, self.rigid)
+            statics = Statics(self.stiffness, self.rigid, self._held)
         except SingularMatrixError as error:
             raise SingularMatrixError(self._mechanism()) from error
         try:
@@ -237,7 +242,7 @@ class Problem:
         Raises:
             SolverError: as said.
         """
-        held = self._held
+        held = statics.held
         if not held.shape[1]:
             return
         found = statics.apply(statics.supported(held)) - held

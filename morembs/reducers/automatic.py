@@ -320,7 +320,7 @@ class _Election:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(GREEDY_STEPS):
-            blocks = [self.F / (values - shift**2)[:, None] for shift in shifts]
+            blocks = [self.F / _apart(values - shift**2, NOISE * values)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
@@ -341,6 +341,11 @@ class _Election:
         """Static responses first, then modes in the order of their frequencies."""
         static = self._orthonormal(self.F / self.reference.values[:, None])
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
+
+
+def _apart(a: Floats, least: Floats) -> Floats:
+    """``a`` (k,), kept ``least`` (k,) away from zero: beside a resonance that a shift hits."""
+    return np.where(np.abs(a) < least, least, a)
 
 
 def _parts(states: Sequence[NDArray[Any]]) -> Floats:
