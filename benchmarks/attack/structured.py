@@ -309,7 +309,7 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
         with Problem(model, interfaces) as problem:
             if problem.rigid.shape[1] != case.free:
                 return Verdict(kind="wrong", words=f"{problem.rigid.shape[1]} rigid motions, {case.free} expected")
-            B = problem.B.toarray()
+            B, S = problem.B.toarray(), np.outer(problem.motion_scale, problem.motion_scale)
             bodies = [Modal(modes=MODES if len(B) - case.free > MODES else 2).reduce(problem)]
             bodies.append(_whole(problem))
             if automatic:
@@ -332,7 +332,7 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
         if body.recipe["method"] == "modal":
             continue
         mine = _responses(body.K, body.M, body.B, body.C, omega)
-        off = np.linalg.norm(mine - H, axis=(1, 2)) / np.linalg.norm(H, axis=(1, 2))
+        off = np.linalg.norm((mine - H) * S, axis=(1, 2)) / np.linalg.norm(H * S, axis=(1, 2))
         limit = np.minimum(slack + (TOLERANCE if body.recipe["method"] == "auto" else 0.0), WRONG)
         worst = max(worst, float(off.max()))
         if not (off <= limit).all():

@@ -40,7 +40,8 @@ def block(link: float, spring: float = SPRING, everywhere: bool = False) -> FEMo
     held = range(3 * n) if everywhere else (2, 3 * 2 + 2, 3 * 6 + 2, 1, 3 * 4 + 1, 3 * 3)
     for dof in held:
         K[dof, dof] += spring
-    return FEModel(K=K, M=np.eye(3 * n) * MASS / n, nodes=Nodes(ids=np.arange(n), xyz=CORNERS), dofs=DofMap.translations(n))
+    nodes = Nodes(ids=np.arange(n), xyz=CORNERS)
+    return FEModel(K=K, M=np.eye(3 * n) * MASS / n, nodes=nodes, dofs=DofMap.translations(n))
 
 
 def rigid_block(model: FEModel) -> np.ndarray:
@@ -98,7 +99,7 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
 
 
 def test_a_support_within_round_off_is_refused() -> None:
-    with pytest.raises(InputError, match="cannot be told from round-off.*leave the support out"):
+    with pytest.raises(InputError, match=r"cannot be told from round-off.*leave the support out"):
         Problem(block(1e11, spring=4e-3, everywhere=True))
 
 
@@ -156,7 +157,8 @@ def test_matrices_of_any_form_give_the_same_body(form) -> None:
     found = []
     for K, M in ((model.K, model.M), (form(model.K), form(model.M))):
         other = replace(model, K=K, M=M)
-        ends = [make_interface(other, name=n, nodes=where(other, 0, x), coupling="direct") for n, x in (("a", 0), ("b", 0.5))]
+        ends = [make_interface(other, name=name, nodes=where(other, 0, x), coupling="direct")
+                for name, x in (("a", 0), ("b", 0.5))]  # fmt: skip
         with Problem(other, ends) as problem:
             found.append(CraigBampton(modes=3).reduce(problem))
     assert pytest.approx(found[0].K, rel=1e-12, abs=1e-6) == found[1].K
@@ -170,3 +172,11 @@ def test_integers_and_wide_indices_are_taken_and_other_things_are_not() -> None:
     for wrong, words in (("K", "given as str"), (None, "NoneType"), (np.zeros(3), "ndarray"), (model.K[:2], "shape")):
         with pytest.raises(InputError, match=words):
             replace(model, K=wrong)
+
+
+@pytest.mark.parametrize("interfaces", ["free", "fixed"])
+def test_a_body_without_elastic_coordinates_is_refused(interfaces: str) -> None:
+    model = steel(box("hex8", (2, 1, 1), (0.5, 0.05, 0.03)))
+    end = make_interface(model, name="end", nodes=where(model, 0, 0.0), coupling="rigid")
+    with Problem(model, [end]) as problem, pytest.raises(InputError, match=r"no elastic coordinate.*at least one mode"):
+        Modal(modes=0, interfaces=interfaces).reduce(problem)
