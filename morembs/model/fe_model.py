@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -157,7 +158,7 @@ class FEModel:
         return len(self.dofs)
 
 
-def _sparse(A: object, name: str) -> sp.csr_array:
+def _sparse(A: Any, name: str) -> sp.csr_array:
     """``A`` as a sparse array of real or complex double numbers in CSR form; itself where it is one."""
     if not sp.issparse(A):
         given = type(A).__name__
