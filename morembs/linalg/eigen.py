@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
 from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.orthogonal import m_norms
 from morembs.linalg.slicing import SLICE, sliced_modes
 from morembs.linalg.statics import Restricted, dense
 from morembs.progress import SILENT, Progress
@@ -22,6 +23,8 @@ Floats = NDArray[np.float64]
 # Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
 DENSE = 1500
 DENSE_PART = 6000
+# Eigenvalues below this part of the highest one lose digits in LAPACK.
+SOFT = 1e-6
 # A Sturm count needs a shift in a gap: neighbours closer than this are one cluster.
 GAP = 1e-6
 # More modes than this of a large model are a mistake in the limit, not a reduction.
@@ -97,16 +100,35 @@ def lowest_modes(
 
 
 def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
-    C = dense(pencil.C)
-    Q = sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0])
+    # Displacements and rotations, whatever their units, count alike.
+    s = 1.0 / np.sqrt(np.maximum(pencil.statics.pencil.lower.diagonal(), np.finfo(float).tiny))[:, None]
+    C = s * dense(pencil.C)
+    Q = s * (sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0]))
     K = Q.T @ (pencil.statics.pencil.lower @ Q)
     Mq = Q.T @ (M @ Q)
     values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
+    vectors = Q @ vectors
+    # LAPACK has the lowest modes to eps of the highest eigenvalue only.
+    soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
+    if soft:
+        values[:soft], vectors[:, :soft] = _sharpened(pencil, M, vectors[:, :soft])
     m = int((values <= below).sum()) if count is None and below is not None else count
-    vectors = signed(Q @ vectors[:, :m])
+    vectors = signed(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
     held = float(values[m]) if m is not None and m < len(values) else np.inf
     return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held)
+
+
+def _sharpened(pencil: Restricted, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
+    """Modes near span(V) (N, k), M-orthonormal, by inverse iteration: to eps of what they are made of."""
+    for _ in range(2):
+        V = pencil.flexibility(M @ V)
+        V /= m_norms(V, M @ V)
+        K, G = V.T @ (pencil.statics.pencil.lower @ V), V.T @ (M @ V)
+        # The inverse pencil has its largest values, which LAPACK knows best, for the lowest modes.
+        theta, Y = sl.eigh(0.5 * (G + G.T), 0.5 * (K + K.T))
+        values, V = 1.0 / theta[::-1], V @ (Y[:, ::-1] / np.sqrt(theta[::-1]))
+    return values, V
 
 
 def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:

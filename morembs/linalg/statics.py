@@ -31,7 +31,11 @@ from morembs.linalg.sparse.symmetric import Lower
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-IMPOSED = 1e-6
+# Error of unit interface motions that is refused, and the one before any refinement, beyond which the condensed
+# stiffness has lost too much; the error that is not refined any more, and the number of steps.
+IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
+# Part of the energy of a soft motion that the condensed stiffness may miss.
+ENERGY = 1e-5
 # Beside a Sturm count: columns of length n, and bytes for buffers of the libraries.
 COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
@@ -48,14 +52,17 @@ def support_dofs(Z: Floats) -> Ints:
 class Statics:
     """K_c^-1 of the stiffness of ``pencil`` (N, N), positive semidefinite with null space ``Z`` (N, r).
 
+    ``held`` (N, h) are rigid motions that the stiffness holds, perhaps softly.
+
     Raises:
         SingularMatrixError: K has more zero-energy motions than Z.
         SolverError: no method fits into the memory budget.
     """
 
-    def __init__(self, pencil: DynamicStiffness, Z: Floats) -> None:
-        self.pencil, self.Z = pencil, Z
-        supported = sprung(pencil.lower, support_dofs(Z), pencil.budget) if Z.shape[1] else pencil.lower
+    def __init__(self, pencil: DynamicStiffness, Z: Floats, held: Floats | None = None) -> None:
+        self.pencil, self.Z, self.held = pencil, Z, Z[:, :0] if held is None else held
+        self.supports = support_dofs(Z)
+        supported = sprung(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
         solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
@@ -67,6 +74,13 @@ class Statics:
     def apply(self, F: Floats) -> Floats:
         """K_c^-1 F (N, k): displacements with the supports on springs."""
         return np.asarray(self.factor.solve(F))
+
+    def supported(self, U: Floats) -> Floats:
+        """K_c U (N, k): forces with the supports on springs."""
+        lower = self.pencil.lower
+        F = np.asarray(lower @ U)
+        F[self.supports] += lower.diagonal()[self.supports, None] * U[self.supports]
+        return F
 
     def close(self) -> None:
         """Give the factor's memory back."""
@@ -135,19 +149,47 @@ class Restricted:
         """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c)."""
         if self.border is None:
             return np.zeros((len(self.statics.Z), 0)), np.zeros((0, 0))
-        rhs = np.zeros((len(self.scale), self.count))
-        rhs[: self.count] = -np.eye(self.count)
-        both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
-        lam = both[: self.count]
-        U = self.statics.Z @ both[self.count :] - self.X @ lam
-        top = self.scale[: self.count, None]
-        off = float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
-        if off > IMPOSED:
+        U, lam = np.zeros((len(self.statics.Z), self.count)), np.zeros((self.count, self.count))
+        rhs, top = np.zeros((len(self.scale), self.count)), self.scale[: self.count, None]
+        for step in range(REFINED):
+            # Stiff links between interfaces cost the bordered system digits, which refinement regains.
+            rhs[: self.count] = self.C.T @ U - np.eye(self.count)
+            both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
+            lam += both[: self.count]
+            U += self.statics.Z @ both[self.count :] - self.X @ both[: self.count]
+            off = float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
+            if off <= EXACT or not off <= (FIRST if step == 0 else IMPOSED):
+                break
+        if not off <= IMPOSED:
             raise SolverError(
                 f"unit interface motions could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); interface points "
                 "far from the body, or interfaces that nearly depend on each other, take the digits"
             )
-        return U, -0.5 * (lam + lam.T)
+        condensed = -0.5 * (lam + lam.T)
+        self._refuse_lost_energy(U, condensed)
+        return U, condensed
+
+    def _refuse_lost_energy(self, U: Floats, condensed: Floats) -> None:
+        """Refuse a condensed stiffness that gives soft rigid motions another energy than the motions have themselves.
+
+        Raises:
+            SolverError: as said.
+        """
+        if not self.statics.held.shape[1]:
+            return
+        g = self.C.T @ self.statics.held
+        W = U @ g
+        true = W.T @ (self.statics.pencil.lower @ W)
+        values, Y = sl.eigh(0.5 * (true + true.T))
+        found = np.einsum("ij,ij->j", Y, g.T @ (condensed @ (g @ Y)))
+        seen = values > 1e-13 * values[-1]
+        lost = float((np.abs(found - values)[seen] / values[seen]).max(initial=0.0))
+        if not lost <= ENERGY:
+            raise SolverError(
+                f"the stiffness between the interfaces has the energy of motions on soft supports wrong by {lost:.1e} "
+                f"(needed {ENERGY:.0e}): round-off of stiff parts takes the digits; make stiff links softer, replace "
+                'them by rigid couplings, or take method = "free-interface"'
+            )
 
     def count_below(self, sigma: float) -> int:
         """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester).
@@ -237,7 +279,8 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     ``flexibility`` (c,) is the diagonal of C'K_c^+C; it vanishes for motions that are supports.
     """
     rigid = np.linalg.norm(H, axis=1)
-    known = (flexibility > 0) & (rigid > 0)
+    # Motions at a hinge have nothing but round-off there.
+    known = (flexibility > 0) & (rigid > 1e-9 * rigid.max(initial=0.0))
     ratio = float(np.median(rigid[known] / np.sqrt(flexibility[known]))) if known.any() else 1.0
     size = np.sqrt(np.maximum(flexibility, 0.0))
     least = rigid / ratio

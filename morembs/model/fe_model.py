@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -127,12 +128,16 @@ class DofMap:
 class FEModel:
     """M u'' + D u' + K u = f of a finite-element model, in SI units.
 
-    ``K``, ``M`` and optionally ``D`` are sparse symmetric (N, N) in CSR form; ``mesh`` is None for
-    models that came as matrices, ``materials`` are those that its elements were assembled with.
+    ``K``, ``M`` and optionally ``D`` are symmetric (N, N), kept as sparse arrays in CSR form; sparse matrices and
+    arrays of any form and dense arrays are taken too. ``mesh`` is None for models that came as matrices,
+    ``materials`` are those that its elements were assembled with.
 
     ``rigid`` and ``average`` elements make dofs ``dependent`` on others; the matrices cover these too, until the model
     is coupled to its interfaces. Masters and references are nodes with dofs of their own. ``notes`` say what the
     import found, ``warnings`` in what the model differs from its source; they go with it into every body.
+
+    Raises:
+        InputError: matrices of another shape or of something else than numbers.
     """
 
     K: sp.csr_array
@@ -152,9 +157,12 @@ class FEModel:
     def __post_init__(self) -> None:
         n = len(self.dofs)
         for name in ("K", "M", "D"):
-            matrix = getattr(self, name)
-            if matrix is not None and matrix.shape != (n, n):
+            if name == "D" and self.D is None:
+                continue
+            matrix = _sparse(getattr(self, name), name)
+            if matrix.shape != (n, n):
                 raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
+            object.__setattr__(self, name, matrix)
 
     @property
     def size(self) -> int:
@@ -166,6 +174,24 @@ class FEModel:
         """The rigid and average elements by name; each of them can serve as an interface."""
         elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
         return {element.name: element for element in elements}
+
+
+def _sparse(A: Any, name: str) -> sp.csr_array:
+    """``A`` as a sparse array of real or complex double numbers in CSR form; itself where it is one."""
+    if not sp.issparse(A):
+        given = type(A).__name__
+        A = np.asarray(A)
+        if A.ndim != 2 or A.dtype.kind not in "biufc":
+            raise InputError(f"{name} was given as {given}; expected a sparse matrix or a square array of numbers")
+    if A.dtype.kind not in "biufc":
+        raise InputError(f"{name} holds {A.dtype}; expected numbers")
+    kind = np.complex128 if A.dtype.kind == "c" else np.float64
+    if isinstance(A, sp.csr_array) and A.dtype == kind:
+        return A
+    # Entries that were given in parts (COO) are summed up; the caller's matrix stays as it is.
+    result = sp.csr_array(A, dtype=kind, copy=True)
+    result.sum_duplicates()
+    return result
 
 
 def skew(x: Floats) -> Floats:

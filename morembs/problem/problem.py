@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
-from morembs.errors import InputError, MorembsError, SingularMatrixError
+from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
-from morembs.linalg.congruence import congruence, max_norm
+from morembs.linalg.congruence import congruence, magnitudes, row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.rigid import strain_free
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -30,8 +31,14 @@ from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
-# A geometric rigid motion whose stiffness force stays below this part of |K| |u| is free of strain.
-STRAIN_FREE = 1e-9
+# Round-off adds up at random: part of its bound that is seen as a rule.
+AS_A_RULE = 0.1
+# Part of a static motion or of the stiffness of a mode that round-off may take.
+LOST = 1e-3
+SOFTER = (
+    "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
+    "replace them by rigid couplings, or leave a soft support to the simulation"
+)
 
 
 class Problem:
@@ -71,7 +78,7 @@ class Problem:
         self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
         self.budget.rest()
         self._refuse_unconnected()
-        self.rigid = _rigid_modes(self.K, self.M, self.coupling.R)
+        self.rigid, self._held = self._rigid_motions()
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
@@ -92,7 +99,12 @@ class Problem:
     def length(self) -> float:
         """Radius of gyration in m: it turns rotations and moments into the units of motions and forces."""
         mass, _, inertia = self.mass_properties
-        return float(np.sqrt(np.trace(inertia) / (2 * mass)))
+        turning = float(np.trace(inertia))
+        if not turning > 0:
+            # Masses that differ along x, y and z have no centre; about the middle of the nodes there is an inertia.
+            R = self.coupling.R[:, 3:]
+            turning = float(np.einsum("ij,ij->", R, self.M @ R))
+        return float(np.sqrt(turning / (2 * mass))) if turning > 0 and mass > 0 else 1.0
 
     @cached_property
     def motion_scale(self) -> Floats:
@@ -113,9 +125,15 @@ class Problem:
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
         try:
-            return Statics(self.stiffness, self.rigid)
+            statics = Statics(self.stiffness, self.rigid, self._held)
         except SingularMatrixError as error:
             raise SingularMatrixError(self._mechanism()) from error
+        try:
+            self._refuse_lost_supports(statics)
+        except MorembsError:
+            statics.close()
+            raise
+        return statics
 
     @cached_property
     def elastic(self) -> Restricted:
@@ -166,6 +184,29 @@ class Problem:
     ) -> None:
         self.close()
 
+    def _rigid_motions(self) -> tuple[Floats, Floats]:
+        """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
+
+        Raises:
+            InputError: a support so soft that it cannot be told from round-off.
+        """
+        M, R = self.M, self.coupling.R
+        moves = R[:, :3].any(axis=1)
+        # Rotations per radius, so that all motions move nodes as far.
+        radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
+        R = R / np.repeat([1.0, radius or 1.0], 3)
+        G = R.T @ (M @ R)
+        # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
+        scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
+        values, U = sl.eigh(G / np.outer(scale, scale))
+        good = values > 1e-12
+        Phi = R if good.all() else (R / scale) @ U[:, good]
+        Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
+        # Frames sum up the forces of their nodes, most of which cancel there.
+        T = abs(self.coupling.T)
+        free, held = strain_free(self.K, Phi, T.T @ magnitudes(self.model.K, T @ np.abs(Phi)))
+        return _orthonormal(free, M), _orthonormal(held, M)
+
     def _at_least(
         self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str
     ) -> Modes:
@@ -175,7 +216,43 @@ class Problem:
         )
         if known is not None and enough:
             return known
-        return lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
+        modes = lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
+        off = AS_A_RULE * self.uncertainty(modes)
+        lost = np.flatnonzero(off > LOST * modes.eigenvalues)
+        if len(lost):
+            k = int(lost[np.argmax(off[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
+            raise SolverError(
+                f"round-off in the stiffness matrix hides {len(lost)} of the {what}: that at "
+                f"{modes.frequencies_hz[k]:.6g} Hz has a stiffness of {modes.eigenvalues[k]:.3g} (rad/s)2, known to "
+                f"{off[k]:.1e} only (needed {LOST:.0e} of it); {SOFTER}"
+            )
+        return modes
+
+    def uncertainty(self, modes: Modes) -> Floats:
+        """How far round-off in K moves the eigenvalues (k,) of ``modes`` at most, in (rad/s)2: eps |phi|' |K| |phi|.
+
+        Row sums of |K| stand for its products, so that no copy of K is made.
+        """
+        weights = self.shared("row sums of |K|", lambda: row_sums(self.K))
+        return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, modes.vectors, modes.vectors))
+
+    def _refuse_lost_supports(self, statics: Statics) -> None:
+        """Refuse a factor that does not give back the rigid motions that K holds from their own forces.
+
+        Raises:
+            SolverError: as said.
+        """
+        held = statics.held
+        if not held.shape[1]:
+            return
+        found = statics.apply(statics.supported(held)) - held
+        # The motions are M-orthonormal.
+        lost = float(np.sqrt(np.linalg.norm(found.T @ (self.M @ found), 2)))
+        if not lost <= LOST:
+            raise SolverError(
+                f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
+                f"(needed {LOST:.0e}): round-off of the stiff parts takes the digits; {SOFTER}"
+            )
 
     def _refuse_unconnected(self) -> None:
         graph, starts = node_graph(self.stiffness.lower)
@@ -229,17 +306,5 @@ def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     return modes.first(count)
 
 
-def _rigid_modes(K: sp.csr_array, M: sp.csr_array, R: Floats) -> Floats:
-    """M-orthonormal basis (N, r) of the geometric motions that K leaves free of strain."""
-    G = R.T @ (M @ R)
-    # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
-    scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
-    values, U = sl.eigh(G / np.outer(scale, scale))
-    good = values > 1e-12
-    Phi = (R / scale) @ (U[:, good] / np.sqrt(values[good]))
-    Phi = Phi / np.linalg.norm(Phi, axis=0)
-    _, s, Wt = np.linalg.svd((K @ Phi) / max_norm(K), full_matrices=False)
-    Z = Phi @ Wt.T[:, s < STRAIN_FREE]
-    if Z.shape[1]:
-        Z = Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T
-    return np.asarray(Z)
+def _orthonormal(Z: Floats, M: sp.csr_array) -> Floats:
+    return np.asarray(Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T) if Z.shape[1] else Z

@@ -22,12 +22,12 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.problem import Problem
+from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.guyan import require_interfaces
-from morembs.responses.band import band_frequencies, beyond, checked_band
+from morembs.responses.band import band_frequencies, beyond, checked_band, round_off
 from morembs.responses.reference import Reference, product, reference_model
 
 Floats = NDArray[np.float64]
@@ -80,6 +80,12 @@ class Automatic(Reducer):
                 f"{reference.error:.1e} only, as the modal damping table jumps beside modes that are not resolved; "
                 "raise the tolerance, or let the ratio jump elsewhere"
             )
+        lost = self._round_off(problem, reference, omega)
+        if lost > self.tolerance:
+            raise SolverError(
+                f"tolerance = {self.tolerance:g} cannot be certified: round-off in the stiffness matrix moves the full "
+                f"response by {lost:.1e}; {SOFTER}, or raise the tolerance"
+            )
         election = _Election(problem, reference, omega, self.static_exact)
         found, best, reached = None, "", np.inf
         orders: dict[str, object] = {}
@@ -101,6 +107,10 @@ class Automatic(Reducer):
         if real > self.tolerance:
             raise self._unreachable(real)
         return basis
+
+    def _round_off(self, problem: Problem, reference: Reference, omega: Floats) -> float:
+        modes = problem.elastic_modes(below=beyond(self.band_hz[1]))
+        return float(round_off(problem, modes, omega, float(reference.values[-1])).max())
 
     def _unreachable(self, error: float) -> InputError:
         return InputError(
@@ -310,7 +320,7 @@ class _Election:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(GREEDY_STEPS):
-            blocks = [self.F / (values - shift**2)[:, None] for shift in shifts]
+            blocks = [self.F / _apart(values - shift**2, NOISE * values)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
@@ -331,6 +341,11 @@ class _Election:
         """Static responses first, then modes in the order of their frequencies."""
         static = self._orthonormal(self.F / self.reference.values[:, None])
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
+
+
+def _apart(a: Floats, least: Floats) -> Floats:
+    """``a`` (k,), kept ``least`` (k,) away from zero: beside a resonance that a shift hits."""
+    return np.where(np.abs(a) < least, least, a)
 
 
 def _parts(states: Sequence[NDArray[Any]]) -> Floats:

@@ -123,6 +123,12 @@ class Reducer(ABC):
             SingularMatrixError: the model has a mechanism.
         """
         basis = self._basis(problem, progress)
+        if set(basis.kinds) <= {"rigid"}:
+            raise InputError(
+                f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '
+                "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
+                "simulation program"
+            )
         V, budget = basis.V, problem.budget
         outputs = _interface_motions(basis, problem)
         if basis.left is None:

@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.eigen import Modes
-from morembs.problem import Problem
+from morembs.problem import AS_A_RULE, Problem
 
 Floats = NDArray[np.float64]
 POINTS = 200
 MOST_HZ = 1e12
 # The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
 BEYOND = 1.25
+# Eigenvalues of a dense symmetric matrix are known to this times eps of the highest.
+EIGEN = 4.0
 # Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
 FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
-# Round-off adds up at random: part of its bound that is seen as a rule.
-AS_A_RULE = 0.1
-_ROWS = 1 << 14
 
 
 def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = POINTS) -> Floats:
@@ -59,31 +57,16 @@ def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
     return float(band_hz[0]), float(band_hz[1])
 
 
-def uncertainty(problem: Problem, modes: Modes) -> Floats:
-    """How far round-off in K moves the eigenvalues (k,) of ``modes`` at most, in (rad/s)2: eps |phi|' |K| |phi|.
+def round_off(problem: Problem, modes: Modes, omega: Floats, highest: float) -> Floats:
+    """Error (nf,) of responses at ``omega`` that round-off causes as a rule, relative to their size.
 
-    Row sums of |K| stand for its products, so that no copy of K is made.
+    In K, and in the eigenvalues of a small model (the reference) that reach up to ``highest``, in (rad/s)2.
     """
-    weights = problem.shared("row sums of |K|", lambda: _row_sums(problem.K))
-    return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, modes.vectors, modes.vectors))
-
-
-def round_off(problem: Problem, modes: Modes, omega: Floats) -> Floats:
-    """Error (nf,) of responses at ``omega`` that round-off in K causes as a rule, relative to their size."""
     damping, values = problem.damping, modes.eigenvalues
     stiff = values * (1 + 1j * damping.structural)
     a = np.abs(stiff + 1j * omega[:, None] * damping.of_modes(values) - omega[:, None] ** 2)
-    off = uncertainty(problem, modes) / np.maximum(a, np.finfo(float).tiny)
-    return np.asarray(AS_A_RULE * off.max(axis=1, initial=0.0))
-
-
-def _row_sums(K: sp.csr_array) -> Floats:
-    sums = np.empty(K.shape[0])
-    for first in range(0, K.shape[0], _ROWS):
-        starts = K.indptr[first : first + _ROWS + 1]
-        part = np.abs(K.data[starts[0] : starts[-1]])
-        sums[first : first + len(starts) - 1] = np.add.reduceat(part, starts[:-1] - starts[0])
-    return sums
+    off = AS_A_RULE * problem.uncertainty(modes) + EIGEN * np.finfo(float).eps * highest
+    return np.asarray((off / np.maximum(a, np.finfo(float).tiny)).max(axis=1, initial=0.0))
 
 
 def beyond(high_hz: float) -> float:

@@ -1,0 +1,86 @@
+"""Which of the geometric rigid motions a stiffness leaves free: decided row by row, against round-off in that row.
+
+Under a motion phi that strains nothing the terms of a row of K phi cancel, and what is left is round-off of these
+terms: at most a few eps (|K| |phi|) in that row. A support leaves more in its own row, however stiff other rows are,
+and whatever the mesh, the units and the rest of the body. Only what the row itself has lost is lost.
+
+Numbers that were written with few digits, and bodies far from the origin, leave more than eps in most rows. Such
+residuals do work of either sign, while a soft ground (positive semidefinite) does positive work in all its rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+
+Floats = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
+# Forces against what cancels in their row: round-off up to the first (assembled bodies reach 3 eps), a support from
+# the second times as much.
+ROUND_OFF, CLEAR = 16 * EPS, 4.0
+# Entries within round-off of their own terms are zero.
+ZERO = 3 * EPS
+# Numbers of few digits, and coordinates of few digits, leave no more than this.
+FEW_DIGITS = 1e-6
+# Part of the work, summed without signs, that a soft ground does at least.
+COHERENT = 0.25
+# Times the usual residual of few digits up to which forces may be such residuals too.
+OUTLIER = 300.0
+# Part of a held motion that round-off may mix into a free one.
+MIXED = 1e-5
+
+
+def strain_free(K: sp.csr_array, Phi: Floats, size: Floats) -> tuple[Floats, Floats]:
+    """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
+
+    ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
+    that cancel in K Phi, those that cancelled while K was made among them: eps of it is round-off.
+
+    Raises:
+        InputError: a support so soft that it cannot be told from round-off.
+    """
+    force = K @ Phi
+    force[np.abs(force) <= ZERO * size] = 0.0
+    whole = size.max(axis=1, initial=0.0)[:, None]
+    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
+    level = _round_off(ratio, force * Phi)
+    held = np.abs(ratio).max(axis=1, initial=0.0) > level
+    if not held.any():
+        return Phi, Phi[:, :0]
+    _, s, Vt = np.linalg.svd(ratio[held], full_matrices=True)
+    s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
+    reach = np.abs(ratio[held] @ Vt.T).max(axis=0)
+    unclear = (reach > level) & (reach <= CLEAR * level)
+    if unclear.any():
+        raise InputError(
+            "the body is held so softly that its support cannot be told from round-off: rigid motion leaves forces "
+            f"of {reach[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, and "
+            f"round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), or "
+            "make the stiff entries in these rows (links, penalty springs) softer"
+        )
+    free = reach <= level
+    if free.any() and s[free].max() > MIXED * s[~free].min():
+        raise InputError(
+            f"the body is held in {int((~free).sum())} of {len(free)} rigid motions, so softly "
+            f"({reach[~free].min():.1e} of the terms that cancel) that round-off ({reach[free].max():.1e}) hides which "
+            "motions are free; leave the support out of the model, hold the other motions too, or make the stiff "
+            "entries in its rows (links, penalty springs) softer"
+        )
+    return Phi @ Vt[free].T, Phi @ Vt[~free].T
+
+
+def _round_off(ratio: Floats, work: Floats) -> float:
+    """The level that round-off reaches in ``ratio`` (N, k), the forces against the terms that cancel in them.
+
+    ``work`` (N, k) is that of the forces in each row.
+    """
+    worst = np.abs(ratio).max(axis=1, initial=0.0)
+    weak = (worst > ROUND_OFF) & (worst <= FEW_DIGITS)
+    acting = (np.abs(ratio[weak]) > ROUND_OFF).any(axis=0)
+    done = work[weak][:, acting]
+    if (done.sum(axis=0) >= COHERENT * np.abs(done).sum(axis=0)).all():
+        return ROUND_OFF
+    return min(OUTLIER * float(np.median(worst[weak])), FEW_DIGITS)

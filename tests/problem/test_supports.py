@@ -1,0 +1,182 @@
+"""Soft supports beside stiff parts: recognised, delivered rightly, or refused; free bodies stay free."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.certificate.certify import certify
+from morembs.errors import InputError
+from morembs.interface import make_interface
+from morembs.model import DofMap, FEModel, Nodes
+from morembs.problem import Problem
+from morembs.reducers import Automatic, CraigBampton, Modal
+from tests.support.meshes import box, steel, where
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
+import structured
+
+MASS, SPRING = 191.0, 1e5
+CORNERS = np.array([[x, y, z] for x in (0.0, 0.4) for y in (0.0, 0.3) for z in (0.0, 0.2)])
+
+
+def block(link: float, spring: float = SPRING, everywhere: bool = False) -> FEModel:
+    """A stiff block of eight masses on springs of its corners: three along z, two along y, one along x."""
+    n = len(CORNERS)
+    K = np.zeros((3 * n, 3 * n))
+    for b in range(n):
+        for a in range(b):
+            d = (CORNERS[b] - CORNERS[a]) / np.linalg.norm(CORNERS[b] - CORNERS[a])
+            v = np.zeros((n, 3))
+            v[a], v[b] = -d, d
+            K += (link if (a, b) == (0, 1) else 1e11) * np.outer(v, v)
+    held = range(3 * n) if everywhere else (2, 3 * 2 + 2, 3 * 6 + 2, 1, 3 * 4 + 1, 3 * 3)
+    for dof in held:
+        K[dof, dof] += spring
+    nodes = Nodes(ids=np.arange(n), xyz=CORNERS)
+    return FEModel(K=K, M=np.eye(3 * n) * MASS / n, nodes=nodes, dofs=DofMap.translations(n))
+
+
+def rigid_block(model: FEModel) -> np.ndarray:
+    """Frequencies (6,) in Hz of the block as one rigid body on its springs."""
+    R = np.zeros((24, 6))
+    for i, (x, y, z) in enumerate(CORNERS - CORNERS.mean(axis=0)):
+        R[3 * i : 3 * i + 3] = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
+    springs = [2, 8, 20, 1, 13, 9]
+    K = R[springs].T @ R[springs] * SPRING
+    return np.sqrt(sl.eigvalsh(K, R.T @ (model.M @ R))) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("link", [1e11, 1e13, 1e14, 1e15])
+def test_a_block_on_springs_keeps_them_beside_a_stiff_link(link: float) -> None:
+    model = block(link)
+    exact = rigid_block(model)
+    tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
+    with Problem(model, [tip]) as problem:
+        assert problem.rigid.shape[1] == 0
+        modal = Modal(modes=8).reduce(problem)
+        whole = CraigBampton(modes=21).reduce(problem)
+    for body in (modal, whole):
+        values = 1 / sl.eigh(body.M, body.K, eigvals_only=True)[::-1]
+        assert np.sqrt(values[:6]) / (2 * np.pi) == pytest.approx(exact, rel=1e-5)
+    force = np.array([0.0, 0.0, 1.0])
+    # One spring more than the three along z would hold the tip; at 1 Hz the block all but follows statics.
+    omega = 2 * np.pi * 1.0
+    moved = whole.C @ np.linalg.solve(whole.K - omega**2 * whole.M, whole.B @ force)
+    full = np.linalg.solve(model.K.toarray() - omega**2 * model.M.toarray(), problem.B @ force)
+    assert moved == pytest.approx(problem.B.T @ full, rel=1e-4)
+
+
+@pytest.mark.parametrize("spring", [1.0, 100.0])
+def test_a_soft_ground_under_every_node_is_kept(spring: float) -> None:
+    model = block(1e11, spring, everywhere=True)
+    with Problem(model) as problem:
+        assert problem.rigid.shape[1] == 0
+        found = problem.elastic_modes(count=6).eigenvalues
+    assert found == pytest.approx(spring / (MASS / 8), rel=1e-3)
+
+
+def test_automatic_on_soft_springs_keeps_its_promise() -> None:
+    model = block(1e12)
+    tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
+    hz = np.linspace(1.0, 5.0, 5)
+    with Problem(model, [tip]) as problem:
+        body = Automatic(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
+        (its,) = certify(problem, [body], hz)
+        dense = [problem.B.T @ np.linalg.solve(problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(),
+                                               problem.B.toarray()) for f in hz]  # fmt: skip
+        mine = [body.C @ np.linalg.solve(body.K - (2 * np.pi * f) ** 2 * body.M, body.B) for f in hz]
+    true = np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(mine, dense, strict=True)])
+    assert its.bound_kind == "bound" and (its.error <= its.bound + 1e-10 + 10 * its.reference_error).all()
+    assert (true <= its.bound + 1e-6).all() and (true < 1e-3).all()
+
+
+def test_a_support_within_round_off_is_refused() -> None:
+    with pytest.raises(InputError, match=r"cannot be told from round-off.*leave the support out"):
+        Problem(block(1e11, spring=4e-3, everywhere=True))
+
+
+@pytest.mark.parametrize("digits", [9, 10, 12])
+@pytest.mark.parametrize("kind", ["hex8", "tet10"])
+def test_free_bodies_of_few_digits_stay_free(digits: int, kind: str) -> None:
+    model = steel(box(kind, (4, 2, 2), (0.5, 0.07, 0.03)))
+    K = model.K.copy()
+    K.data = np.array([float(f"{value:.{digits - 1}e}") for value in K.data])
+    with Problem(replace(model, K=K)) as problem:
+        assert problem.rigid.shape[1] == 6
+
+
+@pytest.mark.parametrize("far", [0.0, 10.0, 1e4])
+@pytest.mark.parametrize("scale", [1.0, 1e3, 1e9, 1e-6])
+def test_free_bodies_far_away_and_in_other_units_stay_free(far: float, scale: float) -> None:
+    mesh = box("hex8", (4, 2, 2), (0.5, 0.07, 0.03))
+    model = steel(replace(mesh, nodes=replace(mesh.nodes, xyz=mesh.nodes.xyz + far)))
+    model = replace(model, nodes=replace(model.nodes, xyz=model.nodes.xyz * scale))
+    made = make_interface(model, name="end", nodes=where(model, 0, far * scale), coupling="rigid")
+    with Problem(model, [made]) as problem:
+        assert problem.rigid.shape[1] == 6
+
+
+def test_soft_springs_on_a_solid_hold_it_whatever_the_units() -> None:
+    model = steel(box("hex20", (4, 1, 1), (0.5, 0.05, 0.03)))
+    for scale in (1.0, 1e3, 1e-3):
+        # One node held along x, y, z: rotations about it stay free. Then all nodes of an end.
+        for rows, free in ((where(model, 0, 0.0)[:1], 3), (where(model, 0, 0.0), 0)):
+            K = model.K.tolil()
+            for dof in model.dofs.of_nodes(rows).ravel():
+                K[dof, dof] += 10.0
+            other = replace(model, K=sp.csr_array(K) * scale, nodes=replace(model.nodes, xyz=model.nodes.xyz * scale))
+            with Problem(other) as problem:
+                assert problem.rigid.shape[1] == free
+
+
+def test_random_models_over_twelve_decades_of_stiffness() -> None:
+    logging.disable(logging.WARNING)
+    try:
+        found = structured.main(12, 11, automatic=100, largest=24)
+    finally:
+        logging.disable(logging.NOTSET)
+    assert not [verdict.words for _, verdict in found if verdict.kind == "wrong"]
+    assert not [verdict.words for case, verdict in found if verdict.kind == "refused" and case.decade < 8]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [sp.csr_matrix, sp.coo_matrix, sp.csc_matrix, sp.bsr_matrix, sp.dia_matrix, sp.lil_matrix, sp.dok_matrix,
+     sp.coo_array, sp.csr_array.toarray, sp.csr_array.todense],
+)  # fmt: skip
+def test_matrices_of_any_form_give_the_same_body(form) -> None:
+    model = steel(box("hex8", (3, 1, 1), (0.5, 0.05, 0.03)))
+    found = []
+    for K, M in ((model.K, model.M), (form(model.K), form(model.M))):
+        other = replace(model, K=K, M=M)
+        ends = [make_interface(other, name=name, nodes=where(other, 0, x), coupling="direct")
+                for name, x in (("a", 0), ("b", 0.5))]  # fmt: skip
+        with Problem(other, ends) as problem:
+            found.append(CraigBampton(modes=3).reduce(problem))
+    assert pytest.approx(found[0].K, rel=1e-12, abs=1e-6) == found[1].K
+
+
+def test_integers_and_wide_indices_are_taken_and_other_things_are_not() -> None:
+    model = steel(box("hex8", (2, 1, 1), (0.5, 0.05, 0.03)))
+    whole = sp.csr_matrix(model.K).astype(np.int64)
+    whole.indices, whole.indptr = whole.indices.astype(np.int64), whole.indptr.astype(np.int64)
+    assert replace(model, K=whole).K.dtype == np.float64
+    for wrong, words in (("K", "given as str"), (None, "NoneType"), (np.zeros(3), "ndarray"), (model.K[:2], "shape")):
+        with pytest.raises(InputError, match=words):
+            replace(model, K=wrong)
+
+
+@pytest.mark.parametrize("interfaces", ["free", "fixed"])
+def test_a_body_without_elastic_coordinates_is_refused(interfaces: str) -> None:
+    model = steel(box("hex8", (2, 1, 1), (0.5, 0.05, 0.03)))
+    end = make_interface(model, name="end", nodes=where(model, 0, 0.0), coupling="rigid")
+    with Problem(model, [end]) as problem, pytest.raises(InputError, match=r"no elastic coordinate.*at least one mode"):
+        Modal(modes=0, interfaces=interfaces).reduce(problem)
