@@ -13,9 +13,9 @@ from benchmarks.attack import forked
 from benchmarks.attack.forked import program
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT))
 
-import decks  # noqa: E402  (the tests' own tiny decks and jobs)
+from tests.support import decks  # noqa: E402  (the tests' own tiny decks and jobs)
 
 # A part that takes some tenths of a second.
 PART = tuple(itertools.product(range(6), range(1), range(1)))

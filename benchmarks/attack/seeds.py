@@ -21,13 +21,7 @@ from benchmarks.attack import forked, scenarios
 from benchmarks.attack.forked import program
 from benchmarks.attack.scenarios import ROOT
 
-sys.path.insert(0, str(ROOT / "tests"))
-
-import decks
-import test_abaqus_deck as abaqus_decks
-import test_ansys as ansys_files
-import test_nastran_deck as nastran_decks
-from meshes import box, steel
+sys.path.insert(0, str(ROOT))
 
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
@@ -35,6 +29,11 @@ from morembs.exporters.op4 import write_op4
 from morembs.importers.dmig import DmigMatrix
 from morembs.importers.model_file import write_model
 from morembs.model import FEModel
+from tests.importers import test_abaqus_deck as abaqus_decks
+from tests.importers import test_ansys as ansys_files
+from tests.importers import test_nastran_deck as nastran_decks
+from tests.support import decks
+from tests.support.meshes import box, steel
 
 STEEL = "young=2.1e11,poisson=0.3,density=7850"
 SHARED = ROOT.parent / "shared" / "data"

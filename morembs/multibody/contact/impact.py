@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.multibody.contact.kinematics import Contacts
+from morembs.multibody.contact.kinematics import Contacts, ContactState
 from morembs.multibody.contact.lcp import ContactLCP, Responses
 from morembs.multibody.reactions import least_norm, saddle
 from morembs.multibody.system import Assembly
-
-if TYPE_CHECKING:
-    from morembs.multibody.contact.reactions import ContactState
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

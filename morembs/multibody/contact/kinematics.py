@@ -19,9 +19,10 @@ from morembs.errors import InputError
 from morembs.multibody.component import Component, Marker, MarkerState, direction, numbers
 from morembs.multibody.contact.surfaces import NodalSurface, Surface
 from morembs.multibody.rotations import cross, hat
-from morembs.multibody.system import Assembly
+from morembs.multibody.system import Assembly, State
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 _LARGEST_FACETS = 64
 _AT_REST = 1e-8
 
@@ -286,3 +287,31 @@ def _surface_motion(
     offset = foot - sum(w * p.position for w, p in zip(weights, chosen, strict=True))
     motion = sum(w * p.jacobian[:3] for w, p in zip(weights, chosen, strict=True))
     return np.asarray(motion - hat(np.asarray(offset)) @ on.jacobian[3:])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactState(State):
+    """A state with contact: force (m,) N, friction (m, 2) N along the tangents, sliding (m,) bool, deflection (m,) m of
+    compliant points, and the rigid points that are closed (m,) bool."""
+
+    kinematics: ContactKinematics
+    force: Floats
+    friction: Floats
+    sliding: Bools
+    deflection: Floats
+    closed: Bools
+
+    @property
+    def gap(self) -> Floats:
+        """(m,) m, with the deflection of compliant points."""
+        return np.asarray(self.kinematics.gap + self.deflection)
+
+    @property
+    def approach(self) -> Floats:
+        """(m,) rates of the gaps by the coordinates, m/s."""
+        return np.asarray(self.kinematics.N @ self.v)
+
+    @property
+    def slip(self) -> Floats:
+        """(m, 2) m/s."""
+        return np.asarray(self.kinematics.T @ self.v)

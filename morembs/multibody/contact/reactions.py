@@ -7,7 +7,7 @@ that held, the corrections of second order are those of constrained systems.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -15,7 +15,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.multibody.contact.impact import resolve_impact
-from morembs.multibody.contact.kinematics import ContactKinematics, Contacts
+from morembs.multibody.contact.kinematics import ContactKinematics, Contacts, ContactState
 from morembs.multibody.contact.lcp import NO_FORCES, ContactLCP, Forces, Responses
 from morembs.multibody.contact.lemke import lemke
 from morembs.multibody.reactions import LU, HeldRows, Iterate, Reactions, saddle
@@ -29,34 +29,6 @@ _ROUND_AT_START = 1e-13
 _OPEN = 1e-12
 # Gaps and velocities below this part of the size and of the velocities of the system are round-off.
 _ROUND = 1e-15
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ContactState(State):
-    """A state with contact: force (m,) N, friction (m, 2) N along the tangents, sliding (m,) bool, deflection (m,) m of
-    compliant points, and the rigid points that are closed (m,) bool."""
-
-    kinematics: ContactKinematics
-    force: Floats
-    friction: Floats
-    sliding: Bools
-    deflection: Floats
-    closed: Bools
-
-    @property
-    def gap(self) -> Floats:
-        """(m,) m, with the deflection of compliant points."""
-        return np.asarray(self.kinematics.gap + self.deflection)
-
-    @property
-    def approach(self) -> Floats:
-        """(m,) rates of the gaps by the coordinates, m/s."""
-        return np.asarray(self.kinematics.N @ self.v)
-
-    @property
-    def slip(self) -> Floats:
-        """(m, 2) m/s."""
-        return np.asarray(self.kinematics.T @ self.v)
 
 
 class ContactReactions(Reactions):

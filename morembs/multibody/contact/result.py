@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.multibody.contact.kinematics import Contact, Contacts
-from morembs.multibody.contact.reactions import ContactState
+from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
 from morembs.multibody.result import Energy, Result
 
 Floats = NDArray[np.float64]

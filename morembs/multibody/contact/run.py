@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.multibody.contact.impact import first_touch, project_positions, resolve_impact, sliding_ends
-from morembs.multibody.contact.kinematics import Contact, Contacts
+from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
 from morembs.multibody.contact.lemke import RayError
-from morembs.multibody.contact.reactions import ContactReactions, ContactState
+from morembs.multibody.contact.reactions import ContactReactions
 from morembs.multibody.contact.result import ContactError, ContactResult, ContactSegment, Impact
 from morembs.multibody.run import CLOSE, Events, Repeat, Run
 from morembs.multibody.system import Assembly, State, System
