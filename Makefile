@@ -21,6 +21,7 @@ test: setup lint
 lint: setup
 	@$(RUN)/ruff check .
 	@$(RUN)/lint-imports
+	@$(RUN)/python scripts/imports.py
 	@$(RUN)/mypy
 
 # For example: make benchmark CASES="small modes --quick"
