@@ -81,7 +81,7 @@ _STIFFENING: Table = {
 }  # fmt: skip
 _MARKER: Table = {"point": ("real", "3"), "motion": ("real", "6 e")}
 _KINDS = {"real": "iuf", "any": "iuf", "later": "f", "whole": "iu", "text": "SO", "json": "SO"}
-_WORDS = {"whole": "whole numbers", "text": "text", "json": "text"}
+_WORDS = {"whole": "integers", "text": "text", "json": "text"}
 # By how much axes may miss a rotation.
 ORTHONORMAL = 1e-6
 _COUPLINGS = ("rigid", "average", "direct")
@@ -185,7 +185,7 @@ class _Check:
         return [line.decode() for line in self.file[name][()].tolist()]
 
     def within(self, name: str, least: int, most: int, why: str = "") -> None:
-        """Whole numbers from ``least`` to ``most``."""
+        """Integers from ``least`` to ``most``."""
         values = np.ravel(self.file[name][()])
         bad = np.flatnonzero((values < least) | (values > most))
         if len(bad):
@@ -265,7 +265,7 @@ def check_grid(path: Path, nodes: int, points: Floats, connectivity: Ints, offse
     refuse_not_finite(path, "VTKHDF/Points", points)
     for name, values in (("Connectivity", connectivity), ("Offsets", offsets), ("Types", types)):
         if values.ndim != 1 or values.dtype.kind not in "iu":
-            raise refuse(name, f"holds {values.dtype} of the shape {values.shape}; expected one row of whole numbers")
+            raise refuse(name, f"holds {values.dtype} of the shape {values.shape}; expected one row of integers")
     if len(offsets) != len(types) + 1:
         raise refuse("Offsets", f"has {len(offsets)} numbers; expected {len(types) + 1}, one more than cells")
     size = np.diff(offsets)

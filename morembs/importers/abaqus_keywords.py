@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.includes import Includes, open_text
-from morembs.importers.text_matrices import numbers, table, whole_numbers
+from morembs.importers.text_matrices import integers, numbers, table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -240,7 +240,7 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
         except InputError:
             rows = None
         if rows is not None and piece.count(b",") == 3 * len(rows):
-            return whole_numbers(rows[:, 0], "a node label", card.file), rows[:, 1:]
+            return integers(rows[:, 0], "a node label", card.file), rows[:, 1:]
     ids, xyz = [], []
     for row in fields(piece):
         if not row:
@@ -254,12 +254,12 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
 
 
 def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
-    """All whole numbers (k,) of data lines, and which of them are the first of their line (k,)."""
+    """All integers (k,) of data lines, and which of them are the first of their line (k,)."""
     gap = _GAP.search(piece)
     if gap:
         line = piece[piece.rfind(b"\n", 0, gap.start()) + 1 :].split(b"\n")[0]
         raise InputError(f"{card}: {line.decode('latin-1')[:60]!r} has a blank within a field; expected commas")
-    values = whole_numbers(numbers(piece, card.file), "a label", card.file)
+    values = integers(numbers(piece, card.file), "a label", card.file)
     codes = np.frombuffer(piece, dtype=np.uint8)
     # Digits, signs and dots are above the comma or are the comma's neighbours; separators are few.
     apart = (codes == 10) | (codes == 44) | (codes == 32) | (codes == 9)
@@ -268,14 +268,14 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     first = np.ones(len(starts), dtype=bool)
     first[1:] = line_of[1:] != line_of[:-1]
     if len(first) != len(values):
-        raise InputError(f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected whole numbers")
+        raise InputError(f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected integers")
     return values, first
 
 
 def members(piece: bytes, card: Card) -> tuple[Ints, list[str]]:
     """Labels and names in the data lines of a set."""
     if not piece.translate(None, b"0123456789, \t\n") and not _GAP.search(piece):
-        return whole_numbers(numbers(piece, card.file), "a label", card.file), []
+        return integers(numbers(piece, card.file), "a label", card.file), []
     labels: list[int] = []
     names: list[str] = []
     for row in fields(piece):

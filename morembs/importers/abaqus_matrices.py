@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import ahead, numbers, opened, table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import ahead, integers, numbers, opened, table, text_blocks
 from morembs.importers.triplets import (
     SAME,
     Numbering,
@@ -164,11 +164,11 @@ def _width(file: str, text: bytes) -> int:
 
 def _triplets(file: str, rows: Floats) -> Triplets:
     if rows.shape[1] == 3:
-        at = whole_numbers(rows[:, :2], "a row or column number", file) - 1
+        at = integers(rows[:, :2], "a row or column number", file) - 1
         if len(at) and at.min() < 0:
             raise InputError(f"{file} has the row or column number {at.min() + 1}; expected 1 or more")
         return at[:, 0], at[:, 1], rows[:, 2]
-    labels = whole_numbers(rows[:, :4], "a node label or a dof", file)
+    labels = integers(rows[:, :4], "a node label or a dof", file)
     node, dof = labels[:, ::2], labels[:, 1::2]
     if len(labels) and (dof.min() < 0 or dof.max() >= _DOFS):
         raise InputError(f"{file} has the dof {dof.min() if dof.min() < 0 else dof.max()}; expected 1 to {_DOFS - 1}")

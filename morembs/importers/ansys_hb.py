@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import numbers, opened, whole_numbers
+from morembs.importers.text_matrices import integers, numbers, opened
 from morembs.importers.triplets import assembled
 
 Floats = NDArray[np.float64]
@@ -46,8 +46,8 @@ def read_harwell_boeing(path: Path) -> sp.csr_array:
         pointer, row, value = (
             _section(file, *each, path.name) for each in zip(names, head.lines, head.formats, counts, strict=True)
         )
-    start = whole_numbers(pointer, "a pointer", path.name) - 1
-    column_of = whole_numbers(row, "a row number", path.name) - 1
+    start = integers(pointer, "a pointer", path.name) - 1
+    column_of = integers(row, "a row number", path.name) - 1
     if start[0] != 0 or start[-1] != head.entries or (np.diff(start) < 0).any():
         raise InputError(f"{path.name} has pointers that do not run from 1 to {head.entries + 1}; it is damaged")
     columns = np.repeat(np.arange(head.rows), np.diff(start))

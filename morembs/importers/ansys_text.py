@@ -22,7 +22,7 @@ from morembs.errors import InputError
 from morembs.importers.ansys_hb import read_harwell_boeing
 from morembs.importers.ansys_nodes import COMPONENTS, joined
 from morembs.importers.imported import Imported
-from morembs.importers.text_matrices import numbers, opened, table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import integers, numbers, opened, table, text_blocks
 from morembs.importers.triplets import Spool, assembled
 
 Floats = NDArray[np.float64]
@@ -119,7 +119,7 @@ def _market(path: Path) -> sp.csr_array | Floats:
     with Spool(path.name) as spool:
         for block in rest:
             entries = table(block, 3, path.name)
-            at = whole_numbers(entries[:, :2], "a row or column number", path.name) - 1
+            at = integers(entries[:, :2], "a row or column number", path.name) - 1
             if head.symmetric and (at[:, 0] < at[:, 1]).any() and (at[:, 0] > at[:, 1]).any():
                 raise InputError(f"{path.name} says that it is symmetric but has entries in both triangles")
             count += len(entries)
@@ -164,7 +164,7 @@ def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, 
         raise InputError(
             f"{mapping.name} is a sparse matrix; give the table of nodes (BACK) as mapping, it as nod2solv"
         )
-    label = whole_numbers(labels, "a node label", mapping.name)
+    label = integers(labels, "a node label", mapping.name)
     if not len(label) or label.min() < 1 or label.max() >= 2**31:
         raise InputError(
             f"{mapping.name} holds {label.min() if len(label) else 'no label'}; expected node labels from 1"
@@ -186,7 +186,7 @@ def _solver_order(path: Path, size: int) -> tuple[int, Ints]:
     """Number of internal dofs, and the internal dof (N,) of each row of the solver."""
     found = _market(path)
     if isinstance(found, np.ndarray):
-        to = whole_numbers(found, "a row number", path.name)
+        to = integers(found, "a row number", path.name)
         kept = np.flatnonzero(to > 0)
         if not np.array_equal(np.sort(to[kept]), np.arange(1, size + 1)):
             raise InputError(f"{path.name} does not number {size} rows of the matrices; give that of the same model")

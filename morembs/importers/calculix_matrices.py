@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import ahead, table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import ahead, integers, table, text_blocks
 from morembs.importers.triplets import Spool, assembled
 
 Ints = NDArray[np.int64]
@@ -57,7 +57,7 @@ def read_dofs(path: Path) -> tuple[Ints, Ints]:
             parts.append(table(block.replace(b".", b" "), 2, path.name))
         except InputError as error:
             raise InputError(f"{error}; expected lines 'node.direction' such as 12.3") from error
-    labels = whole_numbers(np.concatenate([np.empty((0, 2)), *parts]), "a node or direction", path.name)
+    labels = integers(np.concatenate([np.empty((0, 2)), *parts]), "a node or direction", path.name)
     node, dof = labels[:, 0], labels[:, 1]
     if not len(node) or node.min() < 1 or dof.min() < 1 or dof.max() > 9:
         raise InputError(f"{path.name} holds no nodes from 1 and directions 1 to 9; expected lines such as 12.3")
@@ -72,7 +72,7 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
     above = below = False
     with Spool(path.name) as spool:
         for rows in ahead(lambda block: table(block, 3, path.name), text_blocks(path)):
-            at = whole_numbers(rows[:, :2], "a row or column number", path.name) - 1
+            at = integers(rows[:, :2], "a row or column number", path.name) - 1
             if len(at) and (at.min() < 0 or at.max() >= size):
                 bad = at[(at < 0) | (at >= size)][0] + 1
                 raise InputError(

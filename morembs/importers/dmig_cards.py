@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import numbers, text_blocks, whole_numbers
+from morembs.importers.text_matrices import integers, numbers, text_blocks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -103,7 +103,7 @@ def _large_columns(block: bytes, name: str) -> list[Column] | None:
             cards.append(_card(title, fields, name))
             continue
         part = slice(*np.searchsorted(of_entry, [begin, end]).tolist())
-        at = whole_numbers(labels[of_entry[part]], "a grid or component of a column", name)
+        at = integers(labels[of_entry[part]], "a grid or component of a column", name)
         cards.append(_entries(title, at, values[part], name))
     return cards
 
@@ -130,7 +130,7 @@ def _entries(title: str, at: Ints, values: Floats, name: str) -> Column:
         # An entry without a grid: the blank rest of a line.
         used = values.any(axis=1)
         at, values = at[used], values[used]
-    labels = whole_numbers(values[:, :2], "a grid or component", name)
+    labels = integers(values[:, :2], "a grid or component", name)
     both = np.concatenate([labels, at])
     if len(both) and (both[:, 0].min() < 1 or both[:, 1].min() < 0 or both[:, 1].max() > 6):
         raise InputError(f"{name}: the DMIG {title} names a grid below 1 or a component beyond 0 to 6; it is damaged")
@@ -178,6 +178,6 @@ def _card(title: str, fields: list[str], name: str) -> Column:
     values = numbers(("\n".join(data) + "\n").encode("latin-1"), name)
     if len(values) != len(data) or len(data) % 4 != 2:
         raise InputError(f"{name}: a column of the DMIG {title} has {len(data) - 2} fields; expected four per entry")
-    at = whole_numbers(values[:2], "a grid or component of a column", name)
+    at = integers(values[:2], "a grid or component of a column", name)
     entries = values[2:].reshape(-1, 4)
     return _entries(title, np.tile(at, (len(entries), 1)), entries, name)

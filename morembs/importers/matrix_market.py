@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
-from morembs.importers.text_matrices import ahead, numbers, table, text_blocks, whole_numbers
+from morembs.importers.text_matrices import ahead, integers, numbers, table, text_blocks
 from morembs.importers.triplets import Spool, assembled
 
 Floats = NDArray[np.float64]
@@ -92,7 +92,7 @@ def _coordinate(blocks: Iterator[bytes], head: _Head, name: str) -> sp.csr_array
     with ExitStack() as stack:
         spools = [stack.enter_context(Spool(name)) for _ in range(1 + head.complex)]
         for entries in ahead(lambda block: table(block, 2 + len(spools), name), blocks):
-            at = whole_numbers(entries[:, :2], "a row or column number", name) - 1
+            at = integers(entries[:, :2], "a row or column number", name) - 1
             count += len(entries)
             above, below = above or bool((at[:, 0] < at[:, 1]).any()), below or bool((at[:, 0] > at[:, 1]).any())
             if len(at) and not (at.min() >= 0 and at.max() < size):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.includes import Includes, open_text
-from morembs.importers.text_matrices import numbers, whole_numbers
+from morembs.importers.text_matrices import integers, numbers
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -77,8 +77,8 @@ class Table:
         return values.reshape(part.shape[:2])
 
     def whole(self, first: int, last: int) -> Ints:
-        """Whole numbers (cards, last - first) of fields; a blank one is 0."""
-        values = whole_numbers(self.reals(first, last).ravel(), f"a whole number of a {self.name} card", self.file)
+        """Integers (cards, last - first) of fields; a blank one is 0."""
+        values = integers(self.reals(first, last).ravel(), f"an integer of a {self.name} card", self.file)
         return values.reshape(len(self), last - first)
 
     def rows(self) -> list[list[str]]:
@@ -113,12 +113,12 @@ def real(text: str, what: str) -> float:
 
 
 def whole(text: str, what: str) -> int:
-    """A whole number; blank is 0."""
+    """An integer; blank is 0."""
     if not text:
         return 0
     if re.fullmatch(r"[+-]?\d{1,15}", text):
         return int(text)
-    raise InputError(f"{what}: {text[:24]!r} was given; expected a whole number")
+    raise InputError(f"{what}: {text[:24]!r} was given; expected an integer")
 
 
 def head_of(path: Path) -> tuple[bytes, int]:

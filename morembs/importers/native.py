@@ -96,10 +96,10 @@ def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.c
 
 
 def _whole(path: Path, item: Any, *, sides: int = 1) -> Ints:
-    """Whole numbers of an array with so many ``sides``."""
+    """Integers of an array with so many ``sides``."""
     values = stored(item)
     if values.dtype.kind not in "iu" or values.ndim != sides:
-        raise InputError(f"{path}: {item.name} does not hold whole numbers in its shape; import the model again")
+        raise InputError(f"{path}: {item.name} does not hold integers in its shape; import the model again")
     return values.astype(np.int64, copy=False)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.op4_columns import Collector, Header, Ints, OP4Matrix, header
-from morembs.importers.text_matrices import numbers, text_blocks, whole_numbers
+from morembs.importers.text_matrices import integers, numbers, text_blocks
 
 Codes = NDArray[np.uint8]
 _FORMAT = re.compile(rb"(?:1P,?)?[0-9]+[ED]([0-9]+)\.[0-9]+ *\)?$", re.IGNORECASE)
@@ -176,7 +176,7 @@ def _lines(text: bytes) -> tuple[Ints, Ints, NDArray[np.bool_]]:
 
 def _fields(file: str, codes: Codes, at: Ints, width: int) -> Ints:
     """Integers of ``width`` characters that start at ``at``."""
-    return whole_numbers(_numbers(file, codes, at, width), "a column, row or count", file)
+    return integers(_numbers(file, codes, at, width), "a column, row or count", file)
 
 
 def _numbers(file: str, codes: Codes, at: Ints, width: int) -> NDArray[np.float64]:
@@ -248,7 +248,7 @@ def head_words(head: Header) -> int:
 def _packed(file: str, text: bytes, at: Ints, length: Ints) -> Ints:
     """Integers that fill a line."""
     joined = b"\n".join(text[a : a + n] for a, n in zip(at.tolist(), length.tolist(), strict=True))
-    values = whole_numbers(numbers(joined, file), "a row and a count", file)
+    values = integers(numbers(joined, file), "a row and a count", file)
     if len(values) != len(at):
         raise InputError(f"{file} has a line without a number; the file is damaged")
     return values

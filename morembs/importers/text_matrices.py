@@ -238,7 +238,7 @@ def _first_fault(text: bytes) -> str:
     return next((word for word in words if not _NUMBER.fullmatch(word)), text[:40]).decode("latin-1")
 
 
-def whole_numbers(values: Floats, what: str, name: str) -> Ints:
+def integers(values: Floats, what: str, name: str) -> Ints:
     """``values`` as integers.
 
     Raises:
@@ -247,5 +247,5 @@ def whole_numbers(values: Floats, what: str, name: str) -> Ints:
     result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < _LARGEST_LABEL).all() else None
     if result is None or not np.array_equal(result, values):
         bad = values[(np.abs(values) >= _LARGEST_LABEL) | (values != np.round(values))][0]
-        raise InputError(f"{name}: {bad:.6g} was given as {what}; expected a whole number")
+        raise InputError(f"{name}: {bad:.6g} was given as {what}; expected an integer")
     return result

@@ -214,7 +214,7 @@ def _description(model: type[BaseModel], key: str) -> str:
 
 
 def _expected(message: str) -> str:
-    return message.removeprefix("Input should be ").removeprefix("a valid ").replace("integer", "a whole number")
+    return message.removeprefix("Input should be ").removeprefix("a valid ").replace("integer", "an integer")
 
 
 def _toml(value: object) -> str:

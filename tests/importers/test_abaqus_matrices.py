@@ -113,7 +113,7 @@ def test_matrices_of_fewer_rows_are_placed(tmp_path):
         ("1 1 2.0\n1 2 NaN\n", "cannot be read as numbers"),
         ("1 1 2.0\n1 2 1e999\n", "too large"),
         ("1 1 2.0\n0 2 1.0\n", "number 0; expected 1"),
-        ("1 1 2.0\n1.5 2 1.0\n", "whole number"),
+        ("1 1 2.0\n1.5 2 1.0\n", "integer"),
         ("1 1 2.0\n1 999999999999999 1.0\n", "only 2 entries"),
         ("1 1 2.0\n1 2 1.0", "ends within a line"),
         ("1, 1, 1, 77, 2.0\n", "dof 77"),
