@@ -11,7 +11,7 @@ mumps: setup
 	@bash scripts/mumps.sh
 
 demo: setup
-	@$(RUN)/python pipelines/connecting_rod.py
+	@$(RUN)/python data/make_connecting_rod.py
 	@$(RUN)/morembs reduce pipelines/connecting_rod.toml
 
 # As many workers as cores, so one thread for each.

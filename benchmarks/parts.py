@@ -15,6 +15,7 @@ from typing import Any
 from measure import ROOT, Report, Row, Settings, child, command, in_rounds, ratios, required, run
 
 ROD = ROOT / "pipelines" / "connecting_rod"
+ROD_MAKER = ROOT / "data" / "make_connecting_rod.py"
 _STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 _COLUMNS = (
     ("seconds", "seconds", "s"), ("process_peak_bytes", "peak MB", "MB"), ("dofs", "dofs", "n"),
@@ -154,8 +155,8 @@ NOT_QUICK = ("rod_modes_ours", "rod_modes_arpack", DEMO)
 
 def measured(names: list[str], settings: Settings) -> None:
     """Measure some of ``NAMES``, print them, and compare with ARPACK where both are there."""
-    if set(names) & set(NOT_QUICK) and run([sys.executable, str(ROD.with_suffix(".py"))], settings).code:
-        raise SystemExit(f"{ROD.with_suffix('.py')} failed: it needs Gmsh (pip install 'morembs[mesh]')")
+    if set(names) & set(NOT_QUICK) and run([sys.executable, str(ROD_MAKER)], settings).code:
+        raise SystemExit(f"{ROD_MAKER} failed: it needs Gmsh (pip install 'morembs[mesh]')")
     for name in names:
         if name != DEMO:
             required("part", settings, part=name, quick=settings.quick, prepare=True)

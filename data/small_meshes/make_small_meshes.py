@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes the small meshes in this directory and connecting_rod.msh.gz, the mesh pipelines/connecting_rod.py
+"""Makes the small meshes in this directory and connecting_rod.msh.gz, the mesh data/make_connecting_rod.py
 falls back to. Needs gmsh. Two runs give the same files; README.md beside this script says what is in them.
 """
 
@@ -26,7 +26,7 @@ Box = tuple[float, float, float, float, float, float]
 
 def load_rod_script() -> ModuleType:
     """The connecting rod's script as a module; it is not part of a package."""
-    path = HERE.parents[1] / "pipelines" / "connecting_rod.py"
+    path = HERE.parent / "make_connecting_rod.py"
     spec = importlib.util.spec_from_file_location("connecting_rod", path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} cannot be loaded")

@@ -25,7 +25,7 @@ def run(*command):
 def connecting_rod(tmp_path_factory):
     """Job, mesh and results in a folder of their own."""
     folder = tmp_path_factory.mktemp("rod")
-    run(PIPELINES / "connecting_rod.py", "--output", folder / "connecting_rod.msh")
+    run(ROOT / "data" / "make_connecting_rod.py", "--output", folder / "connecting_rod.msh")
     job = folder / "connecting_rod.toml"
     job.write_text((PIPELINES / "connecting_rod.toml").read_text())
     return folder, json.loads(run("-m", "morembs", "reduce", job, "--json"))

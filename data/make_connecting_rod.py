@@ -22,8 +22,9 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-DEFAULT_OUTPUT = HERE / "connecting_rod.msh"
-ARCHIVE = HERE.parent / "data" / "small_meshes" / "connecting_rod.msh.gz"
+FOLDER = HERE.parent / "pipelines"
+DEFAULT_OUTPUT = FOLDER / "connecting_rod.msh"
+ARCHIVE = HERE / "small_meshes" / "connecting_rod.msh.gz"
 
 STEEL_DENSITY = 7.85e-9  # t/mm^3
 WORST_SCALED_JACOBIAN = 0.05
@@ -410,7 +411,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments)
     rod = replace(Rod(), element_size=options.size, order=options.order)
     is_default = rod == Rod()
-    named = DEFAULT_OUTPUT if is_default else HERE / f"connecting_rod_h{options.size:g}_o{options.order}.msh"
+    named = DEFAULT_OUTPUT if is_default else FOLDER / f"connecting_rod_h{options.size:g}_o{options.order}.msh"
     output = named if options.output is None else options.output
     # A name given together with other options does not say which options the file there was made with.
     known = is_default or options.output is None
