@@ -174,11 +174,9 @@ def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recip
     index, component, node = (np.full(width, -1, dtype=np.int64) for _ in range(3))
     for number, interface in enumerate(part.interfaces):
         labels, group = part.node_ids[interface.nodes], f"interfaces/{interface.name}"
-        columns, direct = part.columns[interface.name], interface.coupling == "direct"
-        index[columns] = number
-        component[columns] = np.tile(interface.components, len(labels) if direct else 1)
-        if direct:
-            node[columns] = np.repeat(labels, len(interface.components))
+        columns, (components, rows) = part.columns[interface.name], interface.kind.columns(interface)
+        index[columns], component[columns] = number, components
+        node[columns] = np.where(rows < 0, -1, part.node_ids[rows])
         out.put(f"{group}/coupling", interface.coupling)
         out.put(f"{group}/components", np.array(interface.components, dtype=np.int64), "exposed motions 0..5")
         out.put(f"{group}/point", interface.point.astype(float), "origin of the frame", "m")

@@ -92,7 +92,7 @@ def _interfaces(task: Task) -> tuple[list[str], NDArray[np.int64]]:
     source, names = task.source, []
     rows: list[int] = []
     for number, (name, interface) in enumerate(source.interfaces.items()):
-        if interface.coupling == "direct":
+        if not interface.kind.framed:
             continue
         if tuple(interface.components) != tuple(range(6)):
             given = ", ".join(str(c) for c in interface.components)

@@ -109,12 +109,7 @@ class Problem:
     @cached_property
     def motion_scale(self) -> Floats:
         """One for displacements and ``length`` for rotations, for each column of B."""
-        scale = np.ones(self.B.shape[1])
-        for interface in self.interfaces:
-            columns = self.coupling.columns[interface.name]
-            own = np.where(np.array(interface.components) > 2, self.length, 1.0)
-            scale[columns] = np.tile(own, len(interface.nodes) if interface.coupling == "direct" else 1)
-        return scale
+        return np.concatenate([np.ones(0), *(one.kind.scale(one, self.length) for one in self.interfaces)])
 
     @property
     def solver_name(self) -> str:
