@@ -23,9 +23,9 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Delivered:
-    """What is checked: M, K, D (n, n); interface motions C q (m, n) with their rigid motion ``frame`` (m, 6) about the
-    origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says of its mass;
-    the ``floating`` frame, and ``markers`` interface -> rows of C that are all six motions of its frame."""
+    """What is checked: M, K, D (n, n); interface degrees of freedom C q (m, n) with their rigid motion ``frame``
+    (m, 6) about the origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says
+    of its mass; the ``floating`` frame, and ``markers`` interface -> rows of C that are all six of its frame."""
 
     M: Floats
     K: Floats

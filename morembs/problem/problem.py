@@ -137,7 +137,7 @@ class Problem:
 
     @cached_property
     def internal(self) -> Restricted:
-        """The body held at all interface motions: C = B."""
+        """The body held at all interface degrees of freedom: C = B."""
         return Restricted(self.statics, self.B, "the interfaces")
 
     def require_room_for_modes(self) -> None:
@@ -155,7 +155,7 @@ class Problem:
         return _cut(self._elastic, count, below)
 
     def fixed_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
-        """Modes with all interface motions fixed, as ``elastic_modes``."""
+        """Modes with all interface degrees of freedom fixed, as ``elastic_modes``."""
         self._fixed = self._at_least(self._fixed, self.internal, count, below, "fixed-interface modes")
         return _cut(self._fixed, count, below)
 

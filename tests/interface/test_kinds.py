@@ -1,6 +1,7 @@
-"""A coupling kind of a user: one class and one line in the table, from the interface to the file and the exporter."""
+"""A coupling kind of a user: one class and one line in the table, from the interface to the body file."""
 
-from typing import ClassVar
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,35 +11,23 @@ from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.diagnostics.delivered import delivered
 from morembs.errors import InputError
-from morembs.interface import COUPLINGS, CouplingKind, Elimination, make_interface
-from morembs.interface.nodes import displacement_dofs
+from morembs.interface import COUPLINGS, make_interface
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where
 
 
-class Translations(CouplingKind):
-    """Nodes that move as one, without turning."""
-
-    name: ClassVar[str] = "translations"
-    also_called: ClassVar[tuple[str, ...]] = ("tie",)
-    framed: ClassVar[bool] = False
-    carries: ClassVar[bool] = True
-    exclusive: ClassVar[bool] = True
-
-    def attach(self, model, interface):
-        dofs = displacement_dofs(model, interface)
-        return Elimination(dofs=dofs, motion=np.tile(np.eye(3), (len(interface.nodes), 1)), components=(0, 1, 2))
-
-    def available(self, model, name, nodes):
-        return (0, 1, 2)
-
-
 @pytest.fixture
 def translations(monkeypatch):
-    monkeypatch.setitem(COUPLINGS, Translations.name, Translations())
-    return Translations.name
+    """The kind of docs/job.md: nodes that move as one, without turning."""
+    name = "translations"
+    page = (Path(__file__).parents[2] / "docs" / "job.md").read_text()
+    (code,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "CouplingKind" in one)
+    # Taken out of the table again after the test.
+    monkeypatch.setitem(COUPLINGS, name, None)
+    exec(code, {"__name__": "docs"})
+    return name
 
 
 def bar_with_tied_end(coupling):
@@ -88,6 +77,6 @@ def test_a_kind_of_a_user_goes_through_a_body_file(translations, tmp_path, monke
 def test_a_kind_is_named_where_it_is_meant_or_does_not_fit(translations):
     model, interfaces = bar_with_tied_end(translations)
     with pytest.raises(InputError, match="did you mean 'translations'"):
-        bar_with_tied_end("TIE")
+        bar_with_tied_end("Translation")
     with pytest.raises(InputError, match="'tied': coupling = 'translations' is for small rotations only"):
         NonlinearSolid(model, interfaces)
