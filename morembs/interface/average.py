@@ -16,7 +16,6 @@ from morembs.interface.nodes import condition_of, displacement_dofs, frame_motio
 from morembs.model import FEModel, skew
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Average(CouplingKind):
@@ -40,13 +39,6 @@ class Average(CouplingKind):
     def check(self, model: FEModel, interface: Interface) -> None:
         xyz = model.nodes.xyz[interface.nodes]
         refuse_collinear(interface, condition_of(xyz - xyz.mean(axis=0), interface.weights))
-
-    def nodal_forces(self, model: FEModel, interface: Interface) -> Floats:
-        return averaging(interface, model.nodes.xyz[interface.nodes]).T
-
-    def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
-        theta = averaging(interface, model.nodes.xyz[interface.nodes])[3:]
-        return theta, model.dofs.of_nodes(interface.nodes).ravel()
 
 
 def averaging(interface: Interface, xyz: Floats) -> Floats:

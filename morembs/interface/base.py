@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -119,11 +119,19 @@ class CouplingKind(ABC):
 
         None where the stiffness and mass of the body decide how the nodes share these.
         """
-        return None
+        found = self.attach(model, replace(interface, components=SIX))
+        if isinstance(found, Elimination):
+            return None
+        return np.asarray(found.tocsr()[model.dofs.of_nodes(interface.nodes).ravel()].toarray())
 
     def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
-        """Rotation (3, k) of the frame from k dofs of its nodes, and these dofs (k,). For kinds with a frame."""
-        raise NotImplementedError(f"coupling {self.name!r} has no frame")
+        """Rotation (3, k) of the frame from k dofs of the model, and these dofs (k,)."""
+        found = self.attach(model, replace(interface, components=SIX))
+        if isinstance(found, Elimination):
+            return np.linalg.pinv(found.motion)[3:], found.dofs
+        loads = found.tocsr()
+        dofs = np.flatnonzero(np.diff(loads.indptr))
+        return np.ascontiguousarray(loads[dofs].toarray()[:, 3:].T), dofs
 
 
 # Coupling -> its kind; ``morembs.interface`` fills it.

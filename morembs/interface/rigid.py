@@ -51,6 +51,9 @@ class Rigid(CouplingKind):
         R = rigid_motion(arms[at] / max(length, np.finfo(float).tiny), model.dofs.component[dofs])
         refuse_collinear(interface, float(np.linalg.cond(R.T @ R / len(R))))
 
+    def nodal_forces(self, model: FEModel, interface: Interface) -> None:
+        return None
+
     def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
         # Six dofs of a rigid patch tell its rotation.
         xyz, dofs = model.nodes.xyz[interface.nodes], model.dofs.of_nodes(interface.nodes).ravel()

@@ -1,5 +1,6 @@
 """A coupling kind of a user: one class and one line in the table, from the interface to the body file."""
 
+import functools
 import re
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.diagnostics.delivered import delivered
 from morembs.errors import InputError
-from morembs.interface import COUPLINGS, make_interface
+from morembs.interface import COUPLINGS, CouplingKind, make_interface
+from morembs.model import rigid_motion
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
@@ -80,3 +82,21 @@ def test_a_kind_is_named_where_it_is_meant_or_does_not_fit(translations):
         bar_with_tied_end("Translation")
     with pytest.raises(InputError, match="'tied': coupling = 'translations' is for small rotations only"):
         NonlinearSolid(model, interfaces)
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "average"])
+def test_a_frame_tells_its_rotation_from_dofs_of_its_nodes(coupling):
+    model = steel(box("hex20", (3, 1, 1), (0.3, 0.1, 0.1)))
+    face = make_interface(model, name="face", nodes=where(model, 0, 0.3), coupling=coupling, point=(0.5, 0.0, 0.2))
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    # As the kind does it, and as one that says nothing of it.
+    for rotation in (face.kind.rotation, functools.partial(CouplingKind.rotation, face.kind)):
+        theta, dofs = rotation(model, face)
+        assert theta @ R[dofs] == pytest.approx(np.eye(6)[3:], abs=1e-12)
+    forces = CouplingKind.nodal_forces(face.kind, model, face)
+    assert (forces is None) == (coupling == "rigid")
+    if forces is not None:
+        at_point = rigid_motion(
+            np.repeat(model.nodes.xyz[face.nodes] - face.point, 3, axis=0), np.tile(range(3), len(face.nodes))
+        )
+        assert at_point.T @ forces == pytest.approx(np.eye(6), abs=1e-12)
