@@ -174,19 +174,18 @@ def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recip
     index, component, node = (np.full(width, -1, dtype=np.int64) for _ in range(3))
     for number, interface in enumerate(part.interfaces):
         labels, group = part.node_ids[interface.nodes], f"interfaces/{interface.name}"
-        columns, direct = part.columns[interface.name], interface.coupling == "direct"
-        index[columns] = number
-        component[columns] = np.tile(interface.components, len(labels) if direct else 1)
-        if direct:
-            node[columns] = np.repeat(labels, len(interface.components))
+        columns, (exposed, rows) = part.columns[interface.name], interface.kind.columns(interface)
+        index[columns], component[columns] = number, exposed
+        node[columns] = np.where(rows < 0, -1, part.node_ids[rows])
         out.put(f"{group}/coupling", interface.coupling)
-        out.put(f"{group}/components", np.array(interface.components, dtype=np.int64), "exposed motions 0..5")
+        components = np.array(interface.components, dtype=np.int64)
+        out.put(f"{group}/components", components, "exposed degrees of freedom 0..5")
         out.put(f"{group}/point", interface.point.astype(float), "origin of the frame", "m")
         out.put(f"{group}/axes", interface.axes.astype(float), "axes of the frame as rows")
         out.put(f"{group}/node_ids", labels, "labels of the nodes")
         out.put(f"{group}/weights", interface.weights.astype(float), "share of each node (area in m2, or 1)")
     out.put("inputs/interface_index", index, "per column of input_matrix: place in /interface_names from 0")
-    out.put("inputs/component", component, "motion: 0..2 along x, y, z; 3..5 about them")
+    out.put("inputs/component", component, "degree of freedom: 0..2 along x, y, z; 3..5 about them")
     out.put("inputs/node_id", node, "label of the node of a direct interface, -1 for a frame")
 
 
@@ -207,7 +206,7 @@ def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     out.put(f"{group}/rigid_count", reduced.rigid_count, "number of rigid-body motions")
     out.put(f"{group}/recipe", json_text(body.recipe), "options of the reduction, as JSON")
     if not reduced.symmetric:
-        out.put(f"{group}/output_matrix", reduced.C, "motions of the interfaces; not the transpose of input_matrix")
+        out.put(f"{group}/output_matrix", reduced.C, "interface degrees of freedom; not the transpose of input_matrix")
     if body.certificate is not None:
         write_certificate(out.put, f"{group}/certificate", body.certificate)
     if body.floating is not None:

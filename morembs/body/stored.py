@@ -16,6 +16,7 @@ from morembs.body.stored_frame import read_frame, read_ranking
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
+from morembs.interface import COUPLINGS, CouplingKind
 from morembs.reducers.switching_tables import Switching
 from morembs.storage.checksums import GROUP, Checksums
 
@@ -46,6 +47,11 @@ class StoredInterface:
     axes: Floats
     node_ids: Ints
     weights: Floats
+
+    @property
+    def kind(self) -> CouplingKind:
+        """What the coupling does."""
+        return COUPLINGS[self.coupling]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.floating.frame import FRAMES
+from morembs.interface import COUPLINGS
 from morembs.model.elements import FACES, TYPES
 
 Floats = NDArray[np.float64]
@@ -84,7 +85,6 @@ _KINDS = {"real": "iuf", "any": "iuf", "later": "f", "whole": "iu", "text": "SO"
 _WORDS = {"whole": "integers", "text": "text", "json": "text"}
 # By how much axes may miss a rotation.
 ORTHONORMAL = 1e-6
-_COUPLINGS = ("rigid", "average", "direct")
 
 
 def check_file(path: Path, file: Any) -> None:
@@ -204,7 +204,7 @@ class _Check:
 
     def interface(self, at: str) -> None:
         self.table(at, _INTERFACE, {})
-        self.one_of(f"{at}coupling", _COUPLINGS)
+        self.one_of(f"{at}coupling", list(COUPLINGS))
         self.within(f"{at}components", 0, 5)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Transfer functions between interface motions, of the reduced and of the full model.
+"""Transfer functions between interface degrees of freedom, of the reduced and of the full model.
 
 Both are the elastic part of H(i omega) = B' (K + i omega D - omega^2 M)^-1 B: rigid-body motion, which
 both models carry exactly, would hide every difference at low frequency.

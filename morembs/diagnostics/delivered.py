@@ -23,9 +23,9 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Delivered:
-    """What is checked: M, K, D (n, n); interface motions C q (m, n) with their rigid motion ``frame`` (m, 6) about the
-    origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says of its mass;
-    the ``floating`` frame, and ``markers`` interface -> rows of C that are all six motions of its frame."""
+    """What is checked: M, K, D (n, n); interface degrees of freedom C q (m, n) with their rigid motion ``frame``
+    (m, 6) about the origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says
+    of its mass; the ``floating`` frame, and ``markers`` interface -> rows of C that are all six of its frame."""
 
     M: Floats
     K: Floats
@@ -74,13 +74,9 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
     place = {int(label): row for row, label in enumerate(part.nodes.ids.tolist())}
     for interface in part.interfaces:
         columns = np.arange(r.B.shape[1])[part.columns[interface.name]]
-        if interface.coupling == "direct":
-            labels = np.repeat(part.node_ids[interface.nodes], len(interface.components))
-            motions = np.tile(interface.components, len(interface.nodes))
-            points = _points(labels, place, part.nodes.xyz)
-        else:
-            motions = np.array(interface.components)
-            points = np.tile(interface.point, (len(motions), 1))
+        motions, rows = interface.kind.columns(interface)
+        points = np.tile(interface.point, (len(motions), 1))
+        points[rows >= 0] = _points(part.node_ids[rows[rows >= 0]], place, part.nodes.xyz)
         frame[columns] = rigid_motion(points, motions)
         for column, motion in zip(columns.tolist(), motions.tolist(), strict=True):
             names[column] = f"{interface.name} {MOTIONS[motion]}"
@@ -91,7 +87,7 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
         markers={
             one.name: np.arange(r.B.shape[1])[part.columns[one.name]]
-            for one in part.interfaces if one.coupling != "direct" and tuple(one.components) == tuple(range(6))
+            for one in part.interfaces if one.kind.framed and tuple(one.components) == tuple(range(6))
         },
     )  # fmt: skip
 
@@ -117,7 +113,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         markers={
             name: np.flatnonzero(file.input_interface == which)
             for which, (name, one) in enumerate(kept)
-            if one.coupling != "direct" and tuple(one.components) == tuple(range(6))
+            if one.kind.framed and tuple(one.components) == tuple(range(6))
         },
     )  # fmt: skip
 

@@ -4,8 +4,8 @@ The checks are those that are usual for Craig-Bampton models in spacecraft dynam
 motion of the body in reduced coordinates q, per unit motion about the origin, from
 
 * geometry: the analytic rigid-body modes that the basis holds;
-* stiffness: six interface motions are given, the others follow without energy (K condensed to the interface);
-* eigenvectors: the six lowest, scaled to the same interface motions.
+* stiffness: six interface degrees of freedom are given, the others follow without energy (K condensed to these);
+* eigenvectors: the six lowest, scaled to the same interface degrees of freedom.
 
 In a sound body all three agree, need no energy and give the mass of the model.
 """
@@ -204,7 +204,7 @@ def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
 
 
 def _reference(given: Delivered) -> Ints | None:
-    """Six interface motions that hold the body in a statically determinate way; None where there are none."""
+    """Six interface degrees of freedom that hold the body as a statically determinate support; None without such."""
     if given.frame is None or len(given.frame) < 6:
         return None
     # Rotations per length, about the middle of the interfaces, so that the choice does not depend on units.
@@ -227,7 +227,7 @@ def _rigid(
         return {}
     ways = rigid_coordinates(given, Y)
     if not ways:
-        sentence = "rigid-body motion could not be checked: fewer than six interface motions and no frame"
+        sentence = "rigid-body motion could not be checked: fewer than six interface degrees of freedom and no frame"
         found.append(Finding(code="rigid-unchecked", severity="note", sentence=sentence))
         return ways
     first = np.sqrt(max(values[6], 0.0)) / (2 * np.pi) if len(values) > 6 else 0.0
@@ -304,13 +304,13 @@ def _interfaces_follow(given: Delivered, q: Floats, found: list[Finding]) -> Non
     bad = np.flatnonzero((np.abs(moved - given.frame) > 1e-6 * size).any(axis=1))
     if len(bad):
         labels = tuple(given.motions[row] for row in bad.tolist())
-        sentence = f"{len(bad)} interface motions do not follow rigid motion of the body: {listed(labels)}"
+        sentence = f"{len(bad)} interface degrees of freedom do not follow rigid motion of the body: {listed(labels)}"
         cure = "check the points of these interfaces and the input matrix"
         found.append(Finding(code="interfaces", severity="error", sentence=sentence, cure=cure, where=labels))
 
 
 def _effective(given: Delivered, rigid: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
-    """Effective masses of the modes with all interface motions fixed (Clough and Penzien 1975)."""
+    """Effective masses of the modes with all interface degrees of freedom fixed (Clough and Penzien 1975)."""
     s = np.maximum(np.abs(given.C).max(axis=1, keepdims=True), np.finfo(float).tiny)
     N = sl.null_space(given.C / s, rcond=1e-12)
     if not N.shape[1]:

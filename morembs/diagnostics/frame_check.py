@@ -14,7 +14,7 @@ AGREES = 1e-6
 
 
 def frame_findings(given: Delivered) -> list[Finding]:
-    """Errors where stiffness, damping, mass or interface motions of the frame are not those of the body.
+    """Errors where stiffness, damping, mass or interface degrees of freedom of the frame are not those of the body.
 
     With E the elastic and R the rigid coordinates of the frame: Ke = E'KE, De = E'DE, Me = E'ME, [Ct, Cr] = E'MR, and
     R'MR is the mass of a rigid body; the markers move as C says.

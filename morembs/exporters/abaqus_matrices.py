@@ -96,7 +96,7 @@ def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
 class AbaqusExporter(Exporter):
     """An input deck with nodes, and beside conrod.inp the files conrod_abaqus_M.mtx, likewise for K and D.
 
-    The coordinates are changed so that the motions of the interfaces are among them (exactly, all coordinates are
+    The coordinates are changed so that interface degrees of freedom are among them (exactly, all coordinates are
     kept); each other coordinate is dof 1 of a node of its own. ``first_label`` is the label of the first interface
     node; by default behind the labels of the model.
     """

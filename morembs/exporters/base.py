@@ -103,7 +103,7 @@ class Task:
         return result
 
     def markers(self, target: str) -> dict[str, Marker]:
-        """Interface frames by name, all six motions of each, in the order of the file.
+        """Interface frames by name, all six degrees of freedom of each, in the order of the file.
 
         Raises:
             InputError: no interface of the body has a frame that turns.

@@ -112,7 +112,7 @@ def sixteen(value: float) -> str:
 class DmigExporter(Exporter):
     """Reduced matrices MAAX, KAAX, BAAX on GRIDs of the interfaces and SPOINTs of the other coordinates.
 
-    The coordinates are changed so that the motions of the interfaces are among them (exactly, all coordinates are
+    The coordinates are changed so that interface degrees of freedom are among them (exactly, all coordinates are
     kept). ``first_label`` is the label of the first GRID; by default behind the labels of the model.
     """
 

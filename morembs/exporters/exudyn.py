@@ -93,7 +93,7 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     if missing:
         raise InputError(f"the file lacks node {missing[0]} of the interface {name!r}; write it again")
     numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
-    weights = interface.weights if interface.coupling == "average" else np.ones(len(numbers))
+    weights = interface.weights if interface.kind.weighted else np.ones(len(numbers))
     used = weights != 0
     numbers, weights = numbers[used], weights[used] / weights.sum()
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])

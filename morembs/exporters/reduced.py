@@ -1,4 +1,4 @@
-"""The reduced matrices of a body: by the letters of the papers, and with interface motions among the coordinates."""
+"""The reduced matrices of a body: by the letters of the papers, and with interface dofs among the coordinates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from morembs.exporters.base import Task
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# Ratio of singular values of C, rows scaled to one, below which interface motions depend on each other.
+# Ratio of singular values of C, rows scaled to one, below which interface degrees of freedom depend on each other.
 _INDEPENDENT = 1e-9
 # Ratio of eigenvalues below which the held body still has rigid-body modes.
 _HELD = 1e-10
@@ -35,7 +35,7 @@ def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InterfaceBody:
-    """Reduced ``matrices`` M, K, D (n, n) in coordinates of which the first m are the interface motions.
+    """Reduced ``matrices`` M, K, D (n, n) in coordinates of which the first m are the interface degrees of freedom.
 
     ``node`` label and ``dof`` (n,) of each; dofs 1 to 6 of the ``grids`` (label, interface, point (3,) in m), then
     one of each point of ``rest``.
@@ -50,11 +50,11 @@ class InterfaceBody:
 
 
 def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int, largest_label: int) -> InterfaceBody:
-    """The body with interface motions as coordinates, all others beside them; labels up to ``largest_label``.
+    """The body with interface dofs as coordinates, all others beside them; labels up to ``largest_label``.
 
     Raises:
-        InputError: the body is not symmetric or has no stiffness, its interface motions depend on each other, or there
-            are no labels for its points.
+        InputError: the body is not symmetric or has no stiffness, its interface degrees of freedom depend on each
+            other, or there are no labels for its points.
     """
     body, source = task.body, task.source
     for name in ("mass_matrix", "stiffness_matrix"):
@@ -87,7 +87,7 @@ def _symmetric(A: Floats) -> Floats:
 
 
 def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
-    """T (n, n): reduced coordinates = T @ [interface motions; others], and what was done."""
+    """T (n, n): reduced coordinates = T @ [interface degrees of freedom; others], and what was done."""
     C = body.output_matrix
     m, n = C.shape
     if not m:
@@ -103,20 +103,20 @@ def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
     values = np.linalg.svd(C / np.where(size > 0, size, 1.0)[:, None], compute_uv=False)
     if m > n or values[-1] <= _INDEPENDENT * values[0]:
         raise InputError(
-            f"the {m} interface motions of body {body.name!r} are not independent in its {n} coordinates, so they "
-            f"cannot be coordinates themselves; {_ADVICE}"
+            f"the {m} interface degrees of freedom of body {body.name!r} are not independent in its {n} coordinates, "
+            f"so they cannot be coordinates themselves; {_ADVICE}"
         )
     boundary = np.linalg.pinv(C / size[:, None]) / size
     if m == n:
-        return boundary, ("coordinates were changed to the interface motions",)
+        return boundary, ("coordinates were changed to the interface degrees of freedom",)
     N = sl.null_space(C / size[:, None], rcond=_INDEPENDENT)
     eigenvalues, Y = sl.eigh(_symmetric(N.T @ body.stiffness_matrix @ N), _symmetric(N.T @ body.mass_matrix @ N))
     N = N @ Y
     if eigenvalues[0] > _HELD * eigenvalues[-1]:
         # With the interfaces held nothing moves freely, so unit motions can be static: K couples nothing then.
         boundary = boundary - N @ ((N.T @ body.stiffness_matrix @ boundary) / eigenvalues[:, None])
-    note = "coordinates were changed: interface motions, then modes of the body with interfaces held; none was dropped"
-    return np.hstack([boundary, N]), (note,)
+    note = "coordinates were changed: interface degrees of freedom, then modes of the body with interfaces held"
+    return np.hstack([boundary, N]), (f"{note}; none was dropped",)
 
 
 def _first_label(source: StoredBodies, given: int | None, others: int, largest: int) -> tuple[int, tuple[str, ...]]:
@@ -141,7 +141,7 @@ def _first_label(source: StoredBodies, given: int | None, others: int, largest: 
 
 
 def _grids(source: StoredBodies, label: int) -> tuple[tuple[tuple[int, str, Floats], ...], Ints, int]:
-    """Label, interface and point of each grid, the label for each interface motion, and the next free label."""
+    """Label, interface and point of each grid, the label for each interface dof, and the next free label."""
     names = list(source.interfaces)
     xyz = dict(zip(source.node_ids.tolist(), source.coordinates, strict=True))
     frames: dict[int, int] = {}

@@ -1,7 +1,8 @@
 """MATLAB .mat file for the block Reduced Order Flexible Solid of Simscape Multibody.
 
-The block wants a free body: motions of the interface frames first, six each (translations x, y, z, rotations x, y,
-z), then the coordinates of modes that leave the frames at rest, all in one reference frame, that of the model.
+The block wants a free body: degrees of freedom of the interface frames first, six each (translations x, y, z,
+rotations x, y, z), then the coordinates of modes that leave the frames at rest, all in one reference frame, that of the
+model.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Floats = NDArray[np.float64]
 HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
 HEADER_BYTES = 116
 RIGID_MOTIONS = 6
-# Smallest singular value of the interface motions, scaled, relative to the largest.
+# Smallest singular value of the interface degrees of freedom, scaled, relative to the largest.
 INDEPENDENT = 1e-10
 
 
@@ -88,17 +89,17 @@ def _refuse_unfit(body: StoredBody) -> None:
 
 
 def _interfaces(task: Task) -> tuple[list[str], NDArray[np.int64]]:
-    """Interfaces with six motions, and their rows of the output matrix."""
+    """Interfaces with six degrees of freedom, and their rows of the output matrix."""
     source, names = task.source, []
     rows: list[int] = []
     for number, (name, interface) in enumerate(source.interfaces.items()):
-        if interface.coupling == "direct":
+        if not interface.kind.framed:
             continue
         if tuple(interface.components) != tuple(range(6)):
             given = ", ".join(str(c) for c in interface.components)
             raise InputError(
-                f"interface {name!r} exposes the motions {given}; the Simscape block needs all six, leave components "
-                "out in the job"
+                f"interface {name!r} exposes the degrees of freedom {given}; the Simscape block needs all six, leave "
+                "components out in the job"
             )
         names.append(name)
         at = np.flatnonzero(source.input_interface == number)
@@ -112,7 +113,7 @@ def _interfaces(task: Task) -> tuple[list[str], NDArray[np.int64]]:
 
 
 def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-    """K, M, D of the coordinates [interface motions; modes with the interfaces at rest], of the same body.
+    """K, M, D of the coordinates [interface degrees of freedom; modes with the interfaces at rest], of the same body.
 
     Both are K-orthogonal, so that rigid motion is that of the interfaces, without any mode.
     """

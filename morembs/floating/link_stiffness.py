@@ -12,7 +12,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.interface import averaging
 from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -20,7 +19,7 @@ Ints = NDArray[np.int64]
 
 
 class Links:
-    """The couplings of all rigid and average interfaces of ``problem``.
+    """The couplings of all interfaces of ``problem`` that have a frame.
 
     ``dofs`` (ns,) of the model are those of their nodes, interface by interface; ``M`` (ns, N) is the mass there.
     """
@@ -29,6 +28,8 @@ class Links:
         model, self.columns = problem.model, problem.coupling.frame_columns
         of = {interface.name: interface for interface in problem.interfaces}
         self.arms, self.places = {}, {}
+        # Interfaces whose nodes share forces as the body decides.
+        self.carried: set[str] = set()
         dofs: list[Ints] = []
         spread: list[sp.csc_array] = []
         at = 0
@@ -37,15 +38,17 @@ class Links:
             xyz = model.nodes.xyz[interface.nodes]
             self.arms[name] = xyz - interface.point
             mine = model.dofs.of_nodes(interface.nodes).ravel()
-            forces = averaging(interface, xyz).T if interface.coupling == "average" else np.zeros((len(mine), 6))
+            forces = interface.kind.nodal_forces(model, interface)
+            if forces is None:
+                self.carried.add(name)
+                forces = np.zeros((len(mine), 6))
             row, col = np.repeat(mine, 6), np.tile(np.arange(6), len(mine))
             spread.append(sp.csc_array((forces.ravel(), (row, col)), shape=(model.size, 6)))
             self.places[name] = slice(at, at + len(mine))
             dofs.append(mine)
             at += len(mine)
-        self.rigid = {name for name in self.columns if of[name].coupling == "rigid"}
         self.dofs = np.concatenate(dofs) if dofs else np.empty(0, dtype=np.int64)
-        # Forces of unit wrenches on average interfaces, stiffness and mass, each at the nodes of interfaces only.
+        # Forces of unit wrenches where the coupling alone spreads them, stiffness and mass: at interface nodes only.
         self.spread = sp.csr_array(sp.hstack(spread))[self.dofs] if spread else sp.csr_array((0, 0))
         self.K, self.M = (sp.csr_array(A[self.dofs]) for A in (model.K, model.M))
 
@@ -62,13 +65,13 @@ class Links:
         found = {}
         for name, place in self.places.items():
             a = self.arms[name]
-            r = (passed if name in self.rigid else self._alone(name, wrench))[place]
+            r = (passed if name in self.carried else self._alone(name, wrench))[place]
             virial = np.einsum("sak,sb->kab", r.reshape(len(a), 3, -1), a)
             trace = np.einsum("kaa->k", virial)
             found[name] = 0.5 * (virial + virial.transpose(0, 2, 1)) - trace[:, None, None] * np.eye(3)
         return found
 
     def _alone(self, name: str, wrench: Floats) -> Floats:
-        """Nodal forces (ns, k) of the wrench on one average interface."""
+        """Nodal forces (ns, k) of the wrench on one interface whose coupling spreads it."""
         columns = self.columns[name]
         return np.asarray(self.spread[:, columns] @ wrench[columns])

@@ -24,7 +24,7 @@ from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.floating.link_stiffness import Links
 from morembs.floating.stiffening_terms import why_no_stiffening
-from morembs.interface import Interface, averaging
+from morembs.interface import Interface
 from morembs.linalg.statics import Restricted, support_dofs
 from morembs.model import FEModel, rigid_motion
 from morembs.model.geometric_stiffness import StressedMesh
@@ -94,7 +94,7 @@ class Preload:
         Raises:
             InputError: an unknown interface, one without a frame, or a wrench on a held one.
         """
-        framed, known = [i.name for i in interfaces if i.coupling != "direct"], [i.name for i in interfaces]
+        framed, known = [i.name for i in interfaces if i.kind.framed], [i.name for i in interfaces]
         for key, names in (("wrench", tuple(self.wrench)), ("held", self.held)):
             for name in names:
                 if name not in framed:
@@ -242,18 +242,10 @@ def _couplings(problem: Problem, turning: Mapping[str, Floats]) -> tuple[sp.csr_
         A = turning.get(interface.name)
         if A is None or np.abs(A).max() <= NOISE * largest:
             continue
-        xyz, dofs = model.nodes.xyz[interface.nodes], model.dofs.of_nodes(interface.nodes).ravel()
-        if interface.coupling == "average" and len(interface.nodes) > PATCH:
+        theta, dofs = interface.kind.rotation(model, interface)
+        if len(dofs) > 3 * PATCH:
             left_out.append(interface.name)
             continue
-        if interface.coupling == "average":
-            theta = averaging(interface, xyz)[3:]
-        else:
-            # Six dofs of a rigid patch tell its rotation.
-            size = float(np.ptp(xyz, axis=0).max())
-            R = rigid_motion(np.repeat(xyz - xyz.mean(axis=0), 3, axis=0) / size, np.tile(np.arange(3), len(xyz)))
-            rows = support_dofs(R)
-            theta, dofs = np.asarray(np.linalg.inv(R[rows])[3:] / size, dtype=np.float64), dofs[rows]
         block = theta.T @ A @ theta
         at = (np.repeat(dofs, len(dofs)), np.tile(dofs, len(dofs)))
         L = L + sp.csr_array(sp.coo_array((block.ravel(), at), shape=L.shape))

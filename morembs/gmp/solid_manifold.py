@@ -48,7 +48,7 @@ class SolidEquilibria:
     """
 
     def __init__(self, solid: NonlinearSolid, solver: LinearSolver | None = None) -> None:
-        rigid = sorted(name for name, i in solid.interfaces.items() if i.coupling == "rigid")
+        rigid = sorted(name for name, i in solid.interfaces.items() if i.kind.carries)
         if rigid != ["end", "start"]:
             raise InputError(f"the solid has the rigid interfaces {rigid}; expected 'start' and 'end'")
         self.solid, self.first, self.second = solid, solid.frames["start"], solid.frames["end"]

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.interface import Interface, averaging, refuse_collinear
+from morembs.interface import Average, Interface, Rigid, averaging
 from morembs.model import FEModel, rigid_motion
 from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
 
@@ -90,7 +90,7 @@ def _mean_rows(model: FEModel, one: AverageElement, table: Ints) -> tuple[Ints, 
     if (columns < 0).any():
         node = model.nodes.ids[interface.nodes[(columns < 0).any(axis=1)][0]]
         raise InputError(f"average element {one.name!r}: node {node} has no dof for each of x, y and z")
-    refuse_collinear(interface, model)
+    interface.kind.check(model, interface)
     dofs = table[one.reference][list(one.components)]
     loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
     if loaded and columns.size**2 > MOST_SPREAD:
@@ -130,7 +130,7 @@ def _average_interface(model: FEModel, one: AverageElement) -> Interface:
     if not weights.sum() > 0:
         raise InputError(f"average element {one.name!r} has no nodes with a weight")
     return Interface(
-        name=one.name, nodes=nodes, coupling="average", point=model.nodes.xyz[one.reference].copy(), weights=weights,
+        name=one.name, nodes=nodes, coupling=Average.name, point=model.nodes.xyz[one.reference].copy(), weights=weights,
         components=tuple(sorted(one.components)),
     )  # fmt: skip
 
@@ -140,7 +140,7 @@ def _offered(model: FEModel, element: RigidElement | AverageElement) -> Interfac
     if isinstance(element, AverageElement):
         return _average_interface(model, element)
     return Interface(
-        name=element.name, nodes=np.array([element.master]), coupling="rigid",
+        name=element.name, nodes=np.array([element.master]), coupling=Rigid.name,
         point=model.nodes.xyz[element.master].copy(), weights=np.ones(1), components=ALL,
     )  # fmt: skip
 
@@ -175,6 +175,6 @@ def interface_of_coupling(
             f"interface {name!r}: components = {list(components or [])} was given; the coupling {wanted!r} has "
             f"{', '.join(map(str, found.components))}"
         )
-    refuse_collinear(found, model)
+    found.kind.check(model, found)
     origin = found.point if point is None else np.asarray(point, dtype=float)
     return replace(found, name=name, point=origin, components=chosen)

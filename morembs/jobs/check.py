@@ -79,7 +79,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
     warnings += preflight(job, model, interfaces, coupling, 6)
     progress.stage("check connections")
-    rigid = rigid_modes(mesh, [i for i in interfaces if i.coupling == "rigid"])
+    rigid = rigid_modes(mesh, [i for i in interfaces if i.kind.carries])
     if rigid > 6:
         raise InputError(
             f"the model has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that "

@@ -22,7 +22,7 @@ SHOWN_MODES = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyResponse:
-    """Size of the elastic transfer function from interface forces to interface motions.
+    """Size of the elastic transfer function from interface forces to interface degrees of freedom.
 
     ``full`` (nf,) Frobenius norm of H in m/N at ``frequencies_hz`` (nf,); for each body ``reduced`` (nf,)
     its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` a bound

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
-from morembs.interface import Interface
+from morembs.interface import COUPLINGS, Interface
 from morembs.model import FEModel, skew
 from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents, turned
 from morembs.nonlinear.total_lagrangian import SaintVenantKirchhoff
@@ -52,10 +52,12 @@ class NonlinearSolid:
 
     Args:
         model: from ``morembs.model.assembly.assemble``.
-        interfaces: from ``morembs.interface.make_interface``, of any coupling.
+        interfaces: from ``morembs.interface.make_interface``, of a coupling that is known for large
+            rotations (rigid, average, direct).
 
     Raises:
-        InputError: a model without elements, interfaces of one name, rigid ones that share nodes.
+        InputError: a model without elements, interfaces of one name, rigid ones that share nodes, or a coupling for
+            small rotations only.
     """
 
     def __init__(self, model: FEModel, interfaces: Sequence[Interface] = (), budget: Budget = UNLIMITED) -> None:
@@ -63,7 +65,14 @@ class NonlinearSolid:
         self.model, self.interfaces = model, {interface.name: interface for interface in interfaces}
         if len(self.interfaces) < len(interfaces):
             raise InputError("two interfaces have the same name; give each its own name")
-        rigid = [interface for interface in interfaces if interface.coupling == "rigid"]
+        for interface in interfaces:
+            if not interface.kind.large_rotations:
+                known = ", ".join(name for name, kind in COUPLINGS.items() if kind.large_rotations)
+                raise InputError(
+                    f"interface {interface.name!r}: coupling = {interface.coupling!r} is for small rotations only; "
+                    f"take one of {known}"
+                )
+        rigid = [interface for interface in interfaces if interface.kind.carries]
         carried = np.concatenate([np.zeros(0, dtype=np.int64), *(interface.nodes for interface in rigid)])
         if len(np.unique(carried)) < len(carried):
             raise InputError("rigid interfaces share nodes; leave these out of one, or take coupling = 'average'")
@@ -87,7 +96,7 @@ class NonlinearSolid:
         """Interfaces: numbers of the coordinates, (6,) of a rigid frame, those of its components of a direct one."""
         found = {name: frame.numbers for name, frame in self._rigid.items()}
         for name, interface in self.interfaces.items():
-            if interface.coupling == "direct":
+            if not interface.kind.framed:
                 own = self._row[interface.nodes]
                 if (own < 0).any():
                     raise InputError(f"interface {name!r}: some nodes belong to a rigid frame; take others")
@@ -250,7 +259,7 @@ class NonlinearSolid:
         self.elements.refuse_inverted(self.positions(x))
 
     def _framed(self, name: str) -> Interface:
-        framed = [key for key, interface in self.interfaces.items() if interface.coupling != "direct"]
+        framed = [key for key, interface in self.interfaces.items() if interface.kind.framed]
         if name not in framed:
             raise InputError(f"interface {name!r} has no frame; {nearest(name, framed)}")
         return self.interfaces[name]

@@ -109,12 +109,7 @@ class Problem:
     @cached_property
     def motion_scale(self) -> Floats:
         """One for displacements and ``length`` for rotations, for each column of B."""
-        scale = np.ones(self.B.shape[1])
-        for interface in self.interfaces:
-            columns = self.coupling.columns[interface.name]
-            own = np.where(np.array(interface.components) > 2, self.length, 1.0)
-            scale[columns] = np.tile(own, len(interface.nodes) if interface.coupling == "direct" else 1)
-        return scale
+        return np.concatenate([np.ones(0), *(one.kind.scale(one, self.length) for one in self.interfaces)])
 
     @property
     def solver_name(self) -> str:
@@ -142,7 +137,7 @@ class Problem:
 
     @cached_property
     def internal(self) -> Restricted:
-        """The body held at all interface motions: C = B."""
+        """The body held at all interface degrees of freedom: C = B."""
         return Restricted(self.statics, self.B, "the interfaces")
 
     def require_room_for_modes(self) -> None:
@@ -160,7 +155,7 @@ class Problem:
         return _cut(self._elastic, count, below)
 
     def fixed_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
-        """Modes with all interface motions fixed, as ``elastic_modes``."""
+        """Modes with all interface degrees of freedom fixed, as ``elastic_modes``."""
         self._fixed = self._at_least(self._fixed, self.internal, count, below, "fixed-interface modes")
         return _cut(self._fixed, count, below)
 

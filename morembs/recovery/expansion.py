@@ -146,8 +146,8 @@ def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
         )
     if trajectory.loads is not None and trajectory.loads.shape[1] != inputs:
         raise InputError(
-            f"the trajectory has {trajectory.loads.shape[1]} loads; body {body.name!r} has {inputs} interface motions: "
-            "give one load for each column of its input matrix"
+            f"the trajectory has {trajectory.loads.shape[1]} loads; body {body.name!r} has {inputs} interface degrees "
+            "of freedom: give one load for each column of its input matrix"
         )
     framed = trajectory.position is not None or trajectory.rotation is not None
     if framed and width != elastic:

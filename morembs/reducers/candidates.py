@@ -57,7 +57,7 @@ class Candidates:
 
     def _refuse_interfaces(self, rows: Ints, interfaces: Sequence[Interface]) -> None:
         for interface in interfaces:
-            shared = np.intersect1d(rows, interface.nodes) if interface.coupling != "average" else rows[:0]
+            shared = np.intersect1d(rows, interface.nodes) if interface.kind.exclusive else rows[:0]
             if len(shared):
                 raise InputError(
                     f"candidates: {len(shared)} of {len(rows)} nodes, such as node "

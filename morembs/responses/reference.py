@@ -67,7 +67,7 @@ class Reference:
 
     @property
     def B(self) -> Floats:
-        """Interface motions (k, m)."""
+        """Interface degrees of freedom (k, m)."""
         return self.F[:, : self.inputs]
 
     def damping_of_modes(self) -> Floats:
@@ -188,7 +188,7 @@ class _Growth:
         start = problem.elastic.flexibility(F)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
-            raise InputError("an interface motion does not deform the body; check the interfaces")
+            raise InputError("an interface degree of freedom does not deform the body; check the interfaces")
         start /= self.scale
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]

@@ -233,7 +233,7 @@ def _optional(module, name):
 
 
 def methods():
-    """Name -> reducer for a band (low, high) in Hz and m interface motions."""
+    """Name -> reducer for a band (low, high) in Hz and m interface degrees of freedom."""
     found = {
         "modal": lambda low, high, m: Modal(modes=10),
         "guyan": lambda low, high, m: Guyan(),

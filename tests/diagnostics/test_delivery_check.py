@@ -250,7 +250,7 @@ def uneven(name):
         (scaled("bodies/BODY/floating_frame/integrals/Me", 1.001), "integrals/Me"),
         (scaled("bodies/BODY/floating_frame/integrals/mass", 1.001), "integrals/mass, first and inertia"),
         (scaled("bodies/BODY/floating_frame/markers/left/motion", 1.001), "markers/left"),
-        (scaled("interfaces/left/point", 0.9), "interface motions do not follow rigid motion"),
+        (scaled("interfaces/left/point", 0.9), "interface degrees of freedom do not follow rigid motion"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused_by_info(tmp_path, change, words):

@@ -139,7 +139,7 @@ def test_bad_input(made, tmp_path):
     skew = body.stiffness_matrix + np.triu(body.stiffness_matrix, 1)
     cases = (
         (source, source.bodies["few"], "cannot move its 2 interfaces in all 12 ways"),
-        (replace(source, interfaces=short), body, "'left' exposes the motions 0, 1, 2"),
+        (replace(source, interfaces=short), body, "'left' exposes the degrees of freedom 0, 1, 2"),
         (replace(source, interfaces=direct), body, "needs at least one interface with a frame"),
         (source, replace(body, rigid_count=0), "has 0 rigid-body motions"),
         (source, replace(body, stiffness_matrix=skew), "not symmetric"),

@@ -209,5 +209,5 @@ def test_motions_that_depend_on_each_other_cannot_be_coordinates(tmp_path):
     with Problem(model, faces) as problem:
         made = elastic_body(problem, Modal(modes=4).reduce(problem, "few"), make_part(problem))
     write_body(tmp_path / "a.h5", [made])
-    with pytest.raises(InputError, match=r"18 interface motions .* not independent in its 10 coordinates"):
+    with pytest.raises(InputError, match=r"18 interface degrees of freedom .* not independent in its 10 coordinates"):
         export_body(tmp_path / "a.h5", "dmig")

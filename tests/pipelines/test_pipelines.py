@@ -66,7 +66,7 @@ def test_connecting_rod_body_file_is_what_was_reported(connecting_rod):
     body = stored.bodies["cb30"]
     assert body.frequencies_hz.tolist() == result["frequencies_hz"]
     assert np.abs(body.stiffness_matrix - body.stiffness_matrix.T).max() == 0
-    # Its interface motions are its first coordinates.
+    # Its interface degrees of freedom are its first coordinates.
     assert np.array_equal(body.input_matrix, np.eye(42, 12))
 
 

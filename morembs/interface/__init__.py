@@ -1,0 +1,33 @@
+"""Interfaces: where other bodies touch the part, and how its nodes follow a frame; the table lists the couplings."""
+
+from __future__ import annotations
+
+from morembs.interface.average import Average, averaging
+from morembs.interface.base import COUPLINGS, CouplingKind, Elimination, Interface, coupling_kind
+from morembs.interface.couple import Coupling, couple
+from morembs.interface.direct import Direct
+from morembs.interface.make import make_interface
+from morembs.interface.rigid import Rigid
+
+# One line for each kind.
+_ALL: tuple[type[CouplingKind], ...] = (
+    Rigid,
+    Average,
+    Direct,
+)
+COUPLINGS.update({kind.name: kind() for kind in _ALL})
+
+__all__ = [
+    "COUPLINGS",
+    "Average",
+    "Coupling",
+    "CouplingKind",
+    "Direct",
+    "Elimination",
+    "Interface",
+    "Rigid",
+    "averaging",
+    "couple",
+    "coupling_kind",
+    "make_interface",
+]

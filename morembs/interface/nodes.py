@@ -1,0 +1,72 @@
+"""Nodes of an interface: their dofs, and whether they determine the motion of a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.interface.base import Interface
+from morembs.model import FEModel, rigid_motion
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Scaled condition of R_s' W R_s above which the nodes count as collinear.
+COLLINEAR = 1e8
+
+
+def displacement_dofs(model: FEModel, interface: Interface) -> Ints:
+    """Dofs (3 ns,) x, y, z of the interface's nodes.
+
+    Raises:
+        InputError: a node lacks one.
+    """
+    dofs = model.dofs.of_nodes(interface.nodes)
+    if (dofs < 0).any():
+        bare = interface.nodes[(dofs < 0).any(axis=1)][0]
+        raise InputError(
+            f"interface {interface.name!r}: node {model.nodes.ids[bare]} has no dof for each of x, y and z; "
+            "take other nodes"
+        )
+    return dofs.ravel()
+
+
+def all_dofs(model: FEModel, interface: Interface) -> Ints:
+    """All dofs of the interface's nodes, rotations too.
+
+    Raises:
+        InputError: a node lacks one of x, y and z.
+    """
+    displacements = displacement_dofs(model, interface)
+    if model.dofs.component.max(initial=0) < 3:
+        return displacements
+    return np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+
+
+def frame_motion(xyz: Floats, point: Floats) -> Floats:
+    """R_s (3 ns, 6): displacements of nodes under the motion of a frame at ``point``."""
+    component = np.tile(np.arange(3), len(xyz))
+    return rigid_motion(np.repeat(xyz - point, 3, axis=0), component)
+
+
+def condition_of(arms: Floats, weights: Floats) -> float:
+    """Condition of R_s' W R_s about the centroid for nodes at ``arms`` (ns, 3), scaled to one; inf for one point."""
+    length = np.linalg.norm(arms, axis=1).max()
+    if not length > 0:
+        return np.inf
+    R = frame_motion(arms / length, np.zeros(3))
+    return float(np.linalg.cond(R.T @ (np.repeat(weights / np.abs(weights).sum(), 3)[:, None] * R)))
+
+
+def refuse_collinear(interface: Interface, condition: float) -> None:
+    """Refuse nodes that do not determine the rotations of their frame, by their ``condition``.
+
+    Raises:
+        InputError: as said.
+    """
+    if not condition < COLLINEAR:
+        raise InputError(
+            f"interface {interface.name!r}: its {len(interface.nodes)} nodes lie on a line or in a point; "
+            f"{interface.coupling} coupling needs at least three nodes that span a plane "
+            '(take more nodes, or coupling = "direct")'
+        )

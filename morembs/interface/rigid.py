@@ -1,0 +1,74 @@
+"""Rigid coupling (RBE2): nodes follow the frame, u_s = R_s z; their dofs are eliminated, rotations too."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.interface.base import CouplingKind, Elimination, Interface
+from morembs.interface.nodes import all_dofs, condition_of, refuse_collinear
+from morembs.linalg.statics import support_dofs
+from morembs.model import FEModel, rigid_motion
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Rigid(CouplingKind):
+    """Six degrees of freedom of the frame take the place of the dofs of its nodes.
+
+    A single node that turns keeps its dofs: the frame is the node itself, seen from another point.
+    """
+
+    name: ClassVar[str] = "rigid"
+    also_called: ClassVar[tuple[str, ...]] = ("rbe2", "kinematic", "mpc")
+    framed: ClassVar[bool] = True
+    carries: ClassVar[bool] = True
+    exclusive: ClassVar[bool] = True
+    large_rotations: ClassVar[bool] = True
+
+    def attach(self, model: FEModel, interface: Interface) -> Elimination | sp.csc_array:
+        if len(interface.nodes) == 1:
+            return _single_node(model, interface)
+        dofs = all_dofs(model, interface)
+        arms = model.nodes.xyz[model.dofs.node[dofs]] - interface.point
+        return Elimination(dofs=dofs, motion=rigid_motion(arms, model.dofs.component[dofs]))
+
+    def check(self, model: FEModel, interface: Interface) -> None:
+        xyz = model.nodes.xyz[interface.nodes]
+        arms = xyz - xyz.mean(axis=0)
+        turning = model.dofs.component[np.isin(model.dofs.node, interface.nodes)] > 2
+        if not turning.any():
+            refuse_collinear(interface, condition_of(arms, np.ones(len(arms))))
+            return
+        # Nodes that turn with the frame determine it alone.
+        length = np.linalg.norm(arms, axis=1).max()
+        dofs = all_dofs(model, interface)
+        at = np.searchsorted(interface.nodes, model.dofs.node[dofs])
+        R = rigid_motion(arms[at] / max(length, np.finfo(float).tiny), model.dofs.component[dofs])
+        refuse_collinear(interface, float(np.linalg.cond(R.T @ R / len(R))))
+
+    def nodal_forces(self, model: FEModel, interface: Interface) -> None:
+        return None
+
+    def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
+        # Six dofs of a rigid patch tell its rotation.
+        xyz, dofs = model.nodes.xyz[interface.nodes], model.dofs.of_nodes(interface.nodes).ravel()
+        size = float(np.ptp(xyz, axis=0).max())
+        R = rigid_motion(np.repeat(xyz - xyz.mean(axis=0), 3, axis=0) / size, np.tile(np.arange(3), len(xyz)))
+        rows = support_dofs(R)
+        return np.asarray(np.linalg.inv(R[rows])[3:] / size, dtype=np.float64), dofs[rows]
+
+
+def _single_node(model: FEModel, interface: Interface) -> sp.csc_array:
+    """Loads (N, m) on the six dofs of the one node: z = R^-1 u."""
+    wanted = list(interface.components)
+    dofs = all_dofs(model, interface)
+    dofs = dofs[np.argsort(model.dofs.component[dofs])]
+    away = interface.point - model.nodes.xyz[interface.nodes[0]]
+    motion = rigid_motion(np.tile(away, (6, 1)), np.arange(6))[wanted]
+    places = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
+    return sp.csc_array((motion.ravel(), places), shape=(model.size, len(wanted)))
