@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,10 @@ from morembs.body.stored_frame import read_frame, read_ranking
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
-from morembs.reducers.switching_tables import Switching
 from morembs.storage.checksums import GROUP, Checksums
+
+if TYPE_CHECKING:
+    from morembs.reducers.switching_tables import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
