@@ -23,11 +23,13 @@ import jobs
 import krylov
 import parts
 import solvers
+import startup
 import switching
 from measure import HERE, Settings, required
 
 CASES = {
-    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES
+    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
+    **startup.CASES,
 }  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")

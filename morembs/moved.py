@@ -59,6 +59,19 @@ MOVED = {
     "linalg.umfpack": "linalg.sparse.umfpack",
     "mass": "model.mass",
     "material": "model.material",
+    "multibody.contact_impact": "multibody.contact.impact",
+    "multibody.contact_law": "multibody.contact.lcp",
+    "multibody.contact_patches": "multibody.contact.patches",
+    "multibody.contact_result": "multibody.contact.result",
+    "multibody.contact_run": "multibody.contact.run",
+    "multibody.contact_start": "multibody.contact.reactions",
+    "multibody.contact_step": "multibody.contact.kinematics",
+    "multibody.lemke": "multibody.contact.lemke",
+    "multibody.local_response": "multibody.sliding.response",
+    "multibody.path_place": "multibody.sliding.path",
+    "multibody.sliding_switch": "multibody.sliding.handler",
+    "multibody.surfaces": "multibody.contact.surfaces",
+    "multibody.switching": "multibody.sliding.body",
     "picture": "jobs.picture",
     "preload": "floating.preload",
     "responses.certify": "certificate.certify",
@@ -85,7 +98,11 @@ MOVED = {
 
 
 class _Moved(MetaPathFinder, Loader):
-    """Finds the modules of ``MOVED``; asked last, so nothing that exists is hidden."""
+    """Finds the modules of ``MOVED``.
+
+    Asked first: a package that took another's place has files of its own, which would be found by old names too, and
+    loaded once more.
+    """
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -108,4 +125,4 @@ class _Moved(MetaPathFinder, Loader):
 def accept_old_names() -> None:
     """Have the old names imported from now on."""
     if not any(isinstance(finder, _Moved) for finder in sys.meta_path):
-        sys.meta_path.append(_Moved())
+        sys.meta_path.insert(0, _Moved())

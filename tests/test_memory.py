@@ -20,7 +20,8 @@ BATCH = """
 import sys
 import numpy as np
 from morembs.cli import commands as cli
-real, calls = cli.run_job, []
+from morembs.jobs import run
+real, calls = run.run_job, []
 
 def large_first(*args):
     calls.append(1)
@@ -32,7 +33,7 @@ def large_first(*args):
         holder.append(holder)
     return real(*args)
 
-cli.run_job = large_first
+run.run_job = large_first
 sys.argv = ["morembs", "reduce", *sys.argv[1:], "--json"]
 cli.main()
 """

@@ -1,5 +1,5 @@
 """The reduced elastic body: what it holds, how it is built, its file."""
 
-from morembs.body.body import NODE_CHOICES, VTK_VERTEX, Cells, ElasticBody, Part, elastic_body, make_part
+import lazy_loader
 
-__all__ = ["NODE_CHOICES", "VTK_VERTEX", "Cells", "ElasticBody", "Part", "elastic_body", "make_part"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,14 +9,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import vtkhdf
-from morembs.body.body import ElasticBody, Part
 from morembs.body.stored import (
     StoredBodies,
     StoredBody,
@@ -29,15 +28,16 @@ from morembs.body.stored_certificate import write_certificate
 from morembs.body.stored_check import check_file
 from morembs.body.stored_frame import write_frame, write_ranking
 from morembs.body.stored_switching import read_switching, write_switching
-from morembs.body.stress_shapes import write_recovery
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
-from morembs.reducers.base import MODE_KINDS
-from morembs.reducers.switching_tables import Switching
 from morembs.storage import checksums
-from morembs.storage.hdf5 import reading
+from morembs.storage.hdf5 import reading, refuse_newer
 from morembs.storage.safefile import SafeFile, check_writable, replacing
 from morembs.storage.storable import json_text, plain, storable, text
+
+if TYPE_CHECKING:
+    from morembs.body.body import ElasticBody, Part
+    from morembs.reducers.switching_tables import Switching
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -154,6 +154,8 @@ class _Writer:
 
 def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, object]) -> None:
     """Everything the bodies share."""
+    from morembs.reducers.base import MODE_KINDS
+
     out.put("format", FORMAT)
     # Readers of version 1 take the transposed input matrix for the motions.
     plain_bodies = all(body.reduced.symmetric for body in bodies)
@@ -191,6 +193,9 @@ def _write_common(out: _Writer, part: Part, bodies: Sequence[ElasticBody], recip
 
 def _write_one(out: _Writer, body: ElasticBody, progress: Progress) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
+    from morembs.body.stress_shapes import write_recovery
+    from morembs.reducers.base import MODE_KINDS
+
     group, reduced = f"bodies/{body.name}", body.reduced
     about = "reduced matrix, symmetric" if reduced.symmetric else "reduced matrix, not symmetric"
     for name, matrix in zip(_MATRICES, (reduced.M, reduced.K, reduced.D), strict=True):
@@ -281,11 +286,7 @@ def _refuse_other(path: Path, file: Any) -> None:
     if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
         raise InputError(f"{path} is an HDF5 file but not a body file of morembs (no /format {FORMAT!r})")
     refuse_missing(path, file, ["format_version"])
-    version = int(file["format_version"][()])
-    if not 1 <= version <= FORMAT_VERSION:
-        raise InputError(
-            f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a newer one"
-        )
+    refuse_newer(path, int(file["format_version"][()]), FORMAT_VERSION)
 
 
 def _version() -> str:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,11 @@ from morembs.body.stored_frame import read_frame, read_ranking
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
-from morembs.interface import COUPLINGS, CouplingKind
-from morembs.reducers.switching_tables import Switching
 from morembs.storage.checksums import GROUP, Checksums
+
+if TYPE_CHECKING:
+    from morembs.interface import CouplingKind
+    from morembs.reducers.switching_tables import Switching
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -51,6 +53,9 @@ class StoredInterface:
     @property
     def kind(self) -> CouplingKind:
         """What the coupling does."""
+        # Not at the top: files are shown without what couples and solves.
+        from morembs.interface import COUPLINGS
+
         return COUPLINGS[self.coupling]
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from morembs.certificate.certify import Certificate
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 
 def write_certificate(put: Callable[..., None], group: str, its: Certificate) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from morembs.errors import InputError
-from morembs.reducers.switching_tables import Switching
 from morembs.storage.storable import json_text
+
+if TYPE_CHECKING:
+    from morembs.reducers.switching_tables import Switching
 
 # Stores one dataset: name, value, what it is, its units.
 Put = Callable[..., None]
@@ -49,6 +51,8 @@ def read_switching(group: Any) -> Switching:
     Raises:
         InputError: a dataset is missing.
     """
+    from morembs.reducers.switching_tables import Switching
+
     missing = [name for name in (*_TABLES, "kind", "turns", "notes") if not hasattr(group.get(name), "shape")]
     if missing:
         raise InputError(f"the switching data lack {', '.join(missing)}; write the body file again")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.reducers.base import ReducedModel
-
 if TYPE_CHECKING:
     from morembs.body.body import Cells
+    from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
 # ParaView 5.11 refuses any other number; 1.0 has all that a static grid needs.

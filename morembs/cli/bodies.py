@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from morembs.body.file import read_body
-from morembs.cli.report_stored import print_stored, stored_json
-from morembs.cli.terminal import EPILOG, AsJson, console, messages, print_json, printing, progress_line
-from morembs.diagnostics.warnings import refuse_unsound, stored_findings
+from morembs.cli.messages import print_json, printing
+from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
-from morembs.exporters import EXPORTERS, export_body, make_exporter
-from morembs.recovery.recover import Recovered
-from morembs.recovery.recover import recover as recover_series
+
+if TYPE_CHECKING:
+    from morembs.recovery.recover import Recovered
 
 app = typer.Typer()
 BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]
@@ -25,15 +23,10 @@ BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where 
 @app.command(epilog=EPILOG)
 def info(file: BodyFile, as_json: AsJson = False) -> None:
     """Show what a body file holds."""
+    from morembs.cli.report_stored import show
+
     with messages():
-        stored = read_body(file, whole=True)
-        found = stored_findings(stored)
-        with printing():
-            if as_json:
-                print_json(stored_json(str(file), stored, found))
-            else:
-                print_stored(console(), str(file), stored, found)
-        refuse_unsound(str(file), found)
+        show(file, as_json=as_json)
 
 
 @app.command(epilog=EPILOG)
@@ -50,6 +43,8 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a body for another program."""
+    from morembs.exporters import EXPORTERS, export_body
+
     if listed:
         targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
         with messages(), printing():
@@ -76,6 +71,8 @@ def _options(to: str, given: list[str]) -> dict[str, Any]:
     Raises:
         InputError: no "=", or a key or value that the target does not take.
     """
+    from morembs.exporters import make_exporter
+
     options: dict[str, Any] = {}
     for text in given:
         key, equals, value = text.partition("=")
@@ -104,6 +101,8 @@ def recover(
     as_json: AsJson = False,
 ) -> None:
     """Expand a reduced motion to all nodes, with stresses, for ParaView."""
+    from morembs.recovery.recover import recover as recover_series
+
     with messages():
         with progress_line() as progress:
             done = recover_series(

@@ -1,55 +1,31 @@
-"""The command line: its verbs on jobs, and the entry point; verbs on body files are in ``cli_bodies``."""
+"""The command line: its verbs on jobs; those on body files are in ``bodies``, on models in ``models``.
+
+What a verb needs it imports itself: most of the time of short commands would go into what they do not use.
+"""
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from morembs import stopping
-from morembs.body.file import check_writable
 from morembs.cli.bodies import app as bodies
+from morembs.cli.entry import main
+from morembs.cli.messages import console, print_json, printing, warn
 from morembs.cli.models import app as models
-from morembs.cli.report import (
-    print_contenders,
-    print_forecast,
-    print_result,
-    result_json,
-    without_nan,
-)
-from morembs.cli.terminal import (
-    BAD_INPUT,
-    EPILOG,
-    AsJson,
-    Done,
-    Jobs,
-    Quiet,
-    console,
-    each_job,
-    failure,
-    messages,
-    print_json,
-    printing,
-    tell,
-    warn,
-)
+from morembs.cli.terminal import EPILOG, AsJson, Done, Jobs, Quiet, each_job, messages
 from morembs.errors import InputError, MorembsError
-from morembs.jobs.check import check_job
-from morembs.jobs.inputs import clashes, source_of
-from morembs.jobs.job import Job, load_job
-from morembs.jobs.pareto import contenders, draw_contenders
-from morembs.jobs.run import run_job
-from morembs.linalg.sparse.interruptible import calls_running
-from morembs.linalg.sparse.select import available_solvers
 from morembs.progress import Progress
 from morembs.version import VERSION
+
+if TYPE_CHECKING:
+    from morembs.jobs.job import Job
+
+__all__ = ["app", "main"]
 
 app = typer.Typer(
     name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
@@ -60,6 +36,10 @@ app = typer.Typer(
 @app.command(epilog=EPILOG)
 def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
     """Reduce the models of job files and write their bodies."""
+    from morembs.cli.report import print_result, result_json
+    from morembs.jobs.job import load_job
+    from morembs.jobs.run import run_job
+
 
     def work(path: Path, progress: Progress) -> Done:
         job = load_job(path)
@@ -83,6 +63,13 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Run a job and set its reductions side by side: order, errors, time, memory."""
+    from morembs.cli.report import print_contenders, without_nan
+    from morembs.jobs.inputs import source_of
+    from morembs.jobs.job import load_job
+    from morembs.jobs.pareto import contenders, draw_contenders
+    from morembs.jobs.run import run_job
+    from morembs.storage.safefile import check_writable
+
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
@@ -111,6 +98,10 @@ def compare(
 @app.command(epilog=EPILOG)
 def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
     """Check job files and forecast size and memory; factorises nothing, writes nothing."""
+    from morembs.cli.report import print_forecast
+    from morembs.jobs.check import check_job
+    from morembs.jobs.job import load_job
+
 
     def work(path: Path, progress: Progress) -> Done:
         forecast = check_job(load_job(path), progress)
@@ -121,6 +112,9 @@ def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
 
 def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
     """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
+    from morembs.jobs.inputs import clashes
+    from morembs.jobs.job import load_job
+
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
@@ -135,6 +129,8 @@ app.add_typer(models)
 @app.command(epilog=EPILOG)
 def solvers(as_json: AsJson = False) -> None:
     """List the sparse solvers, the best first, and why some cannot run here."""
+    from morembs.linalg.sparse.select import available_solvers
+
     with messages(), printing():
         found = available_solvers()
         if as_json:
@@ -157,42 +153,3 @@ def _options(
     ] = False,
 ) -> None:
     """Options of all verbs."""
-
-
-def main() -> None:
-    """Entry point of the command ``morembs``."""
-    with stopping.heeded():
-        code = _exit_code()
-        number = stopping.asked()
-        if number is not None:
-            code = 128 + number
-            end = "interrupted" if number == signal.SIGINT else "terminated"
-            tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
-    if calls_running():
-        # A library still computes in another thread; ending as usual would take its memory from under it.
-        with suppress(OSError):
-            sys.stdout.flush()
-        os._exit(code)
-    sys.exit(code)
-
-
-def _exit_code() -> int:
-    """Run the command; the code that it ends with if no signal came."""
-    try:
-        app()
-    except SystemExit as end:
-        if isinstance(end.__context__, OSError):
-            # Typer leaves without a word where nobody reads its help.
-            return BAD_INPUT
-        return end.code if isinstance(end.code, int) else BAD_INPUT
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
-    except Exception as error:
-        found = failure(error)
-        tell(f"error: {found.message}")
-        return found.code
-    return 0
-
-
-if __name__ == "__main__":
-    main()

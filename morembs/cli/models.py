@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from morembs.cli.report import without_nan
-from morembs.cli.terminal import EPILOG, AsJson, messages, print_json, printing, progress_line
+from morembs.cli.messages import print_json, printing
+from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
-from morembs.jobs.import_job import ImportJob, ImportResult, list_formats, material_of, run_import
 from morembs.units import parse_units
+
+if TYPE_CHECKING:
+    from morembs.jobs.import_job import ImportResult
 
 app = typer.Typer()
 
@@ -43,6 +45,8 @@ def import_model(
     as_json: AsJson = False,
 ) -> None:
     """Convert a model of another program into a model file that jobs read."""
+    from morembs.jobs.import_job import ImportJob, list_formats, material_of, run_import
+
     if listed:
         formats = list_formats()
         with messages(), printing():
@@ -90,6 +94,8 @@ def _options(given: list[str]) -> dict[str, Any]:
 
 
 def _document(done: ImportResult) -> dict[str, Any]:
+    from morembs.cli.report import without_nan
+
     model, found = done.model, done.diagnosis
     return {
         "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),

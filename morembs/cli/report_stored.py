@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
 
+from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
-from morembs.cli.tables import frame_words, listed, mass_table, ranking_words, titled, words
+from morembs.cli.messages import console, print_json, printing
+from morembs.diagnostics.delivery_check import refuse_unsound, stored_findings
 from morembs.diagnostics.findings import Diagnosis
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 SHOWN_FREQUENCIES = 10
+
+
+def show(file: str | Path, *, as_json: bool) -> None:
+    """Print what a body file holds, and what is wrong with it.
+
+    Raises:
+        InputError: the file cannot be used, or contradicts itself.
+        OutputError: standard output cannot be written.
+    """
+    stored = read_body(file, whole=True)
+    found = stored_findings(stored)
+    with printing():
+        if as_json:
+            print_json(stored_json(str(file), stored, found))
+        else:
+            print_stored(console(), str(file), stored, found)
+    refuse_unsound(str(file), found)
 
 
 def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> dict[str, Any]:
@@ -32,7 +53,7 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
         "center_of_mass": stored.center_of_mass.tolist(),
         "inertia": stored.inertia.tolist(),
         "frequencies_hz": first.frequencies_hz.tolist(),
-        "full_frequencies_hz": listed(first.full_frequencies_hz),
+        "full_frequencies_hz": None if first.full_frequencies_hz is None else first.full_frequencies_hz.tolist(),
         "interfaces": {
             name: {
                 "coupling": one.coupling,
@@ -68,6 +89,10 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
 
 def print_stored(console: Console, path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> None:
     """What a body file holds, and warnings of what is ``found`` wrong with each body."""
+    from rich.markup import escape
+
+    from morembs.cli.tables import frame_words, mass_table, ranking_words, titled, words
+
     values = stored_json(path, stored, found)
     console.print(
         f"[bold]{path}[/]: {values['source'] or 'model'}, "

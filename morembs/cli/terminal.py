@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import sys
-import tempfile
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, Lock, Thread, Timer
-from typing import Annotated, Any, NamedTuple
+from threading import Event, Lock, Thread
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import Progress as Bar
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs import stopping
-from morembs.errors import InputError, MorembsError, OutputError
+from morembs.cli.messages import Failure, failure, print_json, printing, tell
+from morembs.errors import InputError
 from morembs.memory import release
 from morembs.progress import SILENT, Progress
-from morembs.version import VERSION
 
-FAULT, BAD_INPUT = 1, 2
-# Shorter work shows no progress: on a terminal, and where lines are written.
-PATIENCE_SECONDS, PATIENCE_OF_LINES = 1.0, 5.0
+# Shorter work writes no lines of progress.
+PATIENCE_OF_LINES = 5.0
 # Lines: a new stage is told after this, and a stage that goes on is told again each so many seconds.
 STAGE_SECONDS, REPEAT_SECONDS = 1.0, 15.0
-PIPE_WIDTH = 160
 
 EPILOG = (
     "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
@@ -45,40 +37,6 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on 
 # Plain values for JSON, and what prints them for people.
 Done = tuple[dict[str, Any], Callable[[], None]]
 Work = Callable[[Path, Progress], Done]
-
-
-class TerminalProgress:
-    """A line on standard error that says what is going on, once that takes more than a second."""
-
-    def __init__(self, screen: Console, visible: bool) -> None:
-        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-        self._bar = Bar(*columns, console=screen, transient=True, disable=not visible)
-        self._task = self._bar.add_task("", total=None)
-        self._timer = Timer(PATIENCE_SECONDS, self._bar.start)
-        self._timer.daemon = True
-        self._stage = ""
-
-    def stage(self, name: str) -> None:
-        """A new stage begins."""
-        self._stage = name
-        self._bar.update(self._task, description=name)
-
-    def update(self, text: str) -> None:
-        """News within the stage."""
-        self._bar.update(self._task, description=f"{self._stage}: {text}" if self._stage else text)
-
-    @contextmanager
-    def shown(self) -> Iterator[Progress]:
-        """Show the line while work goes on, and take it away afterwards."""
-        self._timer.start()
-        try:
-            yield self
-        finally:
-            self._timer.cancel()
-            self._timer.join()
-            # A terminal that has gone does not end the work.
-            with suppress(OSError):
-                self._bar.stop()
 
 
 class LineProgress:
@@ -159,59 +117,14 @@ def progress_line(quiet: bool = False) -> Iterator[Progress]:
         yield Heeding(SILENT)
         return
     seen = sys.stderr is not None and sys.stderr.isatty()
-    shown = TerminalProgress(Screen(stderr=True), True).shown() if seen else LineProgress(tell).shown()
+    if seen:
+        from morembs.cli.screen import Screen, TerminalProgress
+
+        shown = TerminalProgress(Screen(stderr=True), True).shown()
+    else:
+        shown = LineProgress(tell).shown()
     with shown as progress:
         yield Heeding(progress)
-
-
-def tell(line: str) -> None:
-    """A line on standard error; where that cannot be written there is nobody to tell, and the work goes on."""
-    with suppress(OSError):
-        typer.echo(line, err=True)
-
-
-def warn(sentence: str) -> None:
-    """A warning on standard error, before the work that it is about."""
-    tell(f"warning: {sentence}")
-
-
-class Failure(NamedTuple):
-    """What went wrong in words, and the exit code for it."""
-
-    message: str
-    code: int
-
-
-def failure(error: Exception) -> Failure:
-    """What a user is told of ``error``; the traceback of a fault of the program goes to a file."""
-    if isinstance(error, MorembsError):
-        return Failure(str(error), BAD_INPUT)
-    if isinstance(error, MemoryError):
-        return Failure(
-            "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
-            'or see "morembs check" for a forecast',
-            BAD_INPUT,
-        )
-    if isinstance(error, OSError):
-        where = "" if error.filename is None else f" at {str(error.filename)!r}"
-        reason = error.strerror or str(error) or type(error).__name__
-        return Failure(f"the operating system refused a request{where}: {reason}", BAD_INPUT)
-    return Failure(_fault(error), FAULT)
-
-
-def _fault(error: Exception) -> str:
-    first = (str(error).strip().splitlines() or [""])[0][:200]
-    words = f"a fault of this program, {type(error).__name__}{first and ': '}{first}"
-    trace = "".join(traceback.format_exception(error))
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", prefix="morembs-fault-", suffix=".txt", encoding="utf-8", errors="replace", delete=False
-        ) as file:
-            file.write(f"morembs {VERSION}, {sys.platform}, Python {sys.version}\n{' '.join(sys.argv)}\n\n{trace}")
-    except OSError:
-        tell(trace)
-        return f"{words}; please send the traceback above and the input to the authors of morembs"
-    return f"{words}; please send {file.name}, which holds the full traceback, and the input to the authors of morembs"
 
 
 @contextmanager
@@ -231,21 +144,6 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
         if failed is None:
             raise typer.Exit(found.code) from None
         failed.append(found)
-
-
-@contextmanager
-def printing(written: Sequence[str] = ()) -> Iterator[None]:
-    """Around whatever prints results, once the files ``written`` are there.
-
-    Raises:
-        OutputError: standard output cannot be written.
-    """
-    try:
-        yield
-    except OSError as error:
-        there = f"; written: {', '.join(written)}" if written else ""
-        reason = error.strerror or type(error).__name__
-        raise OutputError(f"the output cannot be printed ({reason}){there}") from error
 
 
 def each_job(
@@ -284,20 +182,3 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
 def _written(document: Mapping[str, Any]) -> list[str]:
     """The files of a finished job."""
     return [document[key] for key in ("output", "picture") if document.get(key)]
-
-
-class Screen(Console):
-    """A console that leaves a pipe without a reader to its caller, instead of ending the program."""
-
-    def on_broken_pipe(self) -> None:
-        """Called while the error is handled."""
-        raise
-
-
-def console() -> Console:
-    """Standard output; a pipe or a file has no width that tables must fit."""
-    return Screen() if sys.stdout.isatty() else Screen(width=PIPE_WIDTH)
-
-
-def print_json(document: object) -> None:
-    typer.echo(json.dumps(document, indent=2, allow_nan=False))

@@ -1,7 +1,5 @@
 """What is wrong with models and with delivered bodies."""
 
-from morembs.diagnostics.doctor import examine, examine_model, repaired
-from morembs.diagnostics.findings import Diagnosis, Finding
-from morembs.diagnostics.warnings import examined
+import lazy_loader
 
-__all__ = ["Diagnosis", "Finding", "examine", "examine_model", "examined", "repaired"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body import ElasticBody, Part
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.diagnostics.findings import MOTIONS
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
-from morembs.reducers.base import ReducedModel
+
+if TYPE_CHECKING:
+    from morembs.body import ElasticBody, Part
+    from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -52,19 +54,21 @@ def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | Stored
     Raises:
         InputError: a stored body without its file, or a reduced model without its part.
     """
-    if isinstance(body, ReducedModel):
-        if not isinstance(part, Part):
+    if isinstance(body, StoredBody):
+        if not isinstance(part, StoredBodies):
             raise InputError(
-                "a reduced model was given without its part; expected check_delivery(reduced, make_part(...))"
+                "a stored body was given without its file; expected check_delivery(body, bodies of the file)"
             )
-        omega = np.sqrt(np.maximum(body.modes()[0], 0.0))
-        omega[: body.rigid_count] = 0.0
-        return _of_body(ElasticBody(part=part, reduced=body, frequencies_hz=omega / (2 * np.pi)), part)
+        return _of_stored(body, part)
+    from morembs.body import ElasticBody, Part
+
     if isinstance(body, ElasticBody):
         return _of_body(body, body.part)
-    if not isinstance(part, StoredBodies):
-        raise InputError("a stored body was given without its file; expected check_delivery(body, bodies of the file)")
-    return _of_stored(body, part)
+    if not isinstance(part, Part):
+        raise InputError("a reduced model was given without its part; expected check_delivery(reduced, make_part(...))")
+    omega = np.sqrt(np.maximum(body.modes()[0], 0.0))
+    omega[: body.rigid_count] = 0.0
+    return _of_body(ElasticBody(part=part, reduced=body, frequencies_hz=omega / (2 * np.pi)), part)
 
 
 def _of_body(body: ElasticBody, part: Part) -> Delivered:

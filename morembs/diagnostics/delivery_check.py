@@ -12,20 +12,23 @@ In a sound body all three agree, need no energy and give the mass of the model.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.body import ElasticBody, Part
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.diagnostics.delivered import Delivered, delivered
-from morembs.diagnostics.findings import MOTIONS, Diagnosis, Finding, listed
+from morembs.diagnostics.findings import MOTIONS, Diagnosis, Finding, listed, sentences
 from morembs.diagnostics.frame_check import frame_findings
+from morembs.errors import InputError
 from morembs.model import skew
 from morembs.model.mass import mass_properties
-from morembs.reducers.base import ReducedModel
+
+if TYPE_CHECKING:
+    from morembs.body import ElasticBody, Part
+    from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
 # Against the largest eigenvalue, in units of the mass.
@@ -142,13 +145,22 @@ def _round_off(A: Floats, given: Delivered) -> bool:
 def _modes(given: Delivered) -> tuple[Floats, Floats]:
     """Eigenvalues (n,) and vectors of unit modal mass, ascending; real parts where matrices are not symmetric."""
     if given.symmetric:
-        values, Y = sl.eigh(0.5 * (given.K + given.K.T), 0.5 * (given.M + given.M.T))
-        return values, Y
+        return _eigh(0.5 * (given.K + given.K.T), 0.5 * (given.M + given.M.T))
+    import scipy.linalg as sl
+
     found, vectors = sl.eig(given.K, given.M)
     order = np.argsort(found.real, kind="stable")
     Y = vectors[:, order].real
     modal = np.einsum("in,ij,jn->n", Y, given.M, Y)
     return found.real[order], Y / np.sqrt(np.maximum(np.abs(modal), np.finfo(float).tiny))
+
+
+def _eigh(K: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (n,) and M-orthonormal vectors (n, n) of symmetric K and M; SciPy's would cost most of ``info``."""
+    L = np.linalg.cholesky(M)
+    A = np.linalg.solve(L, np.linalg.solve(L, K).T)
+    values, Z = np.linalg.eigh(0.5 * (A + A.T))
+    return values, np.linalg.solve(L.T, Z)
 
 
 def _frequencies(given: Delivered, values: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
@@ -214,9 +226,17 @@ def _reference(given: Delivered) -> Ints | None:
     turning = np.linalg.norm(given.frame[:, :3], axis=1) < 0.5
     scaled[turning, 3:] *= length
     scaled[:, 3:] /= length
-    _, R, pivots = sl.qr(scaled.T, mode="economic", pivoting=True)
-    diagonal = np.abs(np.diag(R))
-    return None if diagonal.min() < 1e-8 * diagonal.max() else np.sort(pivots[:6]).astype(np.int64)
+    # Gram-Schmidt with pivots: each motion is the one that the others say least about.
+    sizes, chosen = np.zeros(6), np.zeros(6, dtype=np.int64)
+    for k in range(6):
+        left = np.linalg.norm(scaled, axis=1)
+        chosen[k] = np.argmax(left)
+        sizes[k] = left[chosen[k]]
+        if sizes[k] < 1e-8 * sizes[0] or not sizes[k] > 0:
+            return None
+        direction = scaled[chosen[k]] / sizes[k]
+        scaled -= np.outer(scaled @ direction, direction)
+    return np.sort(chosen)
 
 
 def _rigid(
@@ -242,7 +262,7 @@ def _rigid(
         facts["ground_force"][way] = given.K @ q
         facts["rigid_mass"][way] = q.T @ given.M @ q
         d = np.sqrt(np.maximum(np.diag(modal), np.finfo(float).tiny))
-        hz = float(np.sqrt(max(sl.eigvalsh(energy / np.outer(d, d), modal / np.outer(d, d))[-1], 0.0)) / (2 * np.pi))
+        hz = float(np.sqrt(max(_eigh(energy / np.outer(d, d), modal / np.outer(d, d))[0][-1], 0.0)) / (2 * np.pi))
         facts["rigid_hz"][way] = hz
         if first and hz > SOFT * first:
             _ground(given, way, centred, hz, first, found)
@@ -312,11 +332,12 @@ def _interfaces_follow(given: Delivered, q: Floats, found: list[Finding]) -> Non
 def _effective(given: Delivered, rigid: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
     """Effective masses of the modes with all interface degrees of freedom fixed (Clough and Penzien 1975)."""
     s = np.maximum(np.abs(given.C).max(axis=1, keepdims=True), np.finfo(float).tiny)
-    N = sl.null_space(given.C / s, rcond=1e-12)
+    _, sizes, rows = np.linalg.svd(given.C / s)
+    N = rows[np.count_nonzero(sizes > 1e-12 * sizes.max()) :].T
     if not N.shape[1]:
         facts |= {"fixed_hz": np.zeros(0), "effective_mass": np.zeros((0, 6)), "effective_mass_share": np.zeros(6)}
         return
-    values, phi = sl.eigh(N.T @ given.K @ N, N.T @ given.M @ N)
+    values, phi = _eigh(N.T @ given.K @ N, N.T @ given.M @ N)
     taken = (N @ phi).T @ given.M @ rigid
     whole = np.diag(rigid.T @ given.M @ rigid)
     share = (taken**2).sum(axis=0) / whole
@@ -353,3 +374,19 @@ def _damping(given: Delivered, values: Floats, Y: Floats, found: list[Finding], 
         sentence = f"damping slows rigid-body motion (up to {np.abs(per_second).max():.3g} 1/s)"
         cure = "leave out damping that is proportional to mass, unless the ground is meant"
         found.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))
+
+
+def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
+    """What is wrong with each body of a file: whether what it says of itself is what follows from its matrices."""
+    return {name: check_delivery(body, file) for name, body in file.bodies.items()}
+
+
+def refuse_unsound(path: str, found: Mapping[str, Diagnosis]) -> None:
+    """Stop at bodies that contradict themselves.
+
+    Raises:
+        InputError: there are some; all errors are in the message.
+    """
+    wrong = [f"body {name!r}: {'; '.join(sentences(one.errors))}" for name, one in found.items() if one.errors]
+    if wrong:
+        raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")

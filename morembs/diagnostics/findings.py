@@ -123,3 +123,8 @@ def listed(labels: Sequence[str], count: int | None = None, what: str = "") -> s
     if not what:
         return shown
     return f"{what} {shown}" if count == 1 else f"{count} {what}s ({shown})"
+
+
+def sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """What is found with its cure, a sentence each."""
+    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
 
 from morembs.body import ElasticBody
-from morembs.body.stored import StoredBodies
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
 from morembs.diagnostics.elements import double_elements, open_seams
-from morembs.diagnostics.findings import Diagnosis, Finding
+from morembs.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.diagnostics.units import estimate, unit_findings
-from morembs.errors import InputError, SolverError
+from morembs.errors import SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
 from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
@@ -63,7 +62,7 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
     # Interfaces may join parts; the coupled model is looked at later.
     Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
     refuse_unsymmetric(model)
-    return _sentences(diagnosis.warnings)
+    return sentences(diagnosis.warnings)
 
 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:
@@ -75,7 +74,7 @@ def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, .
     found = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
     if model.mesh is not None:
         found += [*double_elements(model.mesh), *open_seams(model.mesh)]
-    units = _sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+    units = sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
     return (*model.warnings, *units)
 
 
@@ -90,7 +89,7 @@ def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
         return model.warnings
     estimated = estimate(model.K, model.M, model.nodes, model.dofs)
     found = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
-    return (*model.warnings, *_sentences([one for one in found if one.severity == "warning"]))
+    return (*model.warnings, *sentences([one for one in found if one.severity == "warning"]))
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
@@ -103,26 +102,6 @@ def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
     for body in bodies:
         diagnosis = check_delivery(body)
         if diagnosis.errors:
-            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(_sentences(diagnosis.errors))}")
-        found += [f"{body.name}: {sentence}" for sentence in _sentences(diagnosis.warnings)]
+            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(sentences(diagnosis.errors))}")
+        found += [f"{body.name}: {sentence}" for sentence in sentences(diagnosis.warnings)]
     return tuple(found)
-
-
-def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
-    """What is wrong with each body of a file: whether what it says of itself is what follows from its matrices."""
-    return {name: check_delivery(body, file) for name, body in file.bodies.items()}
-
-
-def refuse_unsound(path: str, found: Mapping[str, Diagnosis]) -> None:
-    """Stop at bodies that contradict themselves.
-
-    Raises:
-        InputError: there are some; all errors are in the message.
-    """
-    wrong = [f"body {name!r}: {'; '.join(_sentences(one.errors))}" for name, one in found.items() if one.errors]
-    if wrong:
-        raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")
-
-
-def _sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
-    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
-from morembs.linalg.orthogonal import combine, dot
 from morembs.model import frozen, rigid_motion, skew
-from morembs.problem import Problem
-from morembs.reducers.base import ReducedModel
+
+if TYPE_CHECKING:
+    from morembs.problem import Problem
+    from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
 # Kinds of frames, and how many interfaces each needs.
@@ -201,6 +202,8 @@ def floating_frame(
     Raises:
         InputError: a body that is held or whose equations are not symmetric (see ``floats``), or an impossible frame.
     """
+    from morembs.linalg.orthogonal import combine, dot
+
     check_frame(kind, interfaces, list(problem.coupling.frame_columns))
     reason = why_not_floating(reduced)
     if reason:
@@ -259,6 +262,10 @@ def _on_model(problem: Problem, shapes: Floats) -> Floats:
 
 def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
     """Reduced coordinates (nr, 6) of rigid motions ``R`` (Nc, 6) that the basis holds."""
+    import scipy.linalg as sl
+
+    from morembs.linalg.orthogonal import dot
+
     # Unit diagonal: coordinates of different units would spoil the factor.
     scale = 1.0 / np.sqrt(np.diag(reduced.M))
     factor = sl.cho_factor(reduced.M * np.outer(scale, scale))

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.model import FEModel, frozen, rigid_motion, skew
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 # Levi-Civita symbol.
@@ -203,7 +205,7 @@ def _scalar_mass(M: sp.csr_array, dofs: NDArray[np.int64]) -> tuple[sp.csr_array
     first = _along(M, dofs[:, 0])
     largest = abs(first).max()
     if any(abs(_along(M, dofs[:, a]) - first).max() > SAME_MASS * largest for a in (1, 2)):
-        return sp.csr_array((first + _along(M, dofs[:, 1]) + _along(M, dofs[:, 2])) / 3), False
+        return (first + _along(M, dofs[:, 1]) + _along(M, dofs[:, 2])) / 3, False
     # Nothing between the axes, and nothing that turns.
     rest = abs(np.abs(M.data).sum() - 3 * np.abs(first.data).sum())
     return first, bool(rest <= SAME_MASS * len(dofs) * largest)
@@ -211,6 +213,8 @@ def _scalar_mass(M: sp.csr_array, dofs: NDArray[np.int64]) -> tuple[sp.csr_array
 
 def _along(M: sp.csr_array, dofs: NDArray[np.int64]) -> sp.csr_array:
     """Mass (n, n) of the nodes along one axis; ``dofs`` (n,) are -1 where a node lacks that displacement."""
+    import scipy.sparse as sp
+
     has = np.flatnonzero(dofs >= 0)
     rows = sp.csr_array((np.ones(len(has)), (has, dofs[has])), shape=(len(dofs), M.shape[0]))
     return sp.csr_array((rows @ M) @ rows.T)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.floating.frame import FloatingFrame
@@ -47,6 +46,8 @@ def ranked_terms(frame: FloatingFrame, envelope: Envelope) -> tuple[RankedTerm, 
 
     Names as in ``ShapeIntegrals``; "rigid" is what a rigid body has, "Me, Ke" the elastic forces themselves.
     """
+    import scipy.linalg as sl
+
     if not frame.count:
         return ()
     values, Y = sl.eigh(frame.Ke, frame.integrals.Me)

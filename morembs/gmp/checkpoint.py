@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.storage.checksums import Checksums, seal
-from morembs.storage.hdf5 import reading
+from morembs.storage.hdf5 import reading, refuse_newer
 from morembs.storage.safefile import check_writable, replacing
 
 Floats = NDArray[np.float64]
 Key = tuple[int, int, int, int]
-_KIND = "morembs equilibria 1"
+# The attribute ``kind`` is this and the version.
+_KIND, _VERSION = "morembs equilibria", 1
 _NAMES = ("X", "W", "moments", "modes")
 # Time between two files per time that one takes; relative difference of signatures of one component.
 _SELDOM, _SAME = 10.0, 1e-8
@@ -57,8 +58,10 @@ class Checkpoint:
     def _read(self) -> None:
         cure = "give the name of another such file, or of a new one"
         with reading(self.path, "equilibria of an earlier run", cure) as file:
-            if file.attrs.get("kind") != _KIND:
+            kind, _, version = str(file.attrs.get("kind")).rpartition(" ")
+            if kind != _KIND or not version.isdecimal():
                 raise KeyError("kind")
+            refuse_newer(self.path, int(version), _VERSION, f"install a newer one, or {cure}")
             signature, options = file["signature"][()], str(file["options"].asstr()[()])
             values = {name: file[name][()] for name in ("keys", *_NAMES)}
             reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
@@ -106,7 +109,7 @@ class Checkpoint:
             return
         begin = time.monotonic()
         with replacing(self.path) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
-            file.attrs["kind"] = _KIND
+            file.attrs["kind"] = f"{_KIND} {_VERSION}"
             file["signature"], file["options"] = self.signature, self.options
             file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
             file["keys"] = np.array(list(self.found), dtype=np.int64).reshape(-1, 4)

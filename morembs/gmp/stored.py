@@ -17,10 +17,11 @@ from morembs.gmp.chebyshev import Table
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.fields import Fields
 from morembs.storage.checksums import Checksums, seal
-from morembs.storage.hdf5 import reading
+from morembs.storage.hdf5 import reading, refuse_newer
 from morembs.storage.safefile import replacing
 from morembs.storage.storable import storable
 
+FORMAT, FORMAT_VERSION = "morembs-members", 1
 # Stores one dataset: name, value, what it is, its units.
 Put = Callable[..., None]
 _NUMBERS = {
@@ -117,6 +118,8 @@ def write_members(path: str | Path, members: Mapping[str, Parameterised]) -> Pat
                     data.attrs[key] = np.bytes_(words)
             safe.check()
 
+        put("format", FORMAT, "")
+        put("format_version", FORMAT_VERSION, "")
         for name, its in members.items():
             write_parameterised(put, f"bodies/{name}/parameterised", its)
         safe.doing = "the checksums"
@@ -129,9 +132,12 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
     """All members of a file that ``write_members`` wrote.
 
     Raises:
-        InputError: no such file, or none with members.
+        InputError: no such file, none with members, or one of a newer version.
     """
     with reading(Path(path), "a file of write_members") as file:
+        # Files of 0.1.0 have neither; those of other kinds have versions of their own.
+        if "format" in file and file["format"][()] == FORMAT.encode():
+            refuse_newer(Path(path), int(file["format_version"][()]), FORMAT_VERSION)
         bodies = file.get("bodies", {})
         found = {name: read_parameterised(b["parameterised"]) for name, b in bodies.items() if "parameterised" in b}
         if not found:

@@ -6,11 +6,10 @@ import contextlib
 import io
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-import meshio
 import numpy as np
-from meshio._mesh import topological_dimension
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
@@ -19,6 +18,9 @@ from morembs.importers.imported import Imported
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.storage.hdf5 import refuse_unsafe_file
+
+if TYPE_CHECKING:
+    import meshio
 
 Ints = NDArray[np.int64]
 SOLIDS = {
@@ -39,8 +41,6 @@ _LAST_LINES = (
     (re.compile(rb"\s*MeshVersionFormatted", re.IGNORECASE), re.compile(rb"End", re.IGNORECASE)),
 )
 _BINARY = re.compile(rb"^BINARY\s*$|[\x00-\x08\x0e-\x1f\x7f-\xff]", re.MULTILINE)
-# meshio reads 15-node wedges but forgot their dimension, without which it stops.
-topological_dimension.setdefault("wedge15", 3)
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
 CARRIERS = {
     "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9",
@@ -102,6 +102,11 @@ def read_with_meshio(path: Path) -> Mesh:
 
 def _read(path: Path) -> meshio.Mesh:
     """meshio's mesh; it prints and ends the process on files that it cannot read, which is caught here."""
+    import meshio
+    from meshio._mesh import topological_dimension
+
+    # meshio reads 15-node wedges but forgot their dimension, without which it stops.
+    topological_dimension.setdefault("wedge15", 3)
     for one in (path, *_beside(path)):
         refuse_unsafe_file(one)
     _refuse_cut(path)

@@ -21,7 +21,7 @@ from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
-from morembs.storage.hdf5 import reading, stored
+from morembs.storage.hdf5 import reading, refuse_newer, stored
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,12 +65,8 @@ def opened(path: Path) -> Iterator[Any]:
         found = file.get("format")
         if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
             raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
-        version = int(file["format_version"][()])
-        if not 1 <= version <= FORMAT_VERSION:
-            raise InputError(
-                f"{path} has the format version {version}; this morembs reads up to {FORMAT_VERSION}; install a "
-                "newer one, or import the model again"
-            )
+        cure = "install a newer one, or import the model again"
+        refuse_newer(path, int(file["format_version"][()]), FORMAT_VERSION, cure)
         yield file
 
 

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from morembs.errors import InputError
-from morembs.jobs.picture import save
 from morembs.jobs.run import JobResult
 
 # What is drawn: label, attribute, marker.
@@ -81,6 +78,11 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
     Raises:
         OutputError: the file cannot be written.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from morembs.jobs.picture import save
+
     figure = Figure(figsize=(12.0, 4.6), dpi=150, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")

@@ -32,7 +32,6 @@ from morembs.jobs.inputs import (
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
-from morembs.jobs.picture import draw
 from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
@@ -145,6 +144,8 @@ def _run(
             warnings=(*found, *delivered), progress=progress,
         )  # fmt: skip
     if job.picture is not None:
+        from morembs.jobs.picture import draw
+
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
     return JobResult(

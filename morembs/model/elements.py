@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
+from typing import Any
 
 import numpy as np
-import skfem
 from numpy.typing import NDArray
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefLine, RefTet, RefTri, RefWedge
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,42 +41,9 @@ _HEX_CENTERS = [[0, 0.5, 0.5], [1, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 1, 0.5], [0.5
 _HEX20 = _with_edges(_HEX, _HEX_EDGES)
 _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 _HEX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
+WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
+WEDGE15 = _with_edges(_WEDGE, WEDGE_EDGES)
 _WEDGE_FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
-
-
-class ElementWedgeS2(skfem.ElementH1):  # type: ignore[misc]
-    """15-node serendipity wedge, which scikit-fem lacks (Zienkiewicz and Taylor 2000, ch. 8.12)."""
-
-    maxdeg = 3
-    refdom = RefWedge
-    doflocs = _with_edges(_WEDGE, _WEDGE_EDGES)
-
-    def lbasis(self, X: Floats, i: int) -> tuple[Floats, Floats]:
-        """Value (nq,) and gradient (3, nq) of function ``i`` at the points X (3, nq)."""
-        r, s, t = X
-        zero, one = np.zeros_like(r), np.ones_like(r)
-        L = (1 - r - s, r, s)
-        dL = (np.array([-one, -one, zero]), np.array([one, zero, zero]), np.array([zero, one, zero]))
-        dz = np.array([zero, zero, 2 * one])
-        if i < 6:
-            a, side = i % 3, -1.0 if i < 3 else 1.0
-            z = side * (2 * t - 1)
-            value = 0.5 * L[a] * (1 + z) * (2 * L[a] - 2 + z)
-            by_area = 0.5 * (1 + z) * (4 * L[a] - 2 + z)
-            by_height = 0.5 * L[a] * (2 * L[a] - 1 + 2 * z) * side
-            return value, by_area * dL[a] + by_height * dz
-        z = 2 * t - 1
-        if i < 12:
-            a, b = (corner % 3 for corner in _WEDGE_EDGES[i - 6])
-            side = -1.0 if i < 9 else 1.0
-            height = 1 + side * z
-            return (
-                2 * L[a] * L[b] * height,
-                2 * height * (L[a] * dL[b] + L[b] * dL[a]) + 2 * L[a] * L[b] * side * dz,
-            )
-        a = i - 12
-        return L[a] * (1 - z**2), (1 - z**2) * dL[a] - 2 * z * L[a] * dz
 
 
 @dataclass(frozen=True)
@@ -97,13 +63,13 @@ class Rule:
 class ElementType:
     """One element type.
 
-    ``reference`` (k, dim) node positions in VTK order, ``faces`` the corner nodes of each face seen
-    from outside, ``stiffness_order`` and ``mass_order`` the polynomial degrees integrated exactly; of a wedge they may
-    be two, in the triangle and along the axis.
+    ``formula`` says where its shape functions are, ``reference`` (k, dim) node positions in VTK order, ``faces`` the
+    corner nodes of each face seen from outside, ``stiffness_order`` and ``mass_order`` the polynomial degrees
+    integrated exactly; of a wedge they may be two, in the triangle and along the axis.
     """
 
     name: str
-    function: skfem.Element
+    formula: str
     reference: Floats
     vtk: int
     stiffness_order: Order
@@ -115,6 +81,12 @@ class ElementType:
     def n_nodes(self) -> int:
         """Nodes per element."""
         return len(self.reference)
+
+    @cached_property
+    def function(self) -> Any:
+        """Shape functions of scikit-fem, which is imported where they are asked for: the table needs none."""
+        module, _, name = self.formula.rpartition(".")
+        return getattr(import_module(module), name)()
 
     @cached_property
     def _order(self) -> Ints:
@@ -151,6 +123,9 @@ class ElementType:
 
 def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
     """Points (nq, dim) and weights of a rule exact to degree ``order``."""
+    from skfem.quadrature import get_quadrature
+    from skfem.refdom import RefLine, RefTet, RefTri, RefWedge
+
     across, along = order if isinstance(order, tuple) else (order, order)
     if domain is not RefWedge:
         # scikit-fem's tetrahedron rules from order 5 on miss their last degree by some percent, and its
@@ -163,30 +138,30 @@ def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
     return np.array(points), np.array([a * b for b in w_line for a in w_tri])
 
 
-def _face(name: str, function: skfem.Element, reference: Floats, vtk: int, order: int) -> ElementType:
+def _face(name: str, formula: str, reference: Floats, vtk: int, order: int) -> ElementType:
     return ElementType(
-        name=name, function=function, reference=reference, vtk=vtk, stiffness_order=order, mass_order=order
+        name=name, formula=formula, reference=reference, vtk=vtk, stiffness_order=order, mass_order=order
     )
 
 
 FACES: dict[str, ElementType] = {
     face.name: face
     for face in (
-        _face("tri3", skfem.ElementTriP1(), np.array(_TRI, dtype=float), 5, 2),
-        _face("tri6", skfem.ElementTriP2(), _with_edges(_TRI, _TRI_EDGES), 22, 6),
-        _face("quad4", skfem.ElementQuad1(), np.array(_QUAD, dtype=float), 9, 3),
-        _face("quad8", skfem.ElementQuadS2(), _with_edges(_QUAD, _QUAD_EDGES), 23, 7),
-        _face("quad9", skfem.ElementQuad2(), np.vstack([_with_edges(_QUAD, _QUAD_EDGES), [[0.5, 0.5]]]), 28, 7),
+        _face("tri3", "skfem.ElementTriP1", np.array(_TRI, dtype=float), 5, 2),
+        _face("tri6", "skfem.ElementTriP2", _with_edges(_TRI, _TRI_EDGES), 22, 6),
+        _face("quad4", "skfem.ElementQuad1", np.array(_QUAD, dtype=float), 9, 3),
+        _face("quad8", "skfem.ElementQuadS2", _with_edges(_QUAD, _QUAD_EDGES), 23, 7),
+        _face("quad9", "skfem.ElementQuad2", np.vstack([_with_edges(_QUAD, _QUAD_EDGES), [[0.5, 0.5]]]), 28, 7),
     )
 }
 
 
 def _solid(
-    name: str, function: skfem.Element, reference: Floats, vtk: int, orders: tuple[Order, Order],
+    name: str, formula: str, reference: Floats, vtk: int, orders: tuple[Order, Order],
     faces: tuple[tuple[int, ...], ...], kinds: tuple[str, ...],
 ) -> ElementType:  # fmt: skip
     return ElementType(
-        name=name, function=function, reference=reference, vtk=vtk,
+        name=name, formula=formula, reference=reference, vtk=vtk,
         stiffness_order=orders[0], mass_order=orders[1], faces=faces, face_types=kinds,
     )  # fmt: skip
 
@@ -196,20 +171,20 @@ def _solid(
 TYPES: dict[str, ElementType] = {
     kind.name: kind
     for kind in (
-        _solid("tet4", skfem.ElementTetP1(), np.array(_TET, dtype=float), 10, (1, 2), _TET_FACES, ("tri3",) * 4),
-        _solid("tet10", skfem.ElementTetP2(), _with_edges(_TET, _TET_EDGES), 24, (2, 4), _TET_FACES, ("tri6",) * 4),
-        _solid("hex8", skfem.ElementHex1(), np.array(_HEX, dtype=float), 12, (3, 5), _HEX_FACES, ("quad4",) * 6),
-        _solid("hex20", skfem.ElementHexS2(), _HEX20, 25, (5, 5), _HEX_FACES, ("quad8",) * 6),
+        _solid("tet4", "skfem.ElementTetP1", np.array(_TET, dtype=float), 10, (1, 2), _TET_FACES, ("tri3",) * 4),
+        _solid("tet10", "skfem.ElementTetP2", _with_edges(_TET, _TET_EDGES), 24, (2, 4), _TET_FACES, ("tri6",) * 4),
+        _solid("hex8", "skfem.ElementHex1", np.array(_HEX, dtype=float), 12, (3, 5), _HEX_FACES, ("quad4",) * 6),
+        _solid("hex20", "skfem.ElementHexS2", _HEX20, 25, (5, 5), _HEX_FACES, ("quad8",) * 6),
         _solid(
-            "hex27", skfem.ElementHex2(), np.vstack([_HEX20, _HEX_CENTERS, [[0.5] * 3]]), 29, (5, 5),
+            "hex27", "skfem.ElementHex2", np.vstack([_HEX20, _HEX_CENTERS, [[0.5] * 3]]), 29, (5, 5),
             _HEX_FACES, ("quad9",) * 6,
         ),
         _solid(
-            "wedge6", skfem.ElementWedge1(), np.array(_WEDGE, dtype=float), 13, (2, 4),
+            "wedge6", "skfem.ElementWedge1", np.array(_WEDGE, dtype=float), 13, (2, 4),
             _WEDGE_FACES, ("tri3",) * 2 + ("quad4",) * 3,
         ),
         _solid(
-            "wedge15", ElementWedgeS2(), ElementWedgeS2.doflocs, 26, ((2, 5), 5),
+            "wedge15", "morembs.model.wedge15.ElementWedgeS2", WEDGE15, 26, ((2, 5), 5),
             _WEDGE_FACES, ("tri6",) * 2 + ("quad8",) * 3,
         ),
     )

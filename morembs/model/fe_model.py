@@ -6,16 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
 from morembs.model.material import Material
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -178,6 +180,9 @@ class FEModel:
 
 def _sparse(A: Any, name: str) -> sp.csr_array:
     """``A`` as a sparse array of real or complex double numbers in CSR form; itself where it is one."""
+    # Body files and their checks have nodes, but no sparse matrices.
+    import scipy.sparse as sp
+
     if not sp.issparse(A):
         given = type(A).__name__
         A = np.asarray(A)

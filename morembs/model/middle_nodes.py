@@ -12,7 +12,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from morembs.errors import InputError
 from morembs.model.elements import TYPES
@@ -71,6 +70,8 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
         return nodes, None
     total = sum((costs.sum(axis=0) for _, costs in _costs(kind, nodes, xyz)), start=np.zeros(()))
     # Place in the file of the node for each place in VTK order.
+    from scipy.optimize import linear_sum_assignment
+
     found = np.argsort(linear_sum_assignment(total)[1])
     own = np.arange(len(found))
     name = None
@@ -126,6 +127,8 @@ def _crossed(costs: Floats) -> NDArray[np.bool_]:
 
 def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, source: str) -> None:
     """Refuse elements that another order of their middle nodes fits far better."""
+    from scipy.optimize import linear_sum_assignment
+
     wrong: list[int] = []
     for rows, costs in _costs(kind, nodes, xyz):
         for e in np.flatnonzero(_crossed(costs)).tolist():

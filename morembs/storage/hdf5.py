@@ -73,6 +73,16 @@ def refuse_unsafe_file(path: Path) -> None:
         return
 
 
+def refuse_newer(path: Path, version: int, known: int, cure: str = "install a newer one") -> None:
+    """Refuse a file of a version that is not among 1 to ``known``; when versions rise is said in docs/schema.md.
+
+    Raises:
+        InputError: it is of another version.
+    """
+    if not 1 <= version <= known:
+        raise InputError(f"{path} has the format version {version}; this morembs reads up to {known}; {cure}")
+
+
 def stored(item: Any) -> NDArray[Any]:
     """All of a dataset.
 

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import morembs
 from morembs.body.file import read_body
 from morembs.cli import commands as cli
-from morembs.cli import terminal
+from morembs.cli import screen, terminal
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import _view
@@ -247,7 +247,7 @@ def test_memory_that_did_not_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def fail(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(cli, "run_job", fail)
+    monkeypatch.setattr("morembs.jobs.run.run_job", fail)
     result = RUNNER.invoke(cli.app, ["reduce", str(folder(tmp_path))])
     assert result.exit_code == 2
     assert "memory" in result.stderr and result.stderr.count("\n") == 1
@@ -334,7 +334,7 @@ def progress_threads() -> list[str]:
 
 @pytest.mark.parametrize("visible", [True, False])
 def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) -> None:
-    monkeypatch.setattr(terminal, "PATIENCE_SECONDS", 0.0)
+    monkeypatch.setattr(screen, "PATIENCE_SECONDS", 0.0)
 
     class Screen(io.StringIO):
         def write(self, text: str) -> int:
@@ -343,8 +343,8 @@ def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) 
                 seen.set()
             return written
 
-    seen, screen = threading.Event(), Screen()
-    with terminal.TerminalProgress(Console(file=screen, force_terminal=True), visible).shown() as progress:
+    seen, drawn = threading.Event(), Screen()
+    with screen.TerminalProgress(Console(file=drawn, force_terminal=True), visible).shown() as progress:
         progress.stage("factorise")
         progress.update("half")
         assert seen.wait() if visible else not seen.is_set()

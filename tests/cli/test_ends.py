@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.cli import commands as cli
+from morembs.jobs import run
 from tests.support.decks import folder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and /dev/full are POSIX")
@@ -195,7 +196,7 @@ def test_other_errors_of_the_system(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
 ) -> None:
     """They are no failure to print, and nothing is said to be written. Other jobs go on."""
-    real, calls = cli.run_job, []
+    real, calls = run.run_job, []
 
     def fail(*args: object) -> object:
         calls.append(args)
@@ -203,7 +204,7 @@ def test_other_errors_of_the_system(
             raise error
         return real(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(cli, "run_job", fail)
+    monkeypatch.setattr(run, "run_job", fail)
     for name in "ab":
         (tmp_path / name).mkdir()
     jobs = [str(folder(tmp_path / name)) for name in "ab"]
@@ -221,7 +222,7 @@ def test_faults_tell_where_their_traceback_is(
 
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(cli, "run_job", fail)
+    monkeypatch.setattr(run, "run_job", fail)
     job = folder(tmp_path)
     result = RUNNER.invoke(cli.app, ["reduce", str(job), str(tmp_path / "missing.toml"), "--json"])
     assert result.exit_code == 1

@@ -1,0 +1,64 @@
+"""The entry point of the command line, and what is so short that reading its options would take most of the time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from morembs import stopping
+from morembs.cli.messages import BAD_INPUT, echo, failure, tell
+from morembs.linalg.sparse.interruptible import calls_running
+from morembs.version import VERSION
+
+
+def main() -> None:
+    """Entry point of the command ``morembs``."""
+    with stopping.heeded():
+        code = _exit_code()
+        number = stopping.asked()
+        if number is not None:
+            code = 128 + number
+            end = "interrupted" if number == signal.SIGINT else "terminated"
+            tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
+    if calls_running():
+        # A library still computes in another thread; ending as usual would take its memory from under it.
+        with suppress(OSError):
+            sys.stdout.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def _exit_code() -> int:
+    """Run the command; the code that it ends with if no signal came."""
+    try:
+        _work(sys.argv[1:])
+    except SystemExit as end:
+        if isinstance(end.__context__, OSError):
+            # Typer leaves without a word where nobody reads its help.
+            return BAD_INPUT
+        return end.code if isinstance(end.code, int) else BAD_INPUT
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    except Exception as error:
+        found = failure(error)
+        tell(f"error: {found.message}")
+        return found.code
+    return 0
+
+
+def _work(arguments: Sequence[str]) -> None:
+    """Do what the ``arguments`` say: here where they are as plain as can be, else as the verbs of ``commands`` do."""
+    plain = [one for one in arguments if one != "--json"]
+    if list(arguments) == ["--version"]:
+        echo(f"morembs {VERSION}")
+    elif plain[:1] == ["info"] and len(plain) == 2 and not plain[1].startswith("-") and len(arguments) - len(plain) < 2:
+        from morembs.cli.report_stored import show
+
+        show(plain[1], as_json="--json" in arguments)
+    else:
+        from morembs.cli.commands import app
+
+        app()

@@ -1,0 +1,65 @@
+"""Short commands load what they use and nothing else: modules are counted, not seconds."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BODY = Path(__file__).parents[1] / "data" / "0.1.0" / "symmetric.h5.gz"
+HEAVY = {"matplotlib", "skfem", "meshio", "pydantic", "casadi", "pyamg", "scipy"}
+AT_WORK = {"morembs.problem", "morembs.reducers", "morembs.importers", "morembs.jobs"}
+LOADED = """
+import sys
+sys.argv[0] = "morembs"
+try:
+    __import__("morembs.cli").cli.main()
+finally:
+    print("\\n" + " ".join({".".join(name.split(".")[:2]) for name in sys.modules}), file=sys.stderr)
+"""
+
+
+def loaded(*arguments: str) -> tuple[str, set[str]]:
+    """What a command prints, and the modules that it has loaded, to the second level."""
+    done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=True)
+    return done.stdout, set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.fixture
+def body(tmp_path: Path) -> str:
+    (tmp_path / "body.h5").write_bytes(gzip.decompress(BODY.read_bytes()))
+    return str(tmp_path / "body.h5")
+
+
+def test_the_version_is_told_without_numpy() -> None:
+    said, modules = loaded("--version")
+    assert said.startswith("morembs ") and not modules & {*HEAVY, *AT_WORK, "numpy", "h5py", "rich", "typer"}
+
+
+def test_help_needs_no_numbers() -> None:
+    said, modules = loaded("--help")
+    assert "reduce" in said and not modules & ({*HEAVY, *AT_WORK, "numpy", "h5py"} - {"pydantic"})
+
+
+def test_info_loads_neither_methods_nor_scipy(body: str) -> None:
+    said, modules = loaded("info", body)
+    assert "craig-bampton" in said and not modules & {*HEAVY, *AT_WORK, "typer"}
+    document, modules = loaded("info", "--json", body)
+    assert json.loads(document)["bodies"] and not modules & {*HEAVY, *AT_WORK, "typer", "rich"}
+
+
+def test_both_ways_to_info_say_the_same(body: str) -> None:
+    """What is as plain as can be is not parsed by typer; with ``--`` it is."""
+    for options in ([], ["--json"]):
+        plain, _ = loaded("info", *options, body)
+        parsed, modules = loaded("info", *options, "--", body)
+        assert plain == parsed and "typer" in modules
+
+
+def test_other_verbs_load_nothing_that_draws_or_reads_meshes() -> None:
+    _, modules = loaded("solvers")
+    assert not modules & {"matplotlib", "skfem", "meshio", "casadi", "pyamg"}

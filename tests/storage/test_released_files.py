@@ -1,0 +1,84 @@
+"""Files that 0.1.0 wrote are read for ever, and those of a later version are refused in one message.
+
+``tests/support/released.py`` made the files, and says how.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from morembs import read_body
+from morembs.body.stress_shapes import read_recovery
+from morembs.errors import InputError
+from morembs.gmp.stored import read_members, write_members
+from morembs.importers.model_file import read_model
+from morembs.importers.native import import_native
+from tests.support.released import body_file, described, member
+
+RELEASED = Path(__file__).parents[1] / "data" / "0.1.0"
+EXPECTED = json.loads((RELEASED / "expected.json").read_text())
+
+
+@pytest.fixture
+def unpacked(tmp_path: Path) -> Path:
+    for packed in RELEASED.glob("*.gz"):
+        (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
+    return tmp_path
+
+
+def compare(name: str, found: dict[str, object]) -> None:
+    """All that was found then; there may be more by now."""
+    expected = EXPECTED[name]
+    assert {place: found.get(place, "missing") for place in expected} == expected
+
+
+@pytest.mark.parametrize("name", ["symmetric.h5", "two_sided.h5"])
+def test_body_files(unpacked: Path, name: str) -> None:
+    compare(name, body_file(unpacked / name, read_body, read_recovery))
+
+
+def test_what_the_body_files_hold(unpacked: Path) -> None:
+    """Every part of the format is in one of them."""
+    one, two = read_body(unpacked / "symmetric.h5", whole=True), read_body(unpacked / "two_sided.h5", whole=True)
+    rail, (both,) = one.bodies["rail"], two.bodies.values()
+    assert (one.format_version, two.format_version) == (1, 2)
+    assert rail.has_switching and rail.has_recovery and rail.certificate and rail.ranking
+    assert rail.floating is not None and rail.floating.stiffening is not None and rail.floating.kind == "tangent"
+    assert not np.array_equal(both.input_matrix.T, both.output_matrix)
+
+
+def test_a_model_file(unpacked: Path) -> None:
+    compare("coupled.model.h5", described(import_native(unpacked / "coupled.model.h5")))
+    assert list(read_model(unpacked / "coupled.model.h5").couplings) == ["RBE2_1", "RBE3 2"]
+
+
+def test_members_with_large_deflections(unpacked: Path) -> None:
+    compare("members.h5", described(read_members(unpacked / "members.h5")))
+
+
+def test_a_run_goes_on_from_equilibria(unpacked: Path) -> None:
+    made = member(checkpoint=unpacked / "equilibria.h5")
+    assert made.report.solved == 0 and made.report.restored
+    then = read_members(unpacked / "members.h5")["rod"]
+    assert made.data.table.coefficients == pytest.approx(then.table.coefficients, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["symmetric.h5", "coupled.model.h5", "members.h5", "equilibria.h5"])
+def test_a_later_version_is_refused(unpacked: Path, name: str) -> None:
+    path = unpacked / name
+    if name == "members.h5":
+        write_members(path, read_members(path))
+    with h5py.File(path, "r+") as file:
+        if name == "equilibria.h5":
+            file.attrs["kind"] = "morembs equilibria 9"
+        else:
+            file["format_version"][()] = 9
+    read = {"symmetric.h5": read_body, "coupled.model.h5": read_model, "members.h5": read_members}
+    with pytest.raises(InputError, match=r"has the format version 9; this morembs reads up to \d; install a newer one"):
+        read.get(name, lambda path: member(checkpoint=path))(path)

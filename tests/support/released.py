@@ -1,0 +1,194 @@
+"""Small files as a released version wrote them, and what its readers made of them.
+
+The files of 0.1.0 in ``tests/data/0.1.0`` were made by this module with the code of that version:
+
+    git archive c6ca06f | tar x -C OLD
+    PYTHONPATH=OLD python tests/support/released.py tests/data/0.1.0
+
+They are never made anew: ``tests/storage/test_released_files.py`` reads them with today's readers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+CELLS, SIZE = (4, 1, 1), (400.0, 50.0, 30.0)
+HEAD = """
+[model]
+mesh = "bar.inp"
+units = "mm-t-s"
+[[material]]
+young = 2.1e5
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "left end"
+nodes = "box:-1,-1,-1,1,51,31"
+[[interface]]
+name = "right"
+nodes = "box:399,-1,-1,401,51,31"
+coupling = "average"
+components = [0, 1, 2]
+[damping]
+rayleigh = { alpha = 2.0, beta = 1e-6 }
+"""
+SYMMETRIC = """
+[[reduce]]
+name = "rail"
+method = "static-modes-switching"
+base_options = { modes = 2 }
+candidates = "box:99,49,29,301,51,31"
+directions = [2]
+stress = true
+[[reduce]]
+method = "craig-bampton"
+modes = 2
+[certify]
+band_hz = [10.0, 2000.0]
+points = 4
+[frame]
+kind = "tangent"
+interfaces = ["left end"]
+[envelope]
+speed = 10.0
+force = 100.0
+[stiffening]
+[stress]
+nodes = "box:-1,-1,-1,101,51,31"
+[output]
+path = "symmetric.h5"
+"""
+TWO_SIDED = """
+[[reduce]]
+name = "both"
+method = "krylov"
+shifts_hz = [1000.0]
+two_sided = true
+inputs = ["left end"]
+outputs = ["right"]
+[output]
+path = "two_sided.h5"
+nodes = "interfaces"
+"""
+
+
+def described(value: Any, name: str = "") -> dict[str, Any]:
+    """What a reader gave, flat: place -> number, text, or shape and checksum of the bytes of an array."""
+    if sp.issparse(value):
+        parts = {"shape": np.array(value.shape), **{one: getattr(value, one) for one in ("data", "indices", "indptr")}}
+        return described(parts, name)
+    if is_dataclass(value):
+        value = {one.name: getattr(value, one.name) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {place: text for key, one in value.items() for place, text in described(one, f"{name}/{key}").items()}
+    if isinstance(value, tuple | list) and value:
+        return {place: text for i, one in enumerate(value) for place, text in described(one, f"{name}/{i}").items()}
+    if isinstance(value, np.ndarray):
+        # Widths of whole numbers are free.
+        plain = value.astype(np.int64) if value.dtype.kind in "iu" else value
+        digest = hashlib.sha256(np.ascontiguousarray(plain).tobytes()).hexdigest()
+        return {name: f"{plain.dtype.str} {list(plain.shape)} {digest[:16]}"}
+    if callable(value):
+        return {}
+    return {name: value.item() if isinstance(value, np.generic) else list(value) if value == () else value}
+
+
+def deck() -> str:
+    """An Abaqus deck of a bar of hexahedra, in mm."""
+    steps = [np.linspace(0, size, count + 1) for count, size in zip(CELLS, SIZE, strict=True)]
+    place = {at: i + 1 for i, at in enumerate(itertools.product(*(range(count + 1) for count in CELLS)))}
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    lines = ["*NODE"]
+    lines += [f"{i}, " + ", ".join(f"{x[k]:g}" for x, k in zip(steps, at, strict=True)) for at, i in place.items()]
+    lines += ["*ELEMENT, TYPE=C3D8, ELSET=ALL"]
+    cells = itertools.product(*map(range, CELLS))
+    for number, cell in enumerate(cells, 1):
+        row = (place[tuple(a + b for a, b in zip(cell, corner, strict=True))] for corner in corners)
+        lines.append(", ".join(map(str, (number, *row))))
+    return "\n".join([*lines, ""])
+
+
+def member(**options: Any) -> Any:
+    """A rod with large deflections, tabulated."""
+    from morembs.gmp import ReducedMember
+    from morembs.nonlinear import PlanarBeam, Section
+
+    section = Section.of(E=3e6, A=7.854e-5, I=4.909e-10, density=2770)
+    beam = PlanarBeam.straight(0.304, 6, section)
+    return ReducedMember(beam, modes=2, formulation="membrane", reach=0.6, points_per_angle=5, **options)
+
+
+def make(folder: Path) -> None:
+    """Write the files of 0.1.0; runs with the code of that version alone."""
+    from morembs.conversion.imported import AverageElement, Imported, PointMass, RigidElement
+    from morembs.conversion.to_model import model_of
+    from morembs.material import isotropic
+    from morembs.storage.body_file import read_body
+    from morembs.storage.model_file import write_model
+    from morembs.stress.shapes import read_recovery
+
+    from morembs.gmp.stored import read_members, write_members
+    from morembs.importers import read_mesh
+    from morembs.importers.native import import_native
+    from morembs.jobs.job import load_job
+    from morembs.jobs.run import run_job
+    from morembs.model import Nodes
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bar.inp").write_text(deck())
+    expected = {}
+    for name, text in (("symmetric", SYMMETRIC), ("two_sided", TWO_SIDED)):
+        job = folder / f"{name}.toml"
+        job.write_text(HEAD + text)
+        run_job(load_job(job))
+        job.unlink()
+        expected[f"{name}.h5"] = body_file(folder / f"{name}.h5", read_body, read_recovery)
+    mesh = read_mesh(folder / "bar.inp")
+    (folder / "bar.inp").unlink()
+    left, right = (np.flatnonzero(np.isclose(mesh.nodes.xyz[:, 0], x)) for x in (0.0, SIZE[0]))
+    xyz = np.vstack([mesh.nodes.xyz, [[500.0, 25, 10], [-50.0, 25, 10]]])
+    nodes = Nodes(ids=np.append(mesh.nodes.ids, [900, 901]), xyz=xyz, sets={"END": right})
+    first = len(mesh.nodes)
+    found = Imported(
+        source="bar", nodes=nodes, mesh=mesh, materials=(isotropic(set="all", young=70.0, poisson=0.3, density=2.7),),
+        rigid=(RigidElement(name="RBE2_1", master=first, slaves=right),),
+        average=(AverageElement(name="RBE3 2", reference=first + 1, nodes=left, weights=np.arange(1.0, 5)),),
+        masses=(PointMass(name="CONM2_3", node=first, mass=2.0, inertia=np.diag([1.0, 2.0, 3.0])),),
+    )  # fmt: skip
+    write_model(folder / "coupled.model.h5", model_of(found))
+    expected["coupled.model.h5"] = described(import_native(folder / "coupled.model.h5"))
+    write_members(folder / "members.h5", {"rod": member(checkpoint=folder / "equilibria.h5").data})
+    expected["members.h5"] = described(read_members(folder / "members.h5"))
+    (folder / "expected.json").write_text(json.dumps(expected, indent=0, sort_keys=True) + "\n")
+
+
+def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
+    """All that a reader finds in a body file, with what it reads at demand."""
+    import h5py
+
+    stored = read_body(path)
+    more = {}
+    with h5py.File(path) as file:
+        for name, body in stored.bodies.items():
+            group = file[f"bodies/{name}"]
+            more[name] = {
+                "basis": body.basis(), "switching": body.switching() if body.has_switching else None,
+                "stress": read_recovery(group["recovery"]) if body.has_recovery else None,
+            }  # fmt: skip
+    found = described(stored) | described(more, "/read")
+    # Times and memory of the run, and the version of the program.
+    return {name: value for name, value in found.items() if not name.startswith("/provenance")}
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]))

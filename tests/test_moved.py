@@ -1,0 +1,52 @@
+"""Names of 0.1.0 go on working for a version."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+import morembs
+from morembs.moved import MOVED
+
+# What ``from morembs import *`` gave in 0.1.0.
+RELEASED = """
+REDUCERS Automatic Balanced Certificate CraigBampton Damping ElasticBody Envelope FEModel FloatingFrame FreeInterface
+Gramian Guyan InputError Interface Irka Krylov Material Mesh Modal MorembsError Nodes Problem ReducedModel
+StaticModesSwitching Trajectory assemble available_solvers band_frequencies certify direct_response elastic_body
+examined expand export_body floating_frame full_response geometric_stiffening isotropic make_interface make_part
+orthotropic parse_units ranked_terms read_body read_mesh read_trajectory recover reduced_response select_nodes
+select_solver stress_recovery write_body
+"""
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_an_old_module_warns_and_gives_the_new_one(old: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [one for one in sys.modules if one.removeprefix("morembs.") in MOVED]:
+        monkeypatch.delitem(sys.modules, name)
+    new = importlib.import_module(f"morembs.{MOVED[old]}")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = importlib.import_module(f"morembs.{old}")
+    assert found is new and found.__name__ == f"morembs.{MOVED[old]}"
+    sentences = [str(one.message) for one in told if one.category is DeprecationWarning]
+    assert f"morembs.{old} is now morembs.{MOVED[old]}; the old name goes with the next version" in sentences
+    # Nothing that exists bears an old name: the warning would never be seen.
+    assert old not in MOVED.values()
+
+
+@pytest.mark.parametrize("name", RELEASED.split())
+def test_an_old_public_name_is_still_there(name: str) -> None:
+    assert name in morembs.__all__ and getattr(morembs, name) is not None
+
+
+def test_old_names_work_in_a_process_of_their_own() -> None:
+    code = (
+        "from morembs.storage.body_file import read_body; from morembs.body.file import read_body as new; "
+        "print(read_body is new)"
+    )
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n" and "morembs.storage.body_file is now morembs.body.file" in done.stderr
