@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,8 @@ from morembs.cli.report_stored import print_stored, stored_json
 from morembs.cli.terminal import EPILOG, AsJson, console, messages, print_json, printing, progress_line
 from morembs.diagnostics.warnings import refuse_unsound, stored_findings
 from morembs.errors import InputError
-from morembs.exporters import EXPORTERS, export_body, make_exporter
+from morembs.exporters import EXPORTERS, export_body
+from morembs.options import pairs
 from morembs.recovery.recover import Recovered
 from morembs.recovery.recover import recover as recover_series
 
@@ -61,32 +61,13 @@ def export(
     with messages():
         if file is None or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
-        done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
+        done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame)
         paths = [str(path) for path in done.paths]
         with printing(paths):
             if as_json:
                 print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
             else:
                 typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
-
-
-def _options(to: str, given: list[str]) -> dict[str, Any]:
-    """KEY=VALUE as TOML values; words need no quotes.
-
-    Raises:
-        InputError: no "=", or a key or value that the target does not take.
-    """
-    options: dict[str, Any] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise InputError(f"--set {text!r} was given; expected KEY=VALUE")
-        try:
-            options[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            options[key] = value
-    make_exporter(to, options)
-    return options
 
 
 @app.command(epilog=EPILOG)
