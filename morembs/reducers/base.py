@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
@@ -128,8 +128,9 @@ class Facts:
     def of(cls, problem: Problem) -> Self:
         """Those of ``problem``."""
         return cls(
-            model=problem.model, interfaces=problem.interfaces, coupling=problem.coupling, damping=problem.damping
-        )
+            model=problem.model, interfaces=problem.interfaces, coupling=replace(problem.coupling, B=problem.B),
+            damping=problem.damping,
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
@@ -347,7 +348,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None
     off = float(np.linalg.norm(scale * (one - given)))
     if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * given), np.sqrt(n)):
         raise SolverError(
-            f'method "{method}" gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of '
+            f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
 
