@@ -42,7 +42,8 @@ from morembs.model.assembly import assemble
 from morembs.model.material import Material
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
-from morembs.reducers.base import Facts, ReducedModel
+from morembs.reducers import Facts
+from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies
 
 Floats = NDArray[np.float64]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from morembs.plugins import Table, subclass_fault
 from morembs.reducers.automatic import Automatic
 from morembs.reducers.balanced import Balanced
-from morembs.reducers.base import MODE_KINDS, Basis, Facts, ReducedModel, Reducer
+from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
+from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.guyan import Guyan

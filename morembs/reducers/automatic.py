@@ -25,7 +25,8 @@ from morembs.errors import InputError, SolverError
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, OfResponses, elastic_basis
+from morembs.reducers.base import Basis, elastic_basis
+from morembs.reducers.families import OfResponses
 from morembs.responses.band import band_frequencies, beyond, checked_band, round_off
 from morembs.responses.reference import Reference, product, reference_model
 

@@ -25,7 +25,9 @@ from morembs.linalg.orthogonal import beside, combine, remove
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Facts, OfResponses, elastic_basis, projected
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis, projected
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
 from morembs.reducers.second_order_balancing import (
     ONE_SIDED,
     VARIANTS,

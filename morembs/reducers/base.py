@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, SolverError
-from morembs.interface import Coupling, Interface
 from morembs.linalg.congruence import row_sums
 from morembs.linalg.eigen import signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
-from morembs.model import FEModel
-from morembs.problem import Damping, Problem
+from morembs.problem import Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
-from morembs.reducers.cost import mode_seconds, response_seconds
-from morembs.responses.damped_reference import why_no_response
+from morembs.reducers.facts import Facts
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
@@ -113,39 +110,6 @@ class ReducedModel:
         Y = np.eye(self.order)
         Y[r:, r:] = vectors[:, order].real
         return np.concatenate([np.zeros(r), found.real[order]]), Y
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Facts:
-    """What is known of a problem before anything is factorised; K and M of the model may be empty."""
-
-    model: FEModel
-    interfaces: Sequence[Interface]
-    coupling: Coupling
-    damping: Damping
-
-    @classmethod
-    def of(cls, problem: Problem) -> Self:
-        """Those of ``problem``."""
-        return cls(
-            model=problem.model, interfaces=problem.interfaces, coupling=replace(problem.coupling, B=problem.B),
-            damping=problem.damping,
-        )  # fmt: skip
-
-    @property
-    def size(self) -> int:
-        """Number of coupled dofs."""
-        return int(self.coupling.T.shape[1])
-
-    @property
-    def inputs(self) -> int:
-        """Number of interface motions."""
-        return int(self.coupling.B.shape[1])
-
-    @property
-    def own_damping(self) -> bool:
-        """Whether the model has a damping matrix."""
-        return self.model.D is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,72 +224,6 @@ class Reducer(ABC):
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class OfModes(Reducer):
-    """Methods of ``modes`` modes, or of all up to ``up_to_hz``."""
-
-    modes: int | None = None
-    up_to_hz: float | None = None
-
-    def __post_init__(self) -> None:
-        modes, up_to_hz = self.modes, self.up_to_hz
-        if (modes is None) == (up_to_hz is None):
-            raise InputError(f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
-        if modes is not None and modes < 0:
-            raise InputError(f"modes = {modes} was given; expected a count, zero or more")
-        if up_to_hz is not None and not 0 < up_to_hz < MOST_HZ:
-            raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz below {MOST_HZ:g}")
-
-    @property
-    def below(self) -> float | None:
-        """``up_to_hz`` in (rad/s)2."""
-        return squared(self.up_to_hz)
-
-    @property
-    def mode_count(self) -> int:
-        return self.modes or 0
-
-    @property
-    def computes_modes(self) -> bool:
-        return True
-
-    def why_not(self, facts: Facts) -> str:
-        if self.mode_count > facts.size:
-            return (
-                f"modes = {self.modes} was given, but the coupled model has only {facts.size} degrees of freedom; ask "
-                "for fewer modes"
-            )
-        return super().why_not(facts)
-
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
-        return None if self.modes is None else mode_seconds(facts.size, self.modes, factor_entries)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OfResponses(Reducer):
-    """Methods that follow the responses to all interface motions in a reference model.
-
-    ``of_reference`` is how often they do the work on that model.
-    """
-
-    of_reference: ClassVar[float] = 3.0
-
-    @property
-    def follows_responses(self) -> bool:
-        return True
-
-    def why_not(self, facts: Facts) -> str:
-        reason = self.why_no_response(facts)
-        return super().why_not(facts) or (f'method "{self.method}": {reason}' if reason else "")
-
-    def why_no_response(self, facts: Facts) -> str:
-        """Why the full model has no response to follow."""
-        return why_no_response(facts.damping, facts.own_damping, facts.size)
-
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
-        return response_seconds(facts.size, facts.inputs, factor_entries, self.of_reference)
-
-
 def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None:
     """Compare ``basis.K`` with W' K V for one combination of the columns.
 
@@ -351,11 +249,6 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None
             f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
-
-
-def squared(hz: float | None) -> float | None:
-    """(rad/s)2 of a frequency in Hz."""
-    return None if hz is None else (2 * np.pi * hz) ** 2
 
 
 def _interface_motions(basis: Basis, problem: Problem) -> Floats:

@@ -23,7 +23,9 @@ from morembs.errors import InputError
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Facts, OfModes, add_residual_modes, squared
+from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfModes, squared
 from morembs.reducers.interface_modes import Inside, interface_modes, static_error
 
 

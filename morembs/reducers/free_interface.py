@@ -15,7 +15,8 @@ import numpy as np
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, OfModes, add_residual_modes
+from morembs.reducers.base import Basis, add_residual_modes
+from morembs.reducers.families import OfModes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,9 @@ from morembs.linalg.orthogonal import beside, m_norms, m_orthonormal, remove
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Facts, OfResponses, elastic_basis
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
 from morembs.responses.damped_reference import why_no_response
 from morembs.responses.direct import elastic_states
 from morembs.responses.reference import Reference, inertia_loads, reference_model

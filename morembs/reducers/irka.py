@@ -20,7 +20,9 @@ from morembs.errors import InputError
 from morembs.linalg.second_order_arnoldi import orthonormal
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Facts, OfResponses, elastic_basis
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
 from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]

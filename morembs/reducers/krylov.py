@@ -20,7 +20,8 @@ from morembs.errors import InputError, nearest
 from morembs.linalg.orthogonal import beside, combine, dot
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Facts, Reducer, elastic_basis, projected
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
+from morembs.reducers.facts import Facts
 from morembs.reducers.shifts import (
     RIGID_LOAD,
     Wanted,

@@ -11,7 +11,9 @@ from morembs.errors import InputError, nearest
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Facts, OfModes
+from morembs.reducers.base import Basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfModes
 
 
 @dataclass(frozen=True, kw_only=True)

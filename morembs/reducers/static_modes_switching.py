@@ -25,9 +25,10 @@ from morembs.model import FEModel
 from morembs.model.stress_operator import StressOperator
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
-from morembs.reducers.base import Basis, Facts, ReducedModel, Reducer
+from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.reducers.candidates import NORMALS, Candidates
 from morembs.reducers.craig_bampton import CraigBampton
+from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
