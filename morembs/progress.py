@@ -66,3 +66,10 @@ class Stopwatch:
         peak = self.memory.take()
         self.peak_memory_bytes = max(self.peak_memory_bytes, peak)
         return peak
+
+
+def duration_words(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``1.8 h``."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

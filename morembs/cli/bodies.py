@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 from morembs.cli.messages import print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
+from morembs.options import pairs
 
 if TYPE_CHECKING:
     from morembs.recovery.recover import Recovered
@@ -56,34 +56,13 @@ def export(
     with messages():
         if file is None or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
-        done = export_body(file, to, path=out, body=body, options=_options(to, option or []), frame=frame)
+        done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame)
         paths = [str(path) for path in done.paths]
         with printing(paths):
             if as_json:
                 print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
             else:
                 typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
-
-
-def _options(to: str, given: list[str]) -> dict[str, Any]:
-    """KEY=VALUE as TOML values; words need no quotes.
-
-    Raises:
-        InputError: no "=", or a key or value that the target does not take.
-    """
-    from morembs.exporters import make_exporter
-
-    options: dict[str, Any] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise InputError(f"--set {text!r} was given; expected KEY=VALUE")
-        try:
-            options[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            options[key] = value
-    make_exporter(to, options)
-    return options
 
 
 @app.command(epilog=EPILOG)

@@ -81,7 +81,7 @@ def compare(
             one.resolve() for one in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if one is not None
         }:
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
-        if loaded.tables.certify is None and not any(table.method == "auto" for table in loaded.tables.reduce):
+        if loaded.tables.certify is None and not any(one.certified_band for one in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
         found = contenders(run_job(loaded, progress, warn))
         if picture is not None:

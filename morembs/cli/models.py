@@ -10,6 +10,7 @@ import typer
 from morembs.cli.messages import print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
+from morembs.options import pairs
 from morembs.units import parse_units
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def import_model(
             out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
-            options=_options(option or []), allow_includes_outside=allow_includes_outside,
+            options=pairs(option or []), allow_includes_outside=allow_includes_outside,
         )  # fmt: skip
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)
@@ -80,17 +81,6 @@ def import_model(
                 print_json(_document(done))
             else:
                 typer.echo("\n".join(_lines(done)))
-
-
-def _options(given: list[str]) -> dict[str, Any]:
-    """KEY=VALUE; names of matrices and sets are text."""
-    options: dict[str, Any] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        if not equals or not key or key in options:
-            raise InputError(f"--set {text!r} was given; expected KEY=VALUE, each key once")
-        options[key] = value
-    return options
 
 
 def _document(done: ImportResult) -> dict[str, Any]:

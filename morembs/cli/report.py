@@ -25,10 +25,10 @@ from morembs.cli.tables import (
     titled,
     words,
 )  # fmt: skip
-from morembs.jobs.duration import duration_words
 from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
+from morembs.progress import duration_words
 
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10

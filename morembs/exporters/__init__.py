@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
-
-from pydantic import TypeAdapter, ValidationError
 
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies, StoredBody
@@ -21,6 +18,8 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
+from morembs.options import checked
+from morembs.plugins import Table, subclass_fault
 
 # One line for each target.
 _ALL: tuple[type[Exporter], ...] = (
@@ -33,7 +32,9 @@ _ALL: tuple[type[Exporter], ...] = (
     AbaqusExporter,
     MatrixMarketExporter,
 )
-EXPORTERS: dict[str, type[Exporter]] = {exporter.name: exporter for exporter in _ALL}
+EXPORTERS: Table[type[Exporter]] = Table(
+    "morembs.exporters", {one.name: one for one in _ALL}, subclass_fault(Exporter, "name")
+)
 # Programs by name, in small letters -> what to export to instead.
 ADVICE: dict[str, str] = {
     **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib", "modelica", "openmodelica", "dymola"), "take 'sid'"),
@@ -54,20 +55,9 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
     """
     if to not in EXPORTERS:
         word = to.lower().replace("_", "-")
-        advice = ADVICE[word] if word in ADVICE else nearest(word, EXPORTERS)
-        raise InputError(f"there is no export to {to!r}; {advice}")
+        raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}")
     kind = EXPORTERS[to]
-    known, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
-    for key, value in (options or {}).items():
-        if key not in known:
-            advice = nearest(key, known) if known else "it has no options"
-            raise InputError(f"export to {to!r} has no option {key!r}; {advice}")
-        try:
-            TypeAdapter(hints[key]).validate_python(value, strict=True)
-        except ValidationError as error:
-            expected = " or ".join(dict.fromkeys(e["msg"].removeprefix("Input should be ") for e in error.errors()))
-            raise InputError(f"export to {to!r}: {key} = {value!r} was given; expected {expected}") from error
-    return kind(**dict(options or {}))
+    return kind(**checked(kind, options or {}, f"export to {to!r}"))
 
 
 def export_body(

@@ -5,13 +5,12 @@ An importer takes a path and returns an ``Imported`` in the units of the file; o
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from morembs.errors import InputError, nearest
+from morembs.errors import InputError
 from morembs.importers.abaqus import import_abaqus, read_abaqus
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full
@@ -28,6 +27,8 @@ from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
 from morembs.model.middle_nodes import mesh_in_order
+from morembs.options import Text, checked, known
+from morembs.plugins import Table
 from morembs.storage.hdf5 import reading
 from morembs.units import Units, parse_units
 
@@ -35,6 +36,10 @@ from morembs.units import Units, parse_units
 READERS: dict[str, Callable[..., Mesh]] = {
     ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
 }  # fmt: skip
+
+
+# Parameters of importers that a user does not give.
+_NO_OPTIONS = ("budget",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,24 +53,11 @@ class Importer:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options."""
-        return tuple(one.name for one in self._parameters())
-
-    @property
-    def required(self) -> tuple[str, ...]:
-        """Names of the options that must be given."""
-        return tuple(one.name for one in self._parameters() if one.default is one.empty)
-
-    def kind(self, option: str) -> str:
-        """The type of an option as it is written."""
-        return next((str(one.annotation) for one in self._parameters() if one.name == option), "")
-
-    def _parameters(self) -> list[inspect.Parameter]:
-        parameters = inspect.signature(self.read).parameters.values()
-        return [one for one in parameters if one.kind is one.KEYWORD_ONLY and one.name != "budget"]
+        return tuple(name for name in known(self.read) if name not in _NO_OPTIONS)
 
 
 # The first format with the ending of a file is taken; formats without endings must be named.
-IMPORTERS: dict[str, Importer] = {
+_OWN: dict[str, Importer] = {
     "native": Importer(about="model file of morembs", endings=(".model.h5",), read=import_native),
     "matrix-market": Importer(
         about="one matrix (Matrix Market)", endings=(".mtx.gz", ".mtx", ".mm"), read=import_matrix_market
@@ -103,6 +95,9 @@ IMPORTERS: dict[str, Importer] = {
         read=import_mesh,
     ),
 }
+IMPORTERS: Table[Importer] = Table(
+    "morembs.importers", _OWN, lambda _, entry: "" if isinstance(entry, Importer) else f"{entry!r} is no Importer"
+)
 
 
 def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_includes_outside: bool = False) -> Mesh:
@@ -144,7 +139,7 @@ def format_of(path: Path, given: str | None = None) -> str:
         raise InputError(f"the file {str(path)!r} does not exist; check the path")
     if given is not None:
         if given not in IMPORTERS:
-            raise InputError(f"--format {given!r} was given; {nearest(given, IMPORTERS)}")
+            raise InputError(f"--format {given!r} was given; {IMPORTERS.advice(given)}")
         return given
     name = path.name.lower()
     for format, importer in IMPORTERS.items():
@@ -187,30 +182,10 @@ def import_file(path: str | Path, format: str | None = None, options: Mapping[st
     Raises:
         InputError: the file is missing or cannot be used, or an option that its format does not have.
     """
-    path, options = Path(path), dict(options or {})
+    path = Path(path)
     importer = IMPORTERS[format_of(path, format)]
-    for key, value in options.items():
-        if key not in importer.options:
-            raise InputError(f"{path.name}: the format has no option {key!r}; {_known(key, importer.options)}")
-        options[key] = _typed(importer, key, value)
-    missing = [name for name in importer.required if name not in options]
-    if missing:
-        raise InputError(f"{path.name}: the format needs the option {missing[0]!r}; give --set {missing[0]}=VALUE")
-    return importer.read(path, **options)
-
-
-def _known(key: str, options: Iterable[str]) -> str:
-    options = list(options)
-    return nearest(key, options) if options else "it has none"
-
-
-def _typed(importer: Importer, key: str, value: Any) -> Any:
-    """The text of an option as the value that the importer takes."""
-    if not isinstance(value, str):
-        return value
-    kind = importer.kind(key)
-    if kind == "bool":
-        if value.lower() not in ("true", "false"):
-            raise InputError(f"--set {key}={value} was given; expected true or false")
-        return value.lower() == "true"
-    return [part for part in value.split(",") if part] if "Sequence" in kind else value
+    given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
+    values = checked(
+        importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
+    )
+    return importer.read(path, **values)

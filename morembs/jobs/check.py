@@ -13,14 +13,12 @@ from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
-from morembs.jobs.duration import reduction_seconds
 from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
 from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
     mesh_of,
-    modelling,
     prepare_output,
     solver_of,
     source_of,
@@ -37,6 +35,7 @@ from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
+from morembs.reducers import Facts
 from morembs.scratch import free_bytes
 
 Floats = NDArray[np.float64]
@@ -77,7 +76,8 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
     coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
-    warnings += preflight(job, model, interfaces, coupling, 6)
+    facts = Facts(model=model, interfaces=interfaces, coupling=coupling, damping=damping_of(job))
+    warnings += preflight(job, facts, 6)
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.kind.carries])
     if rigid > 6:
@@ -86,14 +86,14 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
             "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
         )
     progress.stage("analyse")
-    columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
+    columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
     columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
         cost = forecast_cost(
             stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
         )
         threads = blas_threads()
-        seconds = _reduction_seconds(job, coupled, inputs, cost)
+        seconds = _reduction_seconds(job, facts, cost)
     plan = cost.plan
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
@@ -116,15 +116,15 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
-            coupling, rigid = problem.coupling, problem.rigid.shape[1]
+            facts, coupling, rigid = Facts.of(problem), problem.coupling, problem.rigid.shape[1]
         coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
-        warnings += preflight(job, model, interfaces, coupling, rigid)
+        warnings += preflight(job, facts, rigid)
         progress.stage("analyse")
-        columns = inputs + max(getattr(reducer, "modes", None) or 0 for reducer in modelling(job).values())
+        columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
         columns = max(columns, job.tables.check.full_modes)
         cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
         threads = blas_threads()
-        seconds = _reduction_seconds(job, coupled, inputs, cost)
+        seconds = _reduction_seconds(job, facts, cost)
     plan, matrices = cost.plan, [A for A in (model.K, model.M, model.D) if A is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
@@ -138,10 +138,9 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
     )  # fmt: skip
 
 
-def _reduction_seconds(job: Job, coupled: int, inputs: int, cost: Cost) -> dict[str, float]:
+def _reduction_seconds(job: Job, facts: Facts, cost: Cost) -> dict[str, float]:
     """Name -> time of each reduction, as far as it can be told."""
-    entries = cost.plan.factor_entries
-    found = {name: reduction_seconds(one, coupled, inputs, entries) for name, one in modelling(job).items()}
+    found = {name: one.seconds(facts, cost.plan.factor_entries) for name, one in job.reducers.items()}
     return {name: seconds for name, seconds in found.items() if seconds is not None}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,13 +24,11 @@ from morembs.model import FEModel, Mesh
 from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
 from morembs.problem import Damping
-from morembs.reducers import Automatic, CraigBampton, FreeInterface, Modal, Reducer, StaticModesSwitching
+from morembs.reducers import Facts, Reducer
+from morembs.responses.damped_reference import why_no_response
 from morembs.units import Units, parse_units
 
-# Reductions that compute modes.
-WITH_MODES = (Automatic, CraigBampton, FreeInterface, Modal)
-# Reductions that follow the responses to all interface motions at once, and how many of these make sense.
-WITH_RESPONSES = ("auto", "gramian", "balanced-truncation", "irka")
+# How many interface motions make sense where the responses to all of them are followed at once.
 MOST_MOTIONS = 500
 
 
@@ -64,20 +62,7 @@ def _material(table: MaterialTable, units: Units) -> Material:
 def reducers_of(job: Job) -> dict[str, Reducer]:
     """Name -> reducer, selections of nodes in the declared units."""
     length = units_of(job).length
-    return {
-        name: replace(reducer, length=length if reducer.length is None else reducer.length)
-        if isinstance(reducer, StaticModesSwitching)
-        else reducer
-        for name, reducer in job.reducers.items()
-    }
-
-
-def modelling(job: Job) -> dict[str, Reducer]:
-    """Name -> the reducer that makes the coordinates of the body."""
-    return {
-        name: reducer.base_reducer() if isinstance(reducer, StaticModesSwitching) else reducer
-        for name, reducer in job.reducers.items()
-    }
+    return {name: reducer.in_units(length) for name, reducer in job.reducers.items()}
 
 
 def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
@@ -207,63 +192,34 @@ def _results(job: Job) -> dict[str, Path]:
     return {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
 
 
-def check_candidates(job: Job, model: FEModel, interfaces: Sequence[Interface]) -> None:
-    """Check the candidate loads of all reductions.
+def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:
+    """Ask every reduction and comparison whether it can be made.
 
     Raises:
-        InputError: none, on an interface, a path with gaps, directions that do not fit, stress without elements.
+        InputError: one cannot.
     """
-    for name, reducer in reducers_of(job).items():
-        if isinstance(reducer, StaticModesSwitching):
-            try:
-                reducer.chosen(model, interfaces)
-            except InputError as error:
-                raise InputError(f"[[reduce]] {name!r}: {error}") from error
-
-
-def refuse_reductions_that_do_not_fit(job: Job, size: int, inputs: int) -> None:
-    """Check options against a model of ``size`` coupled dofs and ``inputs`` interface motions.
-
-    Raises:
-        InputError: one does.
-    """
+    inputs = facts.inputs
     if not inputs and job.tables.certify is not None:
         raise InputError("[certify] compares motions of interfaces, and there are none; add at least one [[interface]]")
-    for table, asked in (("certify", job.tables.certify), ("response", job.tables.response)):
-        if asked is not None and inputs > MOST_MOTIONS:
-            raise InputError(
-                f"[{table}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
-                f"and at most {MOST_MOTIONS} motions fit; leave [{table}] out, or take rigid or average couplings"
-            )
-    for name, reducer in modelling(job).items():
-        modes = getattr(reducer, "modes", None)
-        if modes is not None and modes > size:
-            raise InputError(
-                f"[[reduce]] {name!r}: modes = {modes} was given, but the coupled model has only {size} degrees of "
-                "freedom; ask for fewer modes"
-            )
-        if not inputs and (reducer.method != "modal" or getattr(reducer, "interfaces", "") == "fixed"):
-            raise InputError(
-                f"[[reduce]] {name!r}: method = {reducer.method!r} needs interfaces; add at least one [[interface]], "
-                'or take method = "modal"'
-            )
-        few = isinstance(reducer, CraigBampton) and reducer.reduces_interfaces
-        if inputs > MOST_MOTIONS and reducer.method in WITH_RESPONSES:
+    compared = [key for key in ("certify", "response") if getattr(job.tables, key) is not None]
+    if compared and inputs > MOST_MOTIONS:
+        raise InputError(
+            f"[{compared[0]}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
+            f"and at most {MOST_MOTIONS} motions fit; leave [{compared[0]}] out, or take rigid or average couplings"
+        )
+    for name, reducer in reducers_of(job).items():
+        if inputs > MOST_MOTIONS and reducer.follows_responses:
             raise InputError(
                 f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {inputs} interface "
                 f"motions, and at most {MOST_MOTIONS} fit; take craig-bampton with interface_up_to_hz, or rigid or "
                 "average couplings"
             )
-        if few and (getattr(reducer, "interface_modes", None) or 0) > inputs:
-            raise InputError(
-                f"[[reduce]] {name!r}: interface_modes = {getattr(reducer, 'interface_modes', 0)} was given, but there "
-                f"are only {inputs} interface motions; ask for fewer"
-            )
-        if modes is not None and not few and getattr(reducer, "inertia_modes", False) and modes < inputs:
-            raise InputError(
-                f"[[reduce]] {name!r}: modes = {modes} was given with inertia_modes; expected at least {inputs}, one "
-                "for each interface motion"
-            )
+        reason = reducer.why_not(facts)
+        if reason:
+            raise InputError(f"[[reduce]] {name!r}: {reason}")
+    reason = why_no_response(facts.damping, facts.own_damping, facts.size)
+    if compared and reason:
+        raise InputError(f"[{compared[0]}]: {reason}")
 
 
 def source_of(job: Job) -> Path:
@@ -280,4 +236,4 @@ def mesh_of(job: Job) -> Mesh:
 def wants_modes(job: Job) -> bool:
     """Whether any modes are computed, and so counted."""
     wanted = bool(job.tables.check.full_modes) or job.tables.certify is not None
-    return wanted or any(isinstance(reducer, WITH_MODES) for reducer in modelling(job).values())
+    return wanted or any(reducer.computes_modes for reducer in job.reducers.values())

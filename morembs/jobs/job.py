@@ -6,16 +6,17 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from morembs.errors import InputError, nearest
 from morembs.jobs.schema import JobTables, ReduceTable
+from morembs.options import checked, in_toml
 from morembs.reducers import REDUCERS
-from morembs.reducers.base import Reducer, chosen_modes
+from morembs.reducers.base import Reducer
 
 # Where a key is: names of tables and keys, and numbers of tables in [[...]].
 Loc = tuple[int | str, ...]
@@ -110,32 +111,17 @@ def _reducers(tables: list[ReduceTable]) -> dict[str, Reducer]:
 
 
 def _reducer(name: str, table: ReduceTable) -> Reducer:
+    where = f"[[reduce]] {name!r}: "
     if table.method not in REDUCERS:
-        raise InputError(f"[[reduce]] {name!r}: method = {table.method!r} was given; {nearest(table.method, REDUCERS)}")
+        raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
     kind = REDUCERS[table.method]
-    known = {field.name for field in fields(kind)}
-    hints = get_type_hints(kind)
-    for key, value in table.options().items():
-        if key not in known:
-            raise InputError(
-                f"[[reduce]] {name!r}: method {table.method!r} has no key {key!r}; "
-                f"{nearest(key, [*known, 'name', 'method'])}"
-            )
-        try:
-            TypeAdapter(hints[key]).validate_python(value, strict=True)
-        except ValidationError as error:
-            expected = " or ".join(dict.fromkeys(_expected(e["msg"]) for e in error.errors()))
-            raise InputError(f"[[reduce]] {name!r}: {key} = {_toml(value)} was given; expected {expected}") from error
+    options = checked(
+        kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
+    )
     try:
-        reducer = kind(**table.options())
-        if {"modes", "up_to_hz"} <= known:
-            chosen_modes(getattr(reducer, "modes", None), getattr(reducer, "up_to_hz", None), table.method)
-        return reducer
+        return kind(**options)
     except InputError as error:
-        raise InputError(f"[[reduce]] {name!r}: {error}") from error
-    except TypeError as error:
-        missing = ", ".join(re.findall(r"'(\w+)'", str(error)))
-        raise InputError(f"[[reduce]] {name!r}: method {table.method!r} needs the key {missing}") from error
+        raise InputError(f"{where}{error}") from error
 
 
 def _faults(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
@@ -158,7 +144,7 @@ def _faults(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
         if kind == "missing":
             lines[at] = f"{_words(at[:-1])}{at[-1]} is missing; expected {expected}"
         else:
-            given = _toml(_value(data, at))
+            given = in_toml(_value(data, at))
             lines[at] = f"{_words(at[:-1])}{at[-1]} = {given} was given; expected {expected}"
     return [line for at, line in lines.items() if not _is_echo(at, line, lines, meant)]
 
@@ -211,13 +197,3 @@ def _words(loc: Loc) -> str:
 
 def _description(model: type[BaseModel], key: str) -> str:
     return model.model_fields[key].description or "another value"
-
-
-def _expected(message: str) -> str:
-    return message.removeprefix("Input should be ").removeprefix("a valid ").replace("integer", "an integer")
-
-
-def _toml(value: object) -> str:
-    """A value as it stands in the file, cut to a readable length."""
-    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

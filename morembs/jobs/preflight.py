@@ -7,17 +7,12 @@ from collections.abc import Sequence
 from morembs.body.build import Delivery
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
-from morembs.errors import BudgetError, InputError, nearest
+from morembs.errors import BudgetError, InputError
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
-from morembs.jobs.duration import duration_words, mode_seconds, response_seconds
 from morembs.jobs.inputs import (
-    WITH_RESPONSES,
-    check_candidates,
-    damping_of,
     delivery_of,
-    modelling,
     preload_of,
     refuse_reductions_that_do_not_fit,
     units_of,
@@ -27,9 +22,9 @@ from morembs.jobs.job import Job
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
 from morembs.model import FEModel
 from morembs.model.selection import select_nodes
-from morembs.problem.damping import Damping
-from morembs.reducers import Balanced, Gramian, Irka, Krylov, Reducer, StaticModesSwitching
-from morembs.responses.damped_reference import DENSE
+from morembs.progress import duration_words
+from morembs.reducers import Facts
+from morembs.reducers.cost import mode_seconds, response_seconds
 
 # Interface motions beyond which methods that follow all responses take minutes.
 MANY_MOTIONS = 60
@@ -41,8 +36,6 @@ SMALL = 3000
 # the bytes this much is there before modes are counted, and so much more takes the smallest count.
 RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
 LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
-# Variants of balanced truncation with one space for trial and test.
-ONE_SIDED = ("fv", "pv")
 
 
 def require_room(job: Job, start: int, dofs: int = 0) -> None:
@@ -84,26 +77,16 @@ def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tupl
     return examined_mesh(model, units_of(job))
 
 
-def preflight(
-    job: Job, model: FEModel, interfaces: Sequence[Interface], coupling: Coupling, rigid: int
-) -> tuple[str, ...]:
-    """Warnings about what the reductions of ``job`` will cost.
-
-    Args:
-        model: nodes, dofs, mesh and materials are looked at; K and M may be empty.
-        rigid: number of rigid-body motions.
+def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    """Warnings about what the reductions of ``job`` will cost; ``rigid`` is the number of rigid-body motions.
 
     Raises:
         InputError: whatever ``reduce`` would refuse after the factorisation, as far as it can be told before.
     """
-    size, inputs = coupling.T.shape[1], coupling.B.shape[1]
-    _refuse_preload(job, model, interfaces, rigid)
-    check_candidates(job, model, interfaces)
-    refuse_reductions_that_do_not_fit(job, size, inputs)
-    _refuse_interfaces_of_krylov(job, coupling)
-    _refuse_damping(job, damping_of(job), model.D is not None, size)
-    _refuse_delivery(job, delivery_of(job), model, coupling, rigid)
-    return (*_many_motions(job, size, inputs), *_many_modes(job, size))
+    _refuse_preload(job, facts.model, facts.interfaces, rigid)
+    refuse_reductions_that_do_not_fit(job, facts)
+    _refuse_delivery(job, delivery_of(job), facts.model, facts.coupling, rigid)
+    return (*_many_motions(job, facts), *_many_modes(job, facts.size))
 
 
 def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], rigid: int) -> None:
@@ -118,87 +101,6 @@ def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], r
         raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
 
 
-def _refuse_interfaces_of_krylov(job: Job, coupling: Coupling) -> None:
-    for name, reducer in modelling(job).items():
-        if isinstance(reducer, Krylov):
-            for key, given in (("inputs", reducer.inputs), ("outputs", reducer.outputs)):
-                for one in given or []:
-                    if one not in coupling.columns:
-                        raise InputError(
-                            f"[[reduce]] {name!r}: {key} name the interface {one!r}, which there is not; "
-                            f"{nearest(one, list(coupling.columns))}"
-                        )
-
-
-def _refuse_damping(job: Job, damping: Damping, own: bool, size: int) -> None:
-    """Refuse reductions and comparisons for which the damping has no meaning; ``own``: the model has a matrix D."""
-    for name, reducer in modelling(job).items():
-        reason = why_not_with(reducer, damping, own, size)
-        if reason:
-            raise InputError(f"[[reduce]] {name!r}: {reason}")
-    compared = [key for key in ("certify", "response") if getattr(job.tables, key) is not None]
-    reason = _why_no_response(damping, own, size)
-    if compared and reason:
-        raise InputError(f"[{compared[0]}]: {reason}")
-
-
-def _why_no_response(damping: Damping, own: bool, size: int) -> str:
-    """Why the full model has no frequency response; "" where it has one."""
-    if not own or not (damping.is_modal or (damping.is_rayleigh and size > DENSE)):
-        return ""
-    kind = "modal" if damping.is_modal else "Rayleigh"
-    return (
-        f"{kind} damping beside a damping matrix of the model has no frequency response here; add alpha M + beta K to "
-        "the matrix, or leave one of them out"
-    )
-
-
-def why_not_with(reducer: Reducer, damping: Damping, own: bool, size: int) -> str:
-    """Why ``reducer`` does not take this damping of ``size`` coupled dofs; "" where it does.
-
-    ``own`` says that the model has a damping matrix.
-    """
-    method = f'method "{reducer.method}"'
-    follows = reducer.method in WITH_RESPONSES
-    whole_band = isinstance(reducer, Balanced) and reducer.band_hz is None
-    if isinstance(reducer, Balanced) and own:
-        if not whole_band:
-            return "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
-        if damping.is_modal:
-            return f"{method} takes a damping matrix of the model or modal damping, not both; leave one of them out"
-    elif follows:
-        # Direct solutions take Rayleigh damping beside a matrix at no size.
-        direct = isinstance(reducer, Gramian) and reducer.direct
-        reason = _why_no_response(damping, own, DENSE + 1 if direct else size)
-        if reason:
-            return f"{method}: {reason}"
-    if damping.structural and (whole_band or isinstance(reducer, Irka)):
-        return (
-            f"{method} needs viscous damping, and structural damping has no matrix; replace it by rayleigh or modal "
-            'damping, or take method = "gramian"'
-        )
-    if whole_band and damping.is_modal and not all(ratio for _, ratio in damping.steps):
-        return (
-            f"{method} integrates over all resonances, and the modal damping table leaves some undamped; give "
-            "band_hz = [lower, upper], or no ratio of zero"
-        )
-    if whole_band and not own and not damping.is_viscous:
-        return (
-            f"{method} integrates over all resonances, which are infinite without damping; add [damping], or give "
-            'band_hz = [lower, upper], or take method = "gramian"'
-        )
-    if isinstance(reducer, Gramian) and reducer.direct and damping.is_modal:
-        return f"{method}: modal damping is known mode by mode only; take direct = false"
-    return ""
-
-
-def is_two_sided(reducer: Reducer) -> bool:
-    """Whether the equations are tested with another space than that of the coordinates."""
-    if isinstance(reducer, Krylov):
-        return reducer.two_sided
-    return isinstance(reducer, Balanced) and reducer.variant not in ONE_SIDED
-
-
 def _refuse_delivery(job: Job, wanted: Delivery, model: FEModel, coupling: Coupling, rigid: int) -> None:
     """Refuse what the bodies cannot carry."""
     check_frame(wanted.kind, wanted.interfaces, list(coupling.frame_columns))
@@ -206,12 +108,8 @@ def _refuse_delivery(job: Job, wanted: Delivery, model: FEModel, coupling: Coupl
     if reason:
         raise InputError(f"[stiffening]: {reason}")
     asked = wanted.kind != "mean-axes" or wanted.stiffening is not None or wanted.envelope is not None
-    for name, reducer in modelling(job).items():
-        if is_two_sided(reducer) and isinstance(job.reducers[name], StaticModesSwitching):
-            raise InputError(
-                f"[[reduce]] {name!r}: static modes switching needs a symmetric constant basis; leave two_sided out"
-            )
-        if asked and is_two_sided(reducer):
+    for name, reducer in job.reducers.items():
+        if asked and reducer.two_sided:
             raise InputError(
                 f"[frame], [envelope] and [stiffening]: the body {name!r} comes from a two-sided reduction, whose "
                 "matrices are not symmetric; a floating frame needs a one-sided one"
@@ -234,30 +132,30 @@ def _refuse_delivery(job: Job, wanted: Delivery, model: FEModel, coupling: Coupl
             raise InputError(f"[stress]: {error}") from error
 
 
-def _many_motions(job: Job, size: int, inputs: int) -> list[str]:
-    if inputs <= MANY_MOTIONS:
+def _many_motions(job: Job, facts: Facts) -> list[str]:
+    if facts.inputs <= MANY_MOTIONS:
         return []
     took = {
-        repr(name): response_seconds(size, inputs, reducer.method)
-        for name, reducer in modelling(job).items()
-        if reducer.method in WITH_RESPONSES
+        repr(name): reducer.seconds(facts) or 0.0
+        for name, reducer in job.reducers.items()
+        if reducer.follows_responses
     }
     compared = [f"[{key}]" for key in ("certify", "response") if getattr(job.tables, key) is not None]
-    took |= {name: response_seconds(size, inputs) for name in compared}
+    took |= {name: response_seconds(facts.size, facts.inputs) for name in compared}
     if not took:
         return []
     words = ", ".join(f"{name} about {duration_words(seconds)}" for name, seconds in took.items())
     return [
-        f"the responses to all {inputs} interface motions are followed, which takes long: {words} at the speed of this "
-        "machine now, within a factor of three. Give the interface a rigid or average coupling (6 motions), or take "
-        'method = "craig-bampton" with interface_up_to_hz and no [certify]'
+        f"the responses to all {facts.inputs} interface motions are followed, which takes long: {words} at the speed "
+        "of this machine now, within a factor of three. Give the interface a rigid or average coupling (6 motions), "
+        'or take method = "craig-bampton" with interface_up_to_hz and no [certify]'
     ]
 
 
 def _many_modes(job: Job, size: int) -> list[str]:
     found = []
-    for name, reducer in modelling(job).items():
-        modes = getattr(reducer, "modes", None) or 0
+    for name, reducer in job.reducers.items():
+        modes = reducer.mode_count
         if size > SMALL and modes > min(MANY_MODES * size, MOST_MODES):
             took = duration_words(mode_seconds(size, modes, 0))
             found.append(

@@ -41,7 +41,7 @@ from morembs.model.assembly import assemble
 from morembs.model.material import Material
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
-from morembs.reducers import Automatic, StaticModesSwitching
+from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies
 
@@ -112,7 +112,7 @@ def _run(
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
-        costs = preflight(job, model, interfaces, problem.coupling, problem.rigid.shape[1])
+        costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
         warnings += costs
@@ -212,9 +212,7 @@ def _delivered(
         operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
         bodies = []
         for one, its, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
-            switching = None
-            if isinstance(reducer, StaticModesSwitching):
-                switching = reducer.switching(problem, one, progress=progress)
+            switching = reducer.switching(problem, one, progress=progress)
             bodies.append(
                 deliver(
                     problem, one, part, wanted, certificate=its, operator=operator, switching=switching,
@@ -228,7 +226,7 @@ def _certified_band(job: Job) -> Sequence[float] | None:
     """The band of [certify], or the widest that a reduction was made for with a tolerance."""
     if job.tables.certify is not None:
         return job.tables.certify.band_hz
-    bands = [reducer.band_hz for reducer in job.reducers.values() if isinstance(reducer, Automatic)]
+    bands = [band for reducer in job.reducers.values() if (band := reducer.certified_band) is not None]
     return (min(band[0] for band in bands), max(band[1] for band in bands)) if bands else None
 
 

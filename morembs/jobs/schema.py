@@ -140,7 +140,7 @@ class ReduceTable(Table):
     """``[[reduce]]``: one reduced body. Further keys are the options of its method."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-    method: str = Field(description="one of " + ", ".join(REDUCERS))
+    method: str = Field(description="one of " + ", ".join(REDUCERS.own))
     name: str | None = Field(
         default=None, max_length=100, pattern=SAFE_NAME, description="a name of letters, digits, _, -, + and ."
     )

@@ -166,7 +166,8 @@ class Problem:
         return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
 
     def close(self) -> None:
-        """Release the factorisations."""
+        """Release the factorisations, and the solutions that reducers share."""
+        self._shared.clear()
         if "statics" in self.__dict__:
             self.statics.close()
         self.stiffness.close()

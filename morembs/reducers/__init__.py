@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from morembs.plugins import Table, subclass_fault
 from morembs.reducers.automatic import Automatic
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
+from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.guyan import Guyan
@@ -14,23 +16,24 @@ from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.static_modes_switching import StaticModesSwitching
 
-REDUCERS: dict[str, type[Reducer]] = {
-    reducer.method: reducer
-    for reducer in (
-        Automatic,
-        Modal,
-        Guyan,
-        CraigBampton,
-        FreeInterface,
-        Krylov,
-        Gramian,
-        Balanced,
-        Irka,
-        StaticModesSwitching,
-    )
-}
+# One line for each method.
+_OWN: tuple[type[Reducer], ...] = (
+    Automatic,
+    Modal,
+    Guyan,
+    CraigBampton,
+    FreeInterface,
+    Krylov,
+    Gramian,
+    Balanced,
+    Irka,
+    StaticModesSwitching,
+)
+REDUCERS: Table[type[Reducer]] = Table(
+    "morembs.reducers", {one.method: one for one in _OWN}, subclass_fault(Reducer, "method")
+)
 
 __all__ = [
-    "MODE_KINDS", "REDUCERS", "Automatic", "Balanced", "Basis", "CraigBampton", "FreeInterface", "Gramian", "Guyan",
-    "Irka", "Krylov", "Modal", "ReducedModel", "Reducer", "StaticModesSwitching",
+    "MODE_KINDS", "REDUCERS", "Automatic", "Balanced", "Basis", "CraigBampton", "Facts", "FreeInterface", "Gramian",
+    "Guyan", "Irka", "Krylov", "Modal", "ReducedModel", "Reducer", "StaticModesSwitching",
 ]  # fmt: skip

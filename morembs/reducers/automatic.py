@@ -25,8 +25,8 @@ from morembs.errors import InputError, SolverError
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, elastic_basis
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import Basis, elastic_basis
+from morembs.reducers.families import OfResponses
 from morembs.responses.band import band_frequencies, beyond, checked_band, round_off
 from morembs.responses.reference import Reference, product, reference_model
 
@@ -44,7 +44,7 @@ WEIGHTS = (-0.5, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Automatic(Reducer):
+class Automatic(OfResponses):
     """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
 
     ``tolerance`` bounds the Frobenius norm of the error relative to that of the full model, at every frequency
@@ -54,6 +54,7 @@ class Automatic(Reducer):
     """
 
     method: ClassVar[str] = "auto"
+    of_reference: ClassVar[float] = 4.0
     band_hz: list[float]
     tolerance: float
     static_exact: bool = False
@@ -64,8 +65,15 @@ class Automatic(Reducer):
         if not 0 < self.tolerance < 1:
             raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
 
+    @property
+    def computes_modes(self) -> bool:
+        return True
+
+    @property
+    def certified_band(self) -> Sequence[float]:
+        return self.band_hz
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        require_interfaces(problem, self.method)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz)
         # A body that is held has no rigid motion to balance the inertia of its frame.
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6

@@ -23,10 +23,11 @@ from morembs.linalg.congruence import max_norm
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.orthogonal import beside, combine, remove
 from morembs.linalg.sparse.select import select_solver
-from morembs.problem import Problem
+from morembs.problem import Damping, Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis, projected
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
 from morembs.reducers.second_order_balancing import (
     ONE_SIDED,
     VARIANTS,
@@ -79,7 +80,7 @@ class _Gramian:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Balanced(Reducer):
+class Balanced(OfResponses):
     """``order`` elastic coordinates, or as many as have singular values above ``tolerance`` times the largest.
 
     Args:
@@ -120,8 +121,17 @@ class Balanced(Reducer):
                 f"band_hz = {self.band_hz} was given; expected [lower, upper] limits in Hz, such as [0, 500]"
             )
 
+    @property
+    def two_sided(self) -> bool:
+        return self.variant not in ONE_SIDED
+
+    def why_no_response(self, facts: Facts) -> str:
+        if self.band_hz is not None:
+            own = "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
+            return own if facts.own_damping else ""
+        return _why_no_gramian(facts.damping, facts.own_damping)
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        require_interfaces(problem, self.method)
         gramian = self._gramian(problem, progress)
         products = gramian.products
         order = self._order(products)
@@ -137,7 +147,7 @@ class Balanced(Reducer):
         if self.variant == "so":
             notes["position_singular_values"] = [float(x) for x in singular_values(products, "p")[: 2 * order]]
         right = gramian.lift(gramian.Zv if cut.right_of_velocities else gramian.Zp, cut.right, problem)
-        if self.variant in ONE_SIDED:
+        if not self.two_sided:
             return elastic_basis(problem, right, "balanced", notes)
         return _two_sided(problem, gramian, cut, right, notes, self.variant)
 
@@ -155,34 +165,9 @@ class Balanced(Reducer):
         return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in found))
 
     def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
-        damping = problem.damping
         if self.band_hz is not None:
-            if problem.D is not None:
-                raise InputError(
-                    "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
-                )
             return _over_band(problem, (self.band_hz[0], self.band_hz[1]), progress)
-        if damping.structural:
-            raise InputError(
-                f'method "{self.method}" over all frequencies needs viscous damping, and structural damping has no '
-                "matrix; give band_hz = [lower, upper], or replace it by rayleigh or modal damping"
-            )
-        if damping.is_modal and not all(ratio for _, ratio in damping.steps):
-            raise InputError(
-                f'method "{self.method}" integrates over all resonances, and the modal damping table leaves some '
-                "undamped; give band_hz = [lower, upper], or no ratio of zero"
-            )
-        if problem.D is None and not damping.is_viscous:
-            raise InputError(
-                f'method "{self.method}" integrates over all resonances, which are infinite without damping; add '
-                '[damping], or give band_hz = [lower, upper], or take method = "gramian"'
-            )
-        if damping.is_modal and problem.D is not None:
-            raise InputError(
-                f'method "{self.method}" takes a damping matrix of the model or modal damping, not both; replace the '
-                "modal damping by alpha and beta"
-            )
-        if damping.is_modal:
+        if problem.damping.is_modal:
             return self._with_modal_damping(problem, progress)
         return self._over_all(problem, progress)
 
@@ -233,6 +218,31 @@ class Balanced(Reducer):
         raise SolverError(
             f"the singular values still change where the Gramian covers {top / (4 * np.pi):.6g} Hz; {INSTEAD}"
         )
+
+
+def _why_no_gramian(damping: Damping, own: bool) -> str:
+    """Why there is no Gramian over all frequencies; ``own``: the model has a damping matrix."""
+    if damping.structural:
+        return (
+            "an integral over all frequencies needs viscous damping, and structural damping has no matrix; give "
+            "band_hz = [lower, upper], or replace it by rayleigh or modal damping"
+        )
+    if damping.is_modal and own:
+        return (
+            "it takes a damping matrix of the model or modal damping, not both; replace the modal damping by alpha and "
+            "beta"
+        )
+    if damping.is_modal and not all(ratio for _, ratio in damping.steps):
+        return (
+            "it integrates over all resonances, and the modal damping table leaves some undamped; give band_hz = "
+            "[lower, upper], or no ratio of zero"
+        )
+    if not own and not damping.is_viscous:
+        return (
+            "it integrates over all resonances, which are infinite without damping; add [damping], or give "
+            'band_hz = [lower, upper], or take method = "gramian"'
+        )
+    return ""
 
 
 def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:

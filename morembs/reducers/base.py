@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import ClassVar, final
+from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
 import scipy.linalg as sl
@@ -13,16 +13,24 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
+from morembs.linalg.congruence import row_sums
 from morembs.linalg.eigen import signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
+from morembs.reducers.facts import Facts
+
+if TYPE_CHECKING:
+    from morembs.model.stress_operator import StressOperator
+    from morembs.reducers.switching_tables import Switching
 
 Floats = NDArray[np.float64]
 
 MOST_HZ = 1e12
+# Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
+STIFFNESS_ERROR = 1e-2
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
@@ -106,13 +114,70 @@ class ReducedModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Reducer(ABC):
-    """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file."""
+    """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
+
+    A method says about itself what others have to know: what it cannot reduce (``why_not``), what it costs, and the
+    properties below.
+    """
 
     method: ClassVar[str]
 
+    @property
+    def two_sided(self) -> bool:
+        """Whether the equations are tested with another space than that of the coordinates."""
+        return False
+
+    @property
+    def needs_interfaces(self) -> bool:
+        """Whether there have to be interfaces."""
+        return True
+
+    @property
+    def mode_count(self) -> int:
+        """Number of modes that were asked for, 0 for none or for all up to a frequency."""
+        return 0
+
+    @property
+    def computes_modes(self) -> bool:
+        """Whether modes of the full model are computed, and so counted."""
+        return False
+
+    @property
+    def follows_responses(self) -> bool:
+        """Whether the responses to all interface motions are followed at once, which many motions make long."""
+        return False
+
+    @property
+    def certified_band(self) -> Sequence[float] | None:
+        """[low, high] in Hz over which an error is promised, None where none is."""
+        return None
+
+    def why_not(self, facts: Facts) -> str:
+        """Why such a problem is not reduced, as far as it can be told before a factorisation; "" where it is."""
+        if self.needs_interfaces and not facts.inputs:
+            return (
+                f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
+            )
+        return ""
+
+    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+        """Time beside the factorisation, good to a factor of about three; None where it cannot be told."""
+        return None
+
+    def in_units(self, length: float) -> Self:
+        """This reducer where numbers in its selections of nodes are in units of ``length`` m."""
+        return self
+
+    def switching(
+        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
+        progress: Progress = SILENT,
+    ) -> Switching | None:  # fmt: skip
+        """Tables of static modes beside ``reduced``, which this reducer made; None for all but one method."""
+        return None
+
     @abstractmethod
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        """Columns of the reduction and their exact stiffness."""
+        """Columns of the reduction and their exact stiffness; ``why_not`` has nothing against ``problem``."""
 
     @final
     def reduce(self, problem: Problem, name: str | None = None, progress: Progress = SILENT) -> ReducedModel:
@@ -121,7 +186,11 @@ class Reducer(ABC):
         Raises:
             InputError: options that do not fit the problem.
             SingularMatrixError: the model has a mechanism.
+            SolverError: the stiffness of the basis is not that of the model.
         """
+        reason = self.why_not(Facts.of(problem))
+        if reason:
+            raise InputError(reason)
         basis = self._basis(problem, progress)
         if set(basis.kinds) <= {"rigid"}:
             raise InputError(
@@ -129,6 +198,7 @@ class Reducer(ABC):
                 "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
                 "simulation program"
             )
+        _refuse_wrong_stiffness(self.method, basis, problem)
         V, budget = basis.V, problem.budget
         outputs = _interface_motions(basis, problem)
         if basis.left is None:
@@ -152,6 +222,33 @@ class Reducer(ABC):
             rigid_count=basis.rigid.shape[1], recipe=recipe, left=basis.left, is_projection=basis.inertial is None,
             structural=structural,
         )  # fmt: skip
+
+
+def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None:
+    """Compare ``basis.K`` with W' K V for one combination of the columns.
+
+    Coordinates count alike, each at the scale of its stiffness, or of the round-off in it where that is larger.
+
+    Raises:
+        SolverError: they differ.
+    """
+    V, W, K = basis.V, basis.V if basis.left is None else basis.left, problem.K
+    n = len(basis.K)
+    if basis.K.shape != (V.shape[1], V.shape[1]) or W.shape != V.shape:
+        raise SolverError(f'method "{method}" gave a basis of {V.shape[1]} columns and a stiffness {basis.K.shape}')
+    weights = problem.shared("row sums of |K|", lambda: row_sums(K))
+    noise = np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V) / STIFFNESS_ERROR
+    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.abs(np.diag(basis.K)), noise), np.finfo(float).tiny))
+    # Signs that no structure of a basis has.
+    x = scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0)
+    one = dot(W, K @ combine(V, x[:, None], np.empty((len(V), 1)), problem.budget), problem.budget)[:, 0]
+    given = basis.K @ x
+    off = float(np.linalg.norm(scale * (one - given)))
+    if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * given), np.sqrt(n)):
+        raise SolverError(
+            f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
+            "it is missing or too much; take another method, and report this with the model"
+        )
 
 
 def _interface_motions(basis: Basis, problem: Problem) -> Floats:
@@ -202,16 +299,6 @@ def projected(V: Floats, A: sp.csr_array, budget: Budget, left: Floats | None = 
     parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
     whole = np.hstack(parts) if parts else np.zeros((0, 0))
     return 0.5 * (whole + whole.T) if left is None else whole
-
-
-def chosen_modes(modes: int | None, up_to_hz: float | None, method: str) -> None:
-    """Check that exactly one of ``modes`` and ``up_to_hz`` selects the modes."""
-    if (modes is None) == (up_to_hz is None):
-        raise InputError(f'method "{method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
-    if modes is not None and modes < 0:
-        raise InputError(f"modes = {modes} was given; expected a count, zero or more")
-    if up_to_hz is not None and not 0 < up_to_hz < MOST_HZ:
-        raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz below {MOST_HZ:g}")
 
 
 def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to: Floats) -> Basis:

@@ -23,13 +23,14 @@ from morembs.errors import InputError
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, add_residual_modes, chosen_modes
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfModes, squared
 from morembs.reducers.interface_modes import Inside, interface_modes, static_error
 
 
 @dataclass(frozen=True, kw_only=True)
-class CraigBampton(Reducer):
+class CraigBampton(OfModes):
     """Interface motions stay coordinates; ``modes`` internal ones, or fixed-interface modes up to ``up_to_hz``.
 
     ``inertia_modes`` takes as many internal coordinates as there are interface motions for the inertia
@@ -44,13 +45,12 @@ class CraigBampton(Reducer):
     """
 
     method: ClassVar[str] = "craig-bampton"
-    modes: int | None = None
-    up_to_hz: float | None = None
     inertia_modes: bool = False
     interface_modes: int | None = None
     interface_up_to_hz: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count, limit = self.interface_modes, self.interface_up_to_hz
         if count is not None and limit is not None:
             raise InputError("interface_modes and interface_up_to_hz were both given; choose one")
@@ -66,12 +66,21 @@ class CraigBampton(Reducer):
         """Whether characteristic modes replace the constraint modes."""
         return self.interface_modes is not None or self.interface_up_to_hz is not None
 
+    def why_not(self, facts: Facts) -> str:
+        reason = super().why_not(facts)
+        if not reason and (self.interface_modes or 0) > facts.inputs:
+            return (
+                f"interface_modes = {self.interface_modes} was given, but there are only {facts.inputs} interface "
+                "motions; ask for fewer"
+            )
+        if not reason and not self.reduces_interfaces:
+            return self._why_not_inertia(facts.inputs, "interface motion")
+        return reason
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        chosen_modes(self.modes, self.up_to_hz, self.method)
-        require_interfaces(problem, self.method)
         if self.reduces_interfaces:
             return self._on_few(problem, progress)
-        below, inputs = _squared(self.up_to_hz), problem.B.shape[1]
+        below, inputs = self.below, problem.B.shape[1]
         count = self._beside_inertia(inputs, "interface motion")
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.internal.impose()
@@ -93,11 +102,11 @@ class CraigBampton(Reducer):
         r = problem.rigid.shape[1]
         with Inside(problem) as inside:
             few = interface_modes(
-                problem, inside, count=self.interface_modes, below=_squared(self.interface_up_to_hz), progress=progress
+                problem, inside, count=self.interface_modes, below=squared(self.interface_up_to_hz), progress=progress
             )
             k = r + len(few.eigenvalues)
             count = self._beside_inertia(k, "rigid-body and characteristic mode")
-            fixed = inside.modes(count, _squared(self.up_to_hz), progress)
+            fixed = inside.modes(count, self.below, progress)
             m = len(fixed.eigenvalues)
             notes: dict[str, object] = {"interface_motions": problem.B.shape[1], "characteristic_modes": k - r}
             if few.next_hz is not None:
@@ -124,13 +133,13 @@ class CraigBampton(Reducer):
         """How many of ``modes`` are left for fixed-interface modes."""
         if not self.inertia_modes or self.modes is None:
             return self.modes
-        if self.modes < inertia:
-            raise InputError(
-                f"modes = {self.modes} was given with inertia_modes; expected at least {inertia}, one for each {what}"
-            )
+        reason = self._why_not_inertia(inertia, what)
+        if reason:
+            raise InputError(reason)
         return self.modes - inertia
 
-
-def _squared(hz: float | None) -> float | None:
-    """(rad/s)2 of a frequency in Hz."""
-    return None if hz is None else (2 * np.pi * hz) ** 2
+    def _why_not_inertia(self, inertia: int, what: str) -> str:
+        """Why ``modes`` have no room for ``inertia`` of them."""
+        if not self.inertia_modes or self.modes is None or self.modes >= inertia:
+            return ""
+        return f"modes = {self.modes} was given with inertia_modes; expected at least {inertia}, one for each {what}"

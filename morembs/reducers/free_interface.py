@@ -15,23 +15,18 @@ import numpy as np
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, add_residual_modes, chosen_modes
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import Basis, add_residual_modes
+from morembs.reducers.families import OfModes
 
 
 @dataclass(frozen=True, kw_only=True)
-class FreeInterface(Reducer):
+class FreeInterface(OfModes):
     """``modes`` free-free modes or all up to ``up_to_hz``, made statically exact at the interfaces."""
 
     method: ClassVar[str] = "free-interface"
-    modes: int | None = None
-    up_to_hz: float | None = None
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        chosen_modes(self.modes, self.up_to_hz, self.method)
-        require_interfaces(problem, self.method)
-        below = None if self.up_to_hz is None else (2 * np.pi * self.up_to_hz) ** 2
-        free = problem.elastic_modes(count=self.modes, below=below)
+        free = problem.elastic_modes(count=self.modes, below=self.below)
         rigid, Phi = problem.rigid, free.vectors
         Psi = problem.elastic.flexibility(problem.B.toarray())
         r, m = rigid.shape[1], Phi.shape[1]

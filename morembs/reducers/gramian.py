@@ -37,8 +37,10 @@ from morembs.linalg.orthogonal import beside, m_norms, m_orthonormal, remove
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
+from morembs.responses.damped_reference import why_no_response
 from morembs.responses.direct import elastic_states
 from morembs.responses.reference import Reference, inertia_loads, reference_model
 
@@ -60,7 +62,7 @@ GRID = 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gramian(Reducer):
+class Gramian(OfResponses):
     """``order`` elastic directions of the band ``band_hz`` = [low, high], or as many as a ``tolerance`` asks for.
 
     ``tolerance`` bounds sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2), the part of the
@@ -101,8 +103,14 @@ class Gramian(Reducer):
         if self.points is not None and self.points < 1:
             raise InputError(f"points = {self.points} was given; expected the number of Gauss points, 1 or more")
 
+    def why_no_response(self, facts: Facts) -> str:
+        if not self.direct:
+            return super().why_no_response(facts)
+        if facts.damping.is_modal and not facts.own_damping:
+            return "modal damping is known mode by mode only; take direct = false"
+        return why_no_response(facts.damping, facts.own_damping, None)
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        require_interfaces(problem, self.method)
         low, high = (2 * np.pi * f for f in self.band_hz)
         mu = (0.5 * (low + high)) ** 2
         notes: dict[str, object] = {}
@@ -149,8 +157,6 @@ class Gramian(Reducer):
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
         M, budget = problem.M, problem.budget
         damping = problem.damping
-        if damping.is_modal:
-            raise InputError('method "gramian": modal damping is known mode by mode only; take direct = false')
         F = _loads(problem, self.inertia_loads)
         G = solved(problem.elastic.flexibility, F, budget)
         _scale(F, G, problem, G)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer
@@ -18,16 +17,7 @@ class Guyan(Reducer):
     method: ClassVar[str] = "guyan"
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        require_interfaces(problem, self.method)
         V, K = problem.internal.impose()
         return Basis(
             V=V, kinds=("constraint",) * V.shape[1], K=K, rigid=problem.B.T @ problem.rigid, holds_interfaces=True
-        )
-
-
-def require_interfaces(problem: Problem, method: str) -> None:
-    """Raise unless the problem has interface motions."""
-    if not problem.B.shape[1]:
-        raise InputError(
-            f'method "{method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         )

@@ -20,8 +20,9 @@ from morembs.errors import InputError
 from morembs.linalg.second_order_arnoldi import orthonormal
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfResponses
 from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
@@ -39,7 +40,7 @@ PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Irka(Reducer):
+class Irka(OfResponses):
     """``order`` elastic coordinates with a small H2 error of the responses in ``band_hz`` = [low, high].
 
     Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely; where
@@ -68,13 +69,15 @@ class Irka(Reducer):
                 "and a tolerance between 0 and 1"
             )
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        require_interfaces(problem, self.method)
-        if problem.damping.structural:
-            raise InputError(
+    def why_not(self, facts: Facts) -> str:
+        if facts.damping.structural:
+            return (
                 f'method "{self.method}" follows poles of viscous damping, which structural damping has not; replace '
                 'it by rayleigh or modal damping, or take method = "gramian" or "krylov"'
             )
+        return super().why_not(facts)
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
         reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE, progress=progress)
         if self.order > len(reference.values):

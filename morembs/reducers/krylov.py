@@ -21,7 +21,7 @@ from morembs.linalg.orthogonal import beside, combine, dot
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
-from morembs.reducers.guyan import require_interfaces
+from morembs.reducers.facts import Facts
 from morembs.reducers.shifts import (
     RIGID_LOAD,
     Wanted,
@@ -106,6 +106,18 @@ class Krylov(Reducer):
                 "leave two_sided out"
             )
 
+    @property
+    def needs_interfaces(self) -> bool:
+        return not self.inertia_loads
+
+    def why_not(self, facts: Facts) -> str:
+        columns = facts.coupling.columns
+        for key, given in (("inputs", self.inputs), ("outputs", self.outputs)):
+            for one in given or []:
+                if one not in columns:
+                    return f"{key} name the interface {one!r}, which there is not; {nearest(one, columns)}"
+        return super().why_not(facts)
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         self._check(problem)
         notes: dict[str, object] = {}
@@ -136,8 +148,6 @@ class Krylov(Reducer):
         return elastic_basis(problem, sides[0].V, "krylov", notes)
 
     def _check(self, problem: Problem) -> None:
-        if not self.inertia_loads or problem.B.shape[1]:
-            require_interfaces(problem, self.method)
         if 0.0 in self.shifts_hz and not damps_no_rigid_motion(problem):
             raise InputError(
                 "the model's damping matrix damps its rigid-body motion, so there is no expansion at 0 Hz; take "
@@ -195,9 +205,6 @@ class _Side:
     def __init__(self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool) -> None:
         self.problem, self.name, self.size = problem, name, 0
         columns = problem.coupling.columns
-        for one in interfaces or []:
-            if one not in columns:
-                raise InputError(f"{name} name the interface {one!r}, which there is not; {nearest(one, columns)}")
         chosen = [one for one in columns if interfaces is None or one in interfaces]
         rows = np.concatenate([np.arange(problem.B.shape[1])[columns[one]] for one in chosen] or [np.zeros(0, int)])
         if interfaces is None:

@@ -11,30 +11,40 @@ from morembs.errors import InputError, nearest
 from morembs.linalg.orthogonal import beside
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import Basis, Reducer, chosen_modes
+from morembs.reducers.base import Basis
+from morembs.reducers.facts import Facts
+from morembs.reducers.families import OfModes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Modal(Reducer):
+class Modal(OfModes):
     """Lowest modes; ``interfaces`` "free" (rigid modes are added) or "fixed" (none are left)."""
 
     method: ClassVar[str] = "modal"
-    modes: int | None = None
-    up_to_hz: float | None = None
     interfaces: str = "free"
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        chosen_modes(self.modes, self.up_to_hz, self.method)
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.interfaces not in ("free", "fixed"):
             raise InputError(
                 f"interfaces = {self.interfaces!r} was given; {nearest(self.interfaces, ('free', 'fixed'))}"
             )
-        below = None if self.up_to_hz is None else (2 * np.pi * self.up_to_hz) ** 2
+
+    @property
+    def needs_interfaces(self) -> bool:
+        return self.interfaces == "fixed"
+
+    def why_not(self, facts: Facts) -> str:
+        if self.needs_interfaces and not facts.inputs:
+            return 'interfaces = "fixed" needs interfaces; add at least one [[interface]], or leave it out'
+        return super().why_not(facts)
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
         if self.interfaces == "fixed":
-            modes = problem.fixed_modes(count=self.modes, below=below)
+            modes = problem.fixed_modes(count=self.modes, below=self.below)
             rigid, kind = problem.rigid[:, :0], "fixed-interface"
         else:
-            modes = problem.elastic_modes(count=self.modes, below=below)
+            modes = problem.elastic_modes(count=self.modes, below=self.below)
             rigid, kind = problem.rigid, "elastic"
         r, m = rigid.shape[1], len(modes.eigenvalues)
         return Basis(

@@ -9,8 +9,8 @@ M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its siz
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, ClassVar
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy.linalg as sl
@@ -28,6 +28,7 @@ from morembs.progress import SILENT, Progress
 from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.reducers.candidates import NORMALS, Candidates
 from morembs.reducers.craig_bampton import CraigBampton
+from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
@@ -109,13 +110,36 @@ class StaticModesSwitching(Reducer):
             length=self.length or 1.0,
         )  # fmt: skip
 
+    @property
+    def mode_count(self) -> int:
+        return self.base_reducer().mode_count
+
+    @property
+    def computes_modes(self) -> bool:
+        return self.base_reducer().computes_modes
+
+    @property
+    def follows_responses(self) -> bool:
+        return self.base_reducer().follows_responses
+
+    def why_not(self, facts: Facts) -> str:
+        base = self.base_reducer()
+        if base.two_sided:
+            return "static modes switching needs a symmetric constant basis; leave two_sided out"
+        try:
+            self.chosen(facts.model, facts.interfaces)
+        except InputError as error:
+            return str(error)
+        return base.why_not(facts)
+
+    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+        return self.base_reducer().seconds(facts, factor_entries)
+
+    def in_units(self, length: float) -> Self:
+        return replace(self, length=length) if self.length is None else self
+
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        # Before any long work.
-        self.chosen(problem.model, problem.interfaces)
-        basis = self.base_reducer()._basis(problem, progress)
-        if basis.left is not None:
-            raise InputError("static modes switching needs a symmetric constant basis; leave two_sided out")
-        return basis
+        return self.base_reducer()._basis(problem, progress)
 
     def switching(
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,

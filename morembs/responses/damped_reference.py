@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from morembs.errors import SolverError
 from morembs.linalg.orthogonal import beside, dot, m_norms, m_orthonormal, remove
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
-from morembs.problem import Problem
+from morembs.problem import Damping, Problem
 from morembs.progress import Progress
 from morembs.responses.direct import elastic_states
 
@@ -36,6 +36,22 @@ LOOKED_AT = 100
 EXHAUSTED = 1e-8
 # Nearer to each other than this part of the highest two frequencies count as one.
 NEAR = 5e-3
+
+
+def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
+    """Why a model of ``size`` coupled dofs has no frequency response with this ``damping``; "" where it has one.
+
+    ``own`` says that the model has a damping matrix; ``size`` None stands for direct solutions, which take Rayleigh
+    damping beside a matrix at no size.
+    """
+    small = size is not None and size <= DENSE
+    if not own or not (damping.is_modal or (damping.is_rayleigh and not small)):
+        return ""
+    kind = "modal" if damping.is_modal else "Rayleigh"
+    return (
+        f"{kind} damping beside a damping matrix of the model has no frequency response here; add alpha M + beta K to "
+        "the matrix, or leave one of them out"
+    )
 
 
 class DampedSpace:

@@ -207,7 +207,7 @@ def test_bad_input(beam, tmp_path):
     for wrong, message in (
         ({"to": "exudin"}, "did you mean 'exudyn'"),
         ({"options": {"triangle": True}}, "did you mean 'triangles'"),
-        ({"options": {"triangles": "no"}}, "triangles = 'no' was given; expected a valid boolean"),
+        ({"options": {"triangles": "no"}}, "triangles = 'no' was given; expected true or false"),
         ({"body": "cbx"}, "has no body 'cbx'; did you mean 'cb'"),
         ({"path": tmp_path / "beam.h5"}, "end in .hdf5"),
         ({"path": path}, "is the body file itself"),

@@ -19,13 +19,13 @@ from morembs.errors import InputError
 from morembs.importers.model_file import write_model
 from morembs.interface import make_interface
 from morembs.jobs import preflight
-from morembs.jobs.duration import duration_words, mode_seconds
 from morembs.jobs.job import load_job
-from morembs.jobs.preflight import why_not_with
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
 from morembs.problem import Damping, Problem
-from morembs.reducers import Automatic, Balanced, CraigBampton, Gramian, Irka, Krylov
+from morembs.progress import duration_words
+from morembs.reducers import Automatic, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
+from morembs.reducers.cost import mode_seconds
 from morembs.responses import damped_reference
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel, where
@@ -102,7 +102,7 @@ METHODS = {
 def test_damping_is_refused_as_the_reducers_do(
     monkeypatch: pytest.MonkeyPatch, damping: str, own: bool, large: bool
 ) -> None:
-    """``why_not_with`` tells before any work which reducers will refuse; they are the judges."""
+    """``why_not`` tells before any work which reducers will refuse; they are the judges."""
     model = steel(box("hex8", (5, 1, 1), (0.5, 0.05, 0.05)))
     if own:
         model = replace(model, D=sp.csr_array(1e-6 * model.K))
@@ -110,11 +110,10 @@ def test_damping_is_refused_as_the_reducers_do(
         return  # refused by the problem itself
     if large:
         monkeypatch.setattr(damped_reference, "DENSE", 10)
-        monkeypatch.setattr(preflight, "DENSE", 10)
     end = make_interface(model, name="end", nodes=where(model, 0, 0.0))
     with Problem(model, [end], damping=DAMPINGS[damping]) as problem:
         for name, reducer in METHODS.items():
-            reason = why_not_with(reducer, DAMPINGS[damping], own, problem.K.shape[0])
+            reason = reducer.why_not(Facts.of(problem))
             try:
                 reducer.reduce(problem)
             except InputError as error:
@@ -202,7 +201,7 @@ def test_time_of_modes_grows_as_measured(monkeypatch: pytest.MonkeyPatch) -> Non
     class Speed:
         gemm_gflops = 30.0
 
-    monkeypatch.setattr("morembs.jobs.duration.measured_speed", Speed)
+    monkeypatch.setattr("morembs.reducers.cost.measured_speed", Speed)
     measured = {100: 1.4, 200: 2.9, 400: 9.0, 800: 46.0}
     for count, seconds in measured.items():
         assert seconds / 3 < mode_seconds(10956, count, 2_110_617) < 3 * seconds

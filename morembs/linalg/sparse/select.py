@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from morembs.errors import BudgetError, InputError, SolverError, nearest
+from morembs.errors import BudgetError, InputError, SolverError
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.mixed import Mixed
@@ -18,12 +18,15 @@ from morembs.linalg.sparse.solver import Analysis, Floats, Forecast, LinearSolve
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
+from morembs.plugins import Table, subclass_fault
 
 log = logging.getLogger(__name__)
 AUTO = "auto"
-SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
-}
+# One name for each solver.
+_OWN: tuple[type[LinearSolver], ...] = (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
+SOLVERS: Table[type[LinearSolver]] = Table(
+    "morembs.solvers", {one.name: one for one in _OWN}, subclass_fault(LinearSolver, "name")
+)
 # What "auto" takes, the best first: with room in memory, with less of it; where MUMPS comes from; who counts.
 FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
 LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg", "superlu")
@@ -53,7 +56,7 @@ def select_solver(name: str = AUTO, *, memory: int | None = None, scratch: Path 
     if name == AUTO:
         return Automatic(memory=memory, scratch=scratch)
     if name not in SOLVERS:
-        raise InputError(f"solver = {name!r} is not known; {nearest(name, [AUTO, *SOLVERS])}")
+        raise InputError(f"solver = {name!r} is not known; {SOLVERS.advice(name, AUTO)}")
     reason = SOLVERS[name].unavailable()
     if reason:
         raise InputError(f"solver = {name!r} cannot run here: {reason}, or take solver = {AUTO!r}")

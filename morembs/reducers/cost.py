@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from morembs.linalg.eigen import DENSE, DENSE_PART
 from morembs.linalg.sparse.threads import measured_speed
-from morembs.reducers import Reducer
 
 # Columns of the space for each mode, and blocks on top; operations of the small problem over k^3.
 _PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 2.5
@@ -20,10 +19,9 @@ _PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 2.5
 _DENSE, _DENSE_EFFICIENCY = 15.0, 0.4
 # Part of that speed that triangular solves reach.
 _SOLVES = 0.2
-# Columns for each input and operations over p^3 of the reference model; what methods take of these in all.
+# Columns for each input and operations over p^3 of the reference model; what a comparison takes of these in all.
 _PER_INPUT, _REFERENCE = 5, 1e5
-_OF_REFERENCE = {"auto": 4.0, "gramian": 3.0, "balanced-truncation": 3.0, "irka": 3.0}
-_COMPARED = 2.0
+COMPARED = 2.0
 
 
 def mode_seconds(size: int, count: int, factor_entries: int) -> float:
@@ -37,25 +35,11 @@ def mode_seconds(size: int, count: int, factor_entries: int) -> float:
     return flops / rate
 
 
-def response_seconds(size: int, inputs: int, method: str = "", factor_entries: int = 0) -> float:
-    """Time of a reduction that follows the responses of ``size`` dofs to ``inputs``, or of a comparison."""
+def response_seconds(size: int, inputs: int, factor_entries: int = 0, of_reference: float = COMPARED) -> float:
+    """Time of a reduction that follows the responses of ``size`` dofs to ``inputs``, or of a comparison.
+
+    ``of_reference`` is how often the work on the reference model is done.
+    """
     rate, columns = 1e9 * measured_speed().gemm_gflops, min(_PER_INPUT * inputs, size)
     space = 4 * size * columns**2 + 4 * factor_entries * columns / _SOLVES
-    return (space + _OF_REFERENCE.get(method, _COMPARED) * _REFERENCE * inputs**3) / rate
-
-
-def reduction_seconds(reducer: Reducer, size: int, inputs: int, factor_entries: int) -> float | None:
-    """Time of one reduction of ``size`` coupled dofs, None where it cannot be told (modes up to a frequency)."""
-    if reducer.method in _OF_REFERENCE:
-        return response_seconds(size, inputs, reducer.method, factor_entries)
-    modes = getattr(reducer, "modes", None)
-    if modes is None:
-        return None
-    return mode_seconds(size, modes, factor_entries)
-
-
-def duration_words(seconds: float) -> str:
-    """``40 s``, ``12 min``, ``1.8 h``."""
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    return (space + of_reference * _REFERENCE * inputs**3) / rate

@@ -1,0 +1,85 @@
+"""What methods have in common that take modes, or that follow responses: options, refusals and cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from morembs.errors import InputError
+from morembs.reducers.base import MOST_HZ, Reducer
+from morembs.reducers.cost import mode_seconds, response_seconds
+from morembs.reducers.facts import Facts
+from morembs.responses.damped_reference import why_no_response
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfModes(Reducer):
+    """Methods of ``modes`` modes, or of all up to ``up_to_hz``."""
+
+    modes: int | None = None
+    up_to_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        modes, up_to_hz = self.modes, self.up_to_hz
+        if (modes is None) == (up_to_hz is None):
+            raise InputError(f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
+        if modes is not None and modes < 0:
+            raise InputError(f"modes = {modes} was given; expected a count, zero or more")
+        if up_to_hz is not None and not 0 < up_to_hz < MOST_HZ:
+            raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz below {MOST_HZ:g}")
+
+    @property
+    def below(self) -> float | None:
+        """``up_to_hz`` in (rad/s)2."""
+        return squared(self.up_to_hz)
+
+    @property
+    def mode_count(self) -> int:
+        return self.modes or 0
+
+    @property
+    def computes_modes(self) -> bool:
+        return True
+
+    def why_not(self, facts: Facts) -> str:
+        if self.mode_count > facts.size:
+            return (
+                f"modes = {self.modes} was given, but the coupled model has only {facts.size} degrees of freedom; ask "
+                "for fewer modes"
+            )
+        return super().why_not(facts)
+
+    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+        return None if self.modes is None else mode_seconds(facts.size, self.modes, factor_entries)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfResponses(Reducer):
+    """Methods that follow the responses to all interface motions in a reference model.
+
+    ``of_reference`` is how often they do the work on that model.
+    """
+
+    of_reference: ClassVar[float] = 3.0
+
+    @property
+    def follows_responses(self) -> bool:
+        return True
+
+    def why_not(self, facts: Facts) -> str:
+        reason = self.why_no_response(facts)
+        return super().why_not(facts) or (f'method "{self.method}": {reason}' if reason else "")
+
+    def why_no_response(self, facts: Facts) -> str:
+        """Why the full model has no response to follow."""
+        return why_no_response(facts.damping, facts.own_damping, facts.size)
+
+    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+        return response_seconds(facts.size, facts.inputs, factor_entries, self.of_reference)
+
+
+def squared(hz: float | None) -> float | None:
+    """(rad/s)2 of a frequency in Hz."""
+    return None if hz is None else (2 * np.pi * hz) ** 2

@@ -1,0 +1,143 @@
+"""What every method of ``REDUCERS`` keeps to. A new method is one line in ``OPTIONS``, or more for its variants."""
+
+import gc
+import tracemalloc
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from morembs.errors import SolverError
+from morembs.interface import make_interface
+from morembs.problem import Damping, Problem
+from morembs.progress import SILENT
+from morembs.reducers import REDUCERS, Facts, Modal
+from morembs.reducers.base import MODE_KINDS, ReducedModel
+from tests.support.meshes import box, steel, where
+
+BAND = [0.0, 3000.0]
+OPTIONS: list[tuple[str, dict[str, Any]]] = [
+    ("auto", {"band_hz": BAND, "tolerance": 1e-2}),
+    ("modal", {"modes": 5}),
+    ("modal", {"modes": 5, "interfaces": "fixed"}),
+    ("guyan", {}),
+    ("craig-bampton", {"modes": 5}),
+    ("craig-bampton", {"modes": 14, "inertia_modes": True}),
+    ("craig-bampton", {"modes": 3, "interface_modes": 4}),
+    ("free-interface", {"modes": 5}),
+    ("krylov", {"shifts_hz": [0.0, 2000.0]}),
+    ("krylov", {"two_sided": True, "inputs": ["left"], "outputs": ["right"], "shifts_hz": [500.0]}),
+    ("gramian", {"band_hz": BAND, "order": 8}),
+    ("gramian", {"band_hz": BAND, "order": 8, "direct": True, "points": 5}),
+    ("balanced-truncation", {"order": 8}),
+    ("balanced-truncation", {"order": 8, "variant": "p"}),
+    ("irka", {"order": 6, "band_hz": BAND, "max_steps": 3}),
+    ("static-modes-switching", {"base_options": {"modes": 5}, "candidates": "box:0.1,0,0,0.4,0,0"}),
+]
+RAYLEIGH = Damping(alpha=3.0, beta=2e-6)
+ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda one: one if isinstance(one, str) else "")
+
+
+def made(damping: Damping = RAYLEIGH, cells: int = 5) -> Problem:
+    model = steel(box("hex8", (cells, 1, 1), (0.5, 0.05, 0.03)))
+    ends = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.5))]
+    return Problem(model, ends, damping=damping)
+
+
+def close(one: Any, W: Any, A: Any, V: Any) -> None:
+    """``one`` is W' A V, to the round-off of its sums and of solving."""
+    size = np.abs(W).T @ (abs(A) @ np.abs(V))
+    assert one.shape == size.shape
+    worst = (np.abs(one - W.T @ (A @ V)) / np.maximum(size, np.finfo(float).tiny)).max()
+    assert worst < 1e-10, worst
+
+
+def test_all_methods_are_here() -> None:
+    assert {method for method, _ in OPTIONS} == set(REDUCERS.own)
+    assert all(reducer.method == name for name, reducer in REDUCERS.items())
+
+
+@ALL
+def test_matrices_are_projections(method: str, options: dict[str, Any]) -> None:
+    with made() as problem:
+        reducer = REDUCERS[method](**options)
+        assert reducer.why_not(Facts.of(problem)) == ""
+        reduced = reducer.reduce(problem)
+        V, W = reduced.V, reduced.V if reduced.left is None else reduced.left
+        K, M = problem.K, problem.M
+        assert reducer.two_sided == (reduced.left is not None) == (not reduced.symmetric)
+        close(reduced.K, W, K, V)
+        if reduced.is_projection:
+            close(reduced.M, W, M, V)
+            rigid = problem.rigid if reduced.rigid_count else problem.rigid[:, :0]
+            Mr = M @ rigid
+            close(reduced.D, W, RAYLEIGH.alpha * (M.toarray() - Mr @ Mr.T) + RAYLEIGH.beta * K.toarray(), V)
+        for found, columns in ((reduced.C.T, V), (reduced.B, W)):
+            np.testing.assert_allclose(found, columns.T @ problem.B.toarray(), atol=1e-9 * np.abs(columns).max())
+        count = reduced.mode_kind.count("constraint")
+        np.testing.assert_array_equal(reduced.C[:count, :count], np.eye(count))
+        assert count in (0, problem.B.shape[1]) and set(reduced.mode_kind) <= set(MODE_KINDS)
+        refuse_lost_rigid_motion(problem, reduced)
+
+
+def refuse_lost_rigid_motion(problem: Problem, reduced: ReducedModel) -> None:
+    """Coordinates reproduce the rigid motions of the body, at no energy and with its mass."""
+    if not reduced.rigid_count:
+        return
+    Z, V = problem.rigid, reduced.V
+    assert reduced.rigid_count == Z.shape[1] == 6
+    q = np.linalg.lstsq(V, Z, rcond=None)[0]
+    np.testing.assert_allclose(V @ q, Z, atol=1e-9 * np.abs(Z).max())
+    if reduced.symmetric:
+        np.testing.assert_allclose(q.T @ reduced.M @ q, np.eye(6), atol=1e-9)
+        lowest = np.abs(reduced.modes()[0])
+        assert lowest[5] < 1e-6 * lowest[6]
+
+
+@ALL
+def test_the_same_input_gives_the_same_bytes(method: str, options: dict[str, Any]) -> None:
+    found = []
+    for _ in range(2):
+        with made() as problem:
+            reduced = REDUCERS[method](**options).reduce(problem)
+            found.append([getattr(reduced, key).tobytes() for key in ("M", "K", "D", "B", "C", "V")])
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("method", ["krylov", "gramian"])
+def test_a_closed_problem_keeps_no_solutions(method: str) -> None:
+    options = next(options for name, options in OPTIONS if name == method)
+    with made(cells=400) as problem:
+        _ = problem.elastic.flexibility(problem.B.toarray())
+        tracemalloc.start()
+        try:
+            reduced = REDUCERS[method](**options).reduce(problem)
+            size = reduced.V.nbytes
+            del reduced
+            gc.collect()
+            held = tracemalloc.get_traced_memory()[0]
+            problem.close()
+            gc.collect()
+            kept = tracemalloc.get_traced_memory()[0]
+        finally:
+            tracemalloc.stop()
+    assert kept < 0.3 * size < held, (size, held, kept)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TenTimes(Modal):
+    method: ClassVar[str] = "ten-times"
+    first: int = 0
+
+    def _basis(self, problem: Problem, progress: Any = SILENT) -> Any:
+        basis = super()._basis(problem, progress)
+        scale = np.ones(len(basis.K))
+        scale[self.first :] = 10.0
+        return replace(basis, K=scale[:, None] * basis.K)
+
+
+@pytest.mark.parametrize("first", [0, -1])
+def test_a_wrong_stiffness_is_refused(first: int) -> None:
+    with made() as problem, pytest.raises(SolverError, match="not W' K V of its basis"):
+        TenTimes(modes=6, first=first).reduce(problem)

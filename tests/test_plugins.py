@@ -1,0 +1,131 @@
+"""Tables that other packages add to: the package of docs/extending.md, found by its entry points or assigned."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs.body.file import read_body
+from morembs.cli import app
+from morembs.errors import InputError
+from morembs.exporters import EXPORTERS, make_exporter
+from morembs.importers import IMPORTERS
+from morembs.jobs.job import load_job
+from morembs.linalg.sparse.select import SOLVERS, available_solvers, select_solver
+from morembs.plugins import Table
+from morembs.reducers import REDUCERS
+from tests.support.decks import BEAM, deck, folder
+
+ROOT = Path(__file__).parent.parent
+DOCUMENT = (ROOT / "docs" / "extending.md").read_text()
+PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+TABLES: tuple[Table, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS)
+REDUCE = 'name = "few"\nmethod = "static-responses"'
+
+
+def entry_points(folder: Path, text: str) -> None:
+    """A distribution that is installed in ``folder``."""
+    info = folder / "my_package-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(text)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on the path; afterwards the tables are as before."""
+    there = tmp_path / "site"
+    there.mkdir()
+    monkeypatch.syspath_prepend(str(there))
+    yield there
+    for table in TABLES:
+        for name in [one for one in table if one not in table.own]:
+            del table[name]
+        table.reload()
+    sys.modules.pop("my_package", None)
+
+
+def look_again() -> None:
+    for table in TABLES:
+        table.reload()
+
+
+def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Path, tmp_path: Path) -> None:
+    (place / "my_package.py").write_text(PACKAGE)
+    toml = re.search(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
+    assert toml is not None
+    entry_points(place, re.sub(r'project\.entry-points\."(.*?)"', r"\1", toml[1]).replace('"', ""))
+    look_again()
+    run = CliRunner().invoke
+    (tmp_path / "part.brick").write_text(deck(BEAM))
+    model = tmp_path / "part.model.h5"
+    steel = "young=210e3,poisson=0.3,density=7.85e-9"
+    arguments = [
+        "import", str(tmp_path / "part.brick"), "-o", str(model), "--units", "mm-t-s", "--material", steel,
+    ]  # fmt: skip
+    done = run(app, [*arguments, "--set", "dialekt=x"])
+    assert done.exit_code == 2 and "did you mean 'dialect'" in done.output
+    assert run(app, [*arguments, "--set", "dialect=calculix"]).exit_code == 0
+    tables = {
+        "model": f'file = "{model}"\nunits = "mm-t-s"', "material": None, "reduce": REDUCE + "\ncount = 8",
+        "solver": 'name = "dense"',
+    }  # fmt: skip
+    (tmp_path / "job").mkdir()
+    job = folder(tmp_path / "job", tables)
+    done = run(app, ["reduce", str(job)])
+    assert done.exit_code == 0, done.output
+    stored = read_body(tmp_path / "job" / "part.h5")
+    body = stored.bodies["few"]
+    assert len(body.mass_matrix) == 6 + 8 and stored.provenance["solver"] == "dense"
+    out = tmp_path / "k.txt"
+    done = run(app, ["export", str(job.with_name("part.h5")), "--to", "table", "-o", str(out), "--set", "digits=15"])
+    assert done.exit_code == 0, done.output
+    np.testing.assert_allclose(np.loadtxt(out)[14:], body.stiffness_matrix, rtol=1e-14)
+    with pytest.raises(InputError, match="digits = '3' was given; expected an integer"):
+        make_exporter("table", {"digits": "3"})
+    assert "dense" in available_solvers() and "table: reduced mass" in run(app, ["export", "--list"]).stdout
+    refused = folder(job.parent, {**tables, "reduce": REDUCE + "\ncount = 13"})
+    done = run(app, ["check", str(refused)])
+    assert done.exit_code == 2 and "expected 1 to 12" in done.output
+
+
+@pytest.mark.parametrize(("code", "words"), [
+    ("raise RuntimeError('no licence')", "RuntimeError: no licence"), ("StaticResponses = 5", "5 is no subclass"),
+    ("", "has no attribute"),
+])  # fmt: skip
+def test_a_package_that_cannot_be_used_is_named_once(
+    place: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder, code: str, words: str
+) -> None:
+    (place / "my_package.py").write_text(code)
+    entry_points(place, "[morembs.reducers]\nstatic-responses = my_package:StaticResponses\nguyan = my_package:guyan\n")
+    look_again()
+    # Built-in methods need no look at other packages.
+    assert "guyan" in REDUCERS and not recwarn.list
+    job = folder(tmp_path, {"reduce": REDUCE})
+    for _ in range(2):
+        with pytest.raises(InputError, match=words) as caught:
+            load_job(job)
+        assert "the package 'my-package' offers 'static-responses'" in str(caught.value)
+    assert len([one for one in recwarn.list if "my-package" in str(one.message)]) == 2
+    assert list(REDUCERS) == list(REDUCERS.own)
+
+
+def test_assigned_from_python(tmp_path: Path) -> None:
+    (tmp_path / "my_package.py").write_text(PACKAGE)
+    folder(tmp_path, {"reduce": REDUCE, "check": "full_modes = 0"}).rename(tmp_path / "part.toml")
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    done = subprocess.run(
+        [sys.executable, "-c", ASSIGNMENT], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+    )
+    assert int(done.stdout) == 6 + 12
+
+
+def test_an_unknown_solver_is_refused() -> None:
+    with pytest.raises(InputError, match="did you mean 'superlu'"):
+        select_solver("superlo")
