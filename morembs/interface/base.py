@@ -128,7 +128,7 @@ class CouplingKind(ABC):
         """Rotation (3, k) of the frame from k dofs of the model, and these dofs (k,)."""
         found = self.attach(model, replace(interface, components=SIX))
         if isinstance(found, Elimination):
-            return np.linalg.pinv(found.motion)[3:], found.dofs
+            return np.asarray(np.linalg.pinv(found.motion)[3:], dtype=np.float64), found.dofs
         loads = found.tocsr()
         dofs = np.flatnonzero(np.diff(loads.indptr))
         return np.ascontiguousarray(loads[dofs].toarray()[:, 3:].T), dofs
