@@ -19,7 +19,7 @@ MB = 1_000_000
 BATCH = """
 import sys
 import numpy as np
-from morembs.cli import commands as cli
+from morembs.cli import main
 from morembs.jobs import run
 real, calls = run.run_job, []
 
@@ -35,7 +35,7 @@ def large_first(*args):
 
 run.run_job = large_first
 sys.argv = ["morembs", "reduce", *sys.argv[1:], "--json"]
-cli.main()
+main()
 """
 
 

@@ -103,7 +103,7 @@ def _built() -> Any:
 
 def program(arguments: Sequence[str]) -> Callable[[], None]:
     """The command line of morembs."""
-    from morembs.cli.commands import main
+    from morembs.cli import main
 
     _built()
 

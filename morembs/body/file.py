@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +33,7 @@ from morembs.storage import checksums
 from morembs.storage.hdf5 import reading, refuse_newer
 from morembs.storage.safefile import SafeFile, check_writable, replacing
 from morembs.storage.storable import json_text, plain, storable, text
+from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
@@ -109,7 +109,7 @@ def write_body(
         safe.check()
         for body in bodies:
             _write_one(out, body, progress)
-        made = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": _version()}
+        made = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
         given = {f"{key}_" if key == checksums.GROUP else key: value for key, value in (provenance or {}).items()}
         out.tree("provenance", {**made, **given})
         safe.doing = "the checksums"
@@ -287,13 +287,6 @@ def _refuse_other(path: Path, file: Any) -> None:
         raise InputError(f"{path} is an HDF5 file but not a body file of morembs (no /format {FORMAT!r})")
     refuse_missing(path, file, ["format_version"])
     refuse_newer(path, int(file["format_version"][()]), FORMAT_VERSION)
-
-
-def _version() -> str:
-    try:
-        return importlib.metadata.version("morembs")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
 
 
 __all__ = [

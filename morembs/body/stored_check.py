@@ -128,20 +128,21 @@ class _Check:
         for name, (kind, shape) in table.items():
             place = at + name.rstrip("?*")
             if name.endswith("*"):
-                for inner in self.file.get(place.rstrip("/"), ()):
-                    self.dataset(place + inner, kind, shape, sizes)
-            elif hasattr(self.file.get(place), "shape"):
-                self.dataset(place, kind, shape, sizes)
+                for inner, item in self.file[place.rstrip("/")].items() if place.rstrip("/") in self.file else ():
+                    self.dataset(place + inner, item, kind, shape, sizes)
+                continue
+            item = self.file.get(place)
+            if hasattr(item, "shape"):
+                self.dataset(place, item, kind, shape, sizes)
             elif not name.endswith("?"):
                 missing.append(f"/{place}")
-            elif place in self.file:
+            elif item is not None:
                 raise self.refuse(place, "is a group", "a dataset")
         if missing:
             raise InputError(f"{self.path} is an incomplete body file; missing: {', '.join(missing)}; write it again")
 
-    def dataset(self, name: str, kind: str, shape: str, sizes: dict[str, tuple[int, str]]) -> None:
+    def dataset(self, name: str, item: Any, kind: str, shape: str, sizes: dict[str, tuple[int, str]]) -> None:
         """One dataset: its shape, kind, and what it holds."""
-        item = self.file[name]
         if item.shape is None or item.dtype.kind not in _KINDS[kind]:
             held = "nothing" if item.shape is None else f"values of type {item.dtype}"
             raise self.refuse(name, f"holds {held}", _WORDS.get(kind, "real numbers"))

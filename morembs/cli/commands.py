@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from morembs.cli.bodies import app as bodies
-from morembs.cli.entry import main
 from morembs.cli.messages import console, print_json, printing, warn
 from morembs.cli.models import app as models
 from morembs.cli.terminal import EPILOG, AsJson, Done, Jobs, Quiet, each_job, messages
@@ -24,8 +23,6 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.jobs.job import Job
-
-__all__ = ["app", "main"]
 
 app = typer.Typer(
     name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,

@@ -266,8 +266,8 @@ def test_lines_without_a_terminal(tmp_path: Path) -> None:
     fast = "terminal.STAGE_SECONDS = 0.0"
     for seconds, options in ((0.0, ["--json"]), (0.0, ["--json", "--quiet"]), (1e9, ["--json"])):
         code = (
-            f"from morembs.cli import commands as cli, terminal; terminal.PATIENCE_OF_LINES = {seconds}; {fast}; "
-            "cli.main()"
+            f"from morembs.cli import main, terminal; terminal.PATIENCE_OF_LINES = {seconds}; {fast}; "
+            "main()"
         )
         command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), *options]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)

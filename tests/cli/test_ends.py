@@ -23,7 +23,7 @@ RUNNER = CliRunner()
 
 LOST = """
 import ctypes, os, signal, sys, weakref
-from morembs.cli import commands as cli
+from morembs.cli import main
 from morembs.jobs import run
 from morembs.storage import safefile
 
@@ -73,7 +73,7 @@ def wrapped(*args, **options):
 
 setattr(holder, place, wrapped)
 sys.argv = ["morembs", *sys.argv[4:]]
-cli.main()
+main()
 """
 
 

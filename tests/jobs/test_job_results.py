@@ -103,7 +103,7 @@ def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
     (tmp_path / "body.h5").write_text("old")
     code = (
         "import os, signal, sys\n"
-        "from morembs.cli import commands as cli\nfrom morembs.jobs import inputs as job_inputs\n"
+        "from morembs.cli import main\nfrom morembs.jobs import inputs as job_inputs\n"
         "from morembs.linalg.sparse.mumps import EmbeddedMumps\n"
         "from morembs.problem import Problem\n"
         # A budget would not do: it is that of the whole process, whose libraries take more than this factor.
@@ -113,7 +113,7 @@ def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
         "    os.kill(os.getpid(), signal.SIGTERM)\n"
         "Problem.fixed_modes = end\n"
         "sys.argv = ['morembs', 'reduce', 'job.toml']\n"
-        "cli.main()\n"
+        "main()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 143, done.stderr
