@@ -270,7 +270,7 @@ def test_lines_without_a_terminal(tmp_path: Path) -> None:
             "cli.main()"
         )
         command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), *options]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
         assert json.loads(done.stdout)["dofs"] == 189
         lines = done.stderr.splitlines()
         if seconds or "--quiet" in options:
