@@ -13,7 +13,8 @@ from jobs import reduced, written
 from measure import Report, Row, Settings, in_rounds
 
 MOST = 1.05
-# Messages may send a job to a larger budget: before the model is read, once its matrices are known, and by rounding.
+# Messages may send a job to a larger budget: before the model is read, once its dofs are known, and once
+# its factor is.
 TRIES = 4
 CERTIFIED = "\n[certify]\nband_hz = [0, 2000]\n"
 STRESSED = '\n[stress]\nnodes = "skin"\n'
@@ -94,8 +95,7 @@ def _measured(one: Case, free: dict[tuple[str, int], Row], settings: Settings) -
         more = re.search(r"raise the budget by (\d+) MB", row.get("error", ""))
         if least is None and more is None:
             break
-        # The words round to MB.
-        budget = 1_000_000 * (int(least[1]) if least else budget // 1_000_000 + int(more[1]) + 2)
+        budget = 1_000_000 * int(least[1]) if least else budget + 1_000_000 * int(more[1])
     if "error" in row:
         return {**row, "asked_bytes": asked, "budget_bytes": budget}
     return {
