@@ -229,15 +229,6 @@ def write_job(spec: Spec) -> Row:
     return {"job": str(path)}
 
 
-def made_factor(spec: Spec) -> Row:
-    """The factor's statistics in a body file."""
-    from morembs import read_body
-
-    origin = read_body(Path(spec["file"])).provenance
-    stats = origin["factor"]
-    return dict(stats if isinstance(stats, dict) else json.loads(stats))
-
-
 def modes(spec: Spec) -> Row:
     """See eigen.py."""
     from eigen import measure_modes
@@ -279,7 +270,7 @@ def part(spec: Spec) -> Row:
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "job": write_job, "made_factor": made_factor, "interpolation": interpolation, "frames": frames,
+    "job": write_job, "interpolation": interpolation, "frames": frames,
     "switching": switching, "part": part,
 }  # fmt: skip
 

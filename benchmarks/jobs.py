@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from measure import Finished, Report, Rounds, Row, Settings, child, command, in_rounds, required, run, say
+from measure import Finished, Report, Rounds, Row, Settings, command, in_rounds, required, run, say
 
 _GIB = 1 << 30
 # Shape, dofs, budget in bytes.
@@ -30,17 +30,15 @@ PARTS = tuple(part / 100 for part in range(90, 25, -5))
 
 
 def reduced(job: Path, settings: Settings) -> Row:
-    """Run a job: seconds, peak memory, stages, and what its body file says about the factor."""
+    """Run a job: seconds, peak memory, stages, and the figures of its factor."""
     ended = run(command("reduce", job, "--json"), settings)
     if ended.code:
         return _failed(ended, settings)
     document = json.loads(ended.output)
-    stats = child("made_factor", settings, file=document["output"])
-    stats.pop("process_peak_bytes", None)
     return {
         "dofs": document["dofs"], "solver": document["solver"], "seconds": ended.seconds,
         "process_peak_bytes": ended.peak, "stage_seconds": document["seconds"],
-        "stage_peak_bytes": document["peak_memory_bytes"], "factor": stats,
+        "stage_peak_bytes": document["peak_memory_bytes"], "factor": document["factor"],
     }  # fmt: skip
 
 

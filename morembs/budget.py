@@ -21,8 +21,8 @@ from morembs.memory import resident_bytes, trim
 from morembs.scratch import ScratchFolder
 
 Values = NDArray[Any]
-# Arrays below this size are never worth a file.
-_SMALL = 16_000_000
+# Arrays below this size are not worth a file; where the budget is nearly used up those below the second are not.
+_SMALL, _SMALLEST = 16_000_000, 1_000_000
 # Part of the budget that arrays may take in memory before they go to files.
 _IN_MEMORY = 0.02
 # Part of what is left that one block of columns may take.
@@ -63,9 +63,15 @@ class Budget:
         """
         kind = np.dtype(dtype)
         size = int(np.prod(shape)) * kind.itemsize
-        if self.memory is None or size < max(_SMALL, _IN_MEMORY * self.memory):
+        if self.memory is None or size < self._small(self.memory):
             return np.zeros(shape, dtype=kind, order="F" if order == "F" else "C")
         return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
+
+    def _small(self, memory: int) -> float:
+        """Bytes below which arrays stay in memory: many small ones are a large one."""
+        if memory - resident_bytes() < _TIGHT * memory:
+            return min(_SMALL, _SMALLEST)
+        return max(_SMALL, _IN_MEMORY * memory)
 
     def store(self, array: Values) -> Values:
         """``array``, or a copy of it in a scratch file where the budget wants that."""

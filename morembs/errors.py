@@ -30,6 +30,11 @@ class BudgetError(SolverError):
         self.needed = needed
 
 
+def enough_megabytes(size: float) -> int:
+    """Whole megabytes that hold ``size`` bytes, and one more: two runs of a process differ by some pages."""
+    return int(size) // 1_000_000 + 2
+
+
 class OutputError(MorembsError, OSError):
     """A result could not be written; the file that was there before is untouched."""
 

@@ -36,11 +36,23 @@ def filed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Budget:
 
 
 def test_small_arrays_and_those_without_a_limit_stay_in_memory(tmp_path: Path) -> None:
-    for budget, size in ((Budget(None, tmp_path), 3 * MB), (Budget(100 * MB, tmp_path), MB)):
+    for budget, size in ((Budget(None, tmp_path), 3 * MB), (Budget(2000 * MB, tmp_path), MB)):
         A = budget.empty((size, 1), order="F")
         assert A.shape == (size, 1) and not A.any() and not list(tmp_path.iterdir())
     # Less than a fiftieth of a large budget is no reason to use the disk.
     assert Budget(4 << 30, tmp_path).empty(8 * MB).nbytes == 64 * MB and not list(tmp_path.iterdir())
+
+
+def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budgets, "resident_bytes", lambda: 80 * MB)
+    with Budget(100 * MB, tmp_path) as budget:
+        for _ in range(3):
+            budget.empty(MB // 2)
+        assert len(budget._maps) == 3
+        assert budget.empty(1000).nbytes == 8000 and len(budget._maps) == 3
+    with Budget(1000 * MB, tmp_path) as budget:
+        budget.empty(MB // 2)
+        assert not budget._maps
 
 
 @pytest.mark.parametrize("order", ["C", "F"])

@@ -73,7 +73,7 @@ class Child:
         return Ended(os.waitstatus_to_exitcode(status), *texts, seconds, peak - self.resident)
 
 
-def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 120, space: int = 0) -> Child:
+def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Child:
     """Fork a child that does ``work`` in ``folder``, at most ``seconds``; ``space``: bytes of addresses above ours."""
     (logs / TEMPORARY).mkdir(parents=True, exist_ok=True)
     for name in (OUTPUT, ERRORS):
@@ -88,7 +88,7 @@ def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int 
     return Child(pid, logs, start, resident)
 
 
-def run(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 120, space: int = 0) -> Ended:
+def run(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Ended:
     """As ``begin``, to its end."""
     return begin(work, folder, logs, seconds=seconds, space=space).wait()
 

@@ -240,7 +240,7 @@ def _digest(group: h5py.Group, digest: hashlib._Hash) -> None:
         digest.update(value.tobytes() if plain else repr(value).encode())
 
 
-def _alone(group: int, patience: float = 10.0) -> bool:
+def _alone(group: int, patience: float = 60.0) -> bool:
     """Whether all processes of a group end soon."""
     end = time.monotonic() + patience
     while time.monotonic() < end:

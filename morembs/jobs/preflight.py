@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from morembs.body.build import Delivery
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
-from morembs.errors import BudgetError, InputError
+from morembs.errors import BudgetError, InputError, enough_megabytes
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
@@ -56,7 +56,7 @@ def require_room(job: Job, start: int, dofs: int = 0) -> None:
         raise BudgetError(
             f"[solver]: memory = {job.memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} "
             f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of the smallest "
-            f"such job; give at least {needed // 1_000_000 + 2} MB",
+            f"such job; give at least {enough_megabytes(needed)} MB",
             needed=needed,
         )
 

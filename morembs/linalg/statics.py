@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
@@ -259,8 +259,8 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
         more = error.needed + beside - room
         raise BudgetError(
             f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
-            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {more / 1e6:.0f} MB or more, or take a "
-            "coarser mesh",
+            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(more)} MB or more, "
+            "or take a coarser mesh",
             needed=error.needed + beside,
         ) from None
 

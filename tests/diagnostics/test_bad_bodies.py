@@ -106,20 +106,29 @@ def ways(name, value):
     yield "deeper", value[None]
 
 
-def test_every_dataset_of_a_damaged_file_is_named(whole, tmp_path):
-    used_up(whole, tmp_path)
+@pytest.mark.parametrize(
+    ("way", "least"), [("nan", 45), ("text", 80), ("lines", 80), ("numbers", 12), ("shorter", 60), ("deeper", 95)]
+)
+def test_every_dataset_of_a_damaged_file_is_named(whole, tmp_path, way, least):
     tried = 0
     for name, value in datasets(whole).items():
-        for way, other in ways(name, np.asarray(value)):
-            path = damaged(whole, tmp_path, put(name, other))
-            with pytest.raises(InputError) as caught:
-                used_up(path, tmp_path)
-            message = str(caught.value)
-            assert message.count("bad.h5") == 1 and "\n" not in message, (name, way, message)
-            # A size that two datasets give is the fault of either.
-            assert re.search(rf" /{name}\b", message), (name, way, message)
-            tried += 1
-    assert tried > 200
+        other = dict(ways(name, np.asarray(value))).get(way)
+        if other is None:
+            continue
+        path = damaged(whole, tmp_path, put(name, other))
+        with pytest.raises(InputError) as caught:
+            used_up(path, tmp_path)
+        message = str(caught.value)
+        assert message.count("bad.h5") == 1 and "\n" not in message, (name, message)
+        # A size that two datasets give is the fault of either.
+        assert re.search(rf" /{name}\b", message), (name, message)
+        tried += 1
+    assert tried >= least
+
+
+def test_the_whole_file_is_used_up(whole, tmp_path):
+    """What the tests above damage is read where it is sound."""
+    used_up(whole, tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def imported(*arguments: object) -> FEModel:
 def both(deck: Path, rule: str = "exact") -> tuple[FEModel, FEModel]:
     """Our model of a deck, and that of the matrices which CalculiX makes of it."""
     assert CCX is not None
-    done = subprocess.run([CCX, deck.stem], cwd=deck.parent, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([CCX, deck.stem], cwd=deck.parent, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout[-500:]
     theirs = imported(deck.with_suffix(".sti"), "--nodes", deck)
     ours = imported(deck, "--mass-integration", rule)

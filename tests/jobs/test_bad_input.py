@@ -235,7 +235,7 @@ def test_full_disk(tmp_path: Path, existed: bool) -> None:
         output.write_bytes(OLD)
     before = sorted(tmp_path.iterdir())
     command = [sys.executable, "-c", LIMITED, str(job)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("error: ") and len(done.stderr.strip().splitlines()) == 1
     assert "part.h5 could not be written" in done.stderr and "free space" in done.stderr

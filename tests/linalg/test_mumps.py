@@ -107,7 +107,7 @@ def test_threads_factorise_and_solve_at_the_same_time(kind: Kind) -> None:
     def error(number: int) -> float:
         A, b = shifted(brick(6), 13.7 * (number % 2)), random(648)
         with kind().analyse(A) as analysis:
-            gate.wait(30)
+            gate.wait(600)
             return max(backward_error(A, analysis.factorize(A).solve(b), b) for _ in range(3))
 
     with ThreadPoolExecutor(4) as pool:
@@ -212,7 +212,7 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(
 
     def slow(library: mumps_library.Library, data: Any, now: int) -> None:
         if now == job:
-            assert ended.wait(30)
+            assert ended.wait(600)
         call(library, data, now)
         if now == mumps_instance.END:
             freed.set()
@@ -232,7 +232,7 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(
             type(on_disk)(out_of_core=True, scratch=on_disk.scratch, progress=Impatient()).factorize(brick(6), "spd")
         assert not list(on_disk.scratch.iterdir()) and not freed.is_set()
         ended.set()
-        assert freed.wait(30)
+        assert freed.wait(600)
     finally:
         gc.enable()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import time
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -128,10 +128,27 @@ def test_arithmetic_that_a_library_lacks_is_refused(monkeypatch: pytest.MonkeyPa
         Mumps().factorize(brick(2))
 
 
-def test_one_call_runs_at_a_time() -> None:
+def test_one_call_runs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """MUMPS keeps state in global variables; a call made inside another one, by the garbage collector, goes on."""
     running: list[int] = []
     most: list[int] = []
+    # A second thread has come: to the lock, or past it.
+    met = threading.Event()
+
+    class Queue:
+        """A lock that tells when somebody has to wait for it."""
+
+        def __init__(self) -> None:
+            self.lock = type(mumps_library.LOCK)()
+
+        def __enter__(self) -> None:
+            if not self.lock.acquire(blocking=False):
+                met.set()
+                self.lock.acquire()
+
+        def __exit__(self, *_: object) -> None:
+            self.lock.release()
+
 
     class Data(ctypes.Structure):
         _fields_ = (("job", ctypes.c_int32),)
@@ -139,11 +156,14 @@ def test_one_call_runs_at_a_time() -> None:
     def work(reference: object) -> None:
         running.append(1)
         most.append(len(running))
-        time.sleep(0.002)
+        if len(running) > 1:
+            met.set()
+        assert met.wait(600.0)
         running.pop()
         if len(most) == 3:
             library.call(Data(), 1)
 
+    monkeypatch.setattr(mumps_library, "LOCK", Queue())
     library = mumps_library.Library("", "", Data, work)
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda job: library.call(Data(), job), range(20)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.errors import BudgetError, InputError
+from morembs.errors import BudgetError, InputError, enough_megabytes
 from morembs.linalg.sparse import select as selection
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
@@ -112,7 +112,7 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     assert steps == ["double in memory", "double on disk", "single on disk", "nothing"]
     assert ladder == sorted(ladder, key=steps.index)
     assert f"1.0 MB are left of the memory budget for a factorisation of 3000 rows; the leanest method needs "\
-        f"{needed / 1e6:.0f} MB: raise the budget by {(needed - 1e6) / 1e6:.0f} MB" in words  # fmt: skip
+        f"{needed / 1e6:.0f} MB: raise the budget by {enough_megabytes(needed - 1e6)} MB" in words  # fmt: skip
     Automatic(memory=needed, scratch=tmp_path).analyse(A, structure).close()
     assert not list(tmp_path.iterdir())
 

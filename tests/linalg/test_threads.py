@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -44,27 +44,47 @@ def test_idle_threads_sleep_unless_the_user_says_otherwise(monkeypatch: pytest.M
     assert os.environ["OPENBLAS_THREAD_TIMEOUT"] == "20"
 
 
-def test_speed_is_plausible_short_and_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+class Clock:
+    """Time that passes only when a job takes some."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+def test_speed_is_measured_once_for_each_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    took = iter([0.05, 0.02, 0.5, 0.1])
+
+    def best(job: Callable[[], object]) -> float:
+        job()
+        return next(took)
+
     threads._measured.cache_clear()
     monkeypatch.setattr(threads, "blas_threads", lambda: 1)
-    start = time.process_time()
-    with limit_threads(1):
-        speed = measured_speed()
-        assert time.process_time() - start < 0.7
-        assert 0.1 < speed.gemm_gflops < 2000 and 0.1 < speed.triad_gbs < 2000
-        assert measured_speed() is speed
-        monkeypatch.setattr(threads, "blas_threads", lambda: 2)
-        assert measured_speed() is not speed
+    monkeypatch.setattr(threads, "_best", best)
+    speed = measured_speed()
+    # A product of matrices of order 1000 in 0.05 s; two of three vectors of a third of 64 MiB, and one more, in 0.02 s.
+    assert speed.gemm_gflops == pytest.approx(2e-9 * 1000**3 / 0.05)
+    assert speed.triad_gbs == pytest.approx(5e-9 * 8 * (2**26 // 24) / 0.02)
+    assert measured_speed() is speed
+    monkeypatch.setattr(threads, "blas_threads", lambda: 2)
+    assert measured_speed() is not speed
+    threads._measured.cache_clear()
 
 
-def test_best_of_several_runs_within_the_budget() -> None:
-    times = []
+def test_best_of_several_runs_within_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "time", clock := Clock())
+    times: list[float] = []
 
     def job() -> None:
-        times.append(time.sleep(0.05 if len(times) == 0 else 0.01))
+        times.append(0.0625 if not times else 0.015625)
+        clock.now += times[-1]
 
-    assert 0.01 <= threads._best(job) < 0.04
-    assert 3 < len(times) < 25
+    assert threads._best(job) == pytest.approx(0.015625)
+    # As many runs as end within the budget.
+    assert threads._BUDGET - 0.015625 < sum(times) <= threads._BUDGET
 
 
 def test_import_of_the_package_quiets_before_numpy_is_loaded() -> None:
@@ -76,7 +96,7 @@ def test_import_of_the_package_quiets_before_numpy_is_loaded() -> None:
             if event == "import" and args[0] == "numpy":
                 seen.append(os.environ.get("OPENBLAS_THREAD_TIMEOUT"))
         sys.addaudithook(hook)
-        import morembs
+        import morembs, numpy
         assert seen[0] == "4", seen
     """
     clean = {key: value for key, value in os.environ.items() if key != "OPENBLAS_THREAD_TIMEOUT"}

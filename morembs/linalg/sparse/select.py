@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from morembs.errors import BudgetError, InputError, SolverError
+from morembs.errors import BudgetError, InputError, SolverError, enough_megabytes
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.mixed import Mixed
@@ -94,8 +94,8 @@ class Automatic(LinearSolver):
             raise refused[-1]
         raise BudgetError(
             f"{self.memory / 1e6:.1f} MB are left of the memory budget for a factorisation of {A.n} rows; the leanest "
-            f"method needs {min(needed) / 1e6:.0f} MB: raise the budget by {(min(needed) - self.memory) / 1e6:.0f} MB "
-            "or more, or take a coarser mesh",
+            f"method needs {min(needed) / 1e6:.0f} MB: raise the budget by "
+            f"{enough_megabytes(min(needed) - self.memory)} MB or more, or take a coarser mesh",
             needed=min(needed),
         )
 
