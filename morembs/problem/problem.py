@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from morembs.budget import Budget
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
-from morembs.linalg.congruence import congruence, magnitudes, row_sums
+from morembs.linalg.congruence import congruence, magnitudes, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.rigid import strain_free
@@ -233,7 +233,7 @@ class Problem:
 
         Row sums of |K| stand for its products, so that no copy of K is made.
         """
-        weights = self.shared("row sums of |K|", lambda: row_sums(self.K))
+        weights = self.shared("row sums of |K|", lambda: scaled_row_sums(self.K))
         return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, modes.vectors, modes.vectors))
 
     def _refuse_lost_supports(self, statics: Statics) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError
-from morembs.linalg.eigen import signed
+from morembs.linalg.eigen import graded_modes, signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import Problem
 from morembs.problem.damping import STRUCTURAL
@@ -94,8 +94,7 @@ class ReducedModel:
         Of matrices that are not symmetric the real parts, vectors of unit modal mass.
         """
         if self.symmetric:
-            values, Y = sl.eigh(self.K, self.M)
-            return values, Y
+            return graded_modes(self.K, self.M)
         r = self.rigid_count
         found, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
         order = np.argsort(found.real, kind="stable")
@@ -170,8 +169,12 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
     ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
     """
     V = elastic_columns(problem, X)
-    K = projected(V, problem.K, problem.budget)
-    values, Y = sl.eigh(K)
+
+    def stiffness(Y: Floats) -> Floats:
+        some = combine(V, Y, problem.budget.empty((len(V), Y.shape[1]), order="F"), problem.budget)
+        return projected(some, problem.K, problem.budget)
+
+    values, Y = graded_modes(projected(V, problem.K, problem.budget), projected=stiffness)
     combine(V, Y, V, problem.budget)
     V = signed(V, problem.budget)
     r, m = problem.rigid.shape[1], V.shape[1]
