@@ -204,8 +204,15 @@ class Problem:
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
         # Frames sum up the forces of their nodes, most of which cancel there.
         T = abs(self.coupling.T)
-        free, held = strain_free(self.K, Phi, T.T @ magnitudes(self.model.K, T @ np.abs(Phi)))
+        size = T.T @ magnitudes(self.model.K, T @ np.abs(Phi))
+        free, held = strain_free(self.K, Phi, size, self._nodes_of_rows())
         return _orthonormal(free, M), _orthonormal(held, M)
+
+    def _nodes_of_rows(self) -> NDArray[np.int64]:
+        """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""
+        T = sp.csc_array(self.coupling.T)
+        of_entry = np.asarray(self.model.dofs.node, dtype=np.int64)[T.indices]
+        return np.minimum.reduceat(of_entry, T.indptr[:-1])
 
     def _at_least(
         self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str

@@ -13,16 +13,18 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.linalg.eigen import graded_modes, signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
-from morembs.problem import Problem
+from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 
 MOST_HZ = 1e12
+# Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
+LOW = 0.03
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
@@ -134,6 +136,8 @@ class Reducer(ABC):
             M = projected(V, problem.M, budget)
             K = 0.5 * (basis.K + basis.K.T)
             B = outputs.T
+            if basis.holds_interfaces:
+                _refuse_lost_modes(K, M, basis.rigid.shape[1])
         else:
             moved = V if basis.inertial is None else basis.inertial
             M, K = projected(moved, problem.M, budget, basis.left), basis.K
@@ -151,6 +155,25 @@ class Reducer(ABC):
             rigid_count=basis.rigid.shape[1], recipe=recipe, left=basis.left, is_projection=basis.inertial is None,
             structural=structural,
         )  # fmt: skip
+
+
+def _refuse_lost_modes(K: Floats, M: Floats, rigid: int) -> None:
+    """Refuse a stiffness (n, n) that as delivered, in double precision, does not hold its modes or its rigid motions.
+
+    Raises:
+        SolverError: as said.
+    """
+    values, Y = graded_modes(K, M)
+    least = LOW**2 * values[rigid] if len(values) > rigid else 0.0
+    Y = np.abs(Y)
+    off = AS_A_RULE * float(np.finfo(float).eps) * np.einsum("ij,ij->j", Y, np.abs(K) @ Y)
+    if len(values) > rigid and not (off <= LOST * np.maximum(values, least)).all():
+        k = int(np.argmax(off / np.maximum(values, least)))
+        what = f"its mode {k - rigid + 1}" if k >= rigid else f"its rigid motion at {LOW:g} of its lowest frequency"
+        raise SolverError(
+            f"round-off in the stiffness between the interfaces hides {what}: it takes {off[k]:.1e} (rad/s)2 of "
+            f"{max(values[k], least):.1e} (allowed {LOST:.0e} of it); {SOFTER}"
+        )
 
 
 def _interface_motions(basis: Basis, problem: Problem) -> Floats:

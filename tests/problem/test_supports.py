@@ -180,3 +180,39 @@ def test_a_body_without_elastic_coordinates_is_refused(interfaces: str) -> None:
     end = make_interface(model, name="end", nodes=where(model, 0, 0.0), coupling="rigid")
     with Problem(model, [end]) as problem, pytest.raises(InputError, match=r"no elastic coordinate.*at least one mode"):
         Modal(modes=0, interfaces=interfaces).reduce(problem)
+
+
+def oblique(model: FEModel, stiffness: float, nodes: range) -> FEModel:
+    """``model`` with an oblique spring to the ground at each of ``nodes``, whose rows do work of either sign."""
+    K = model.K.toarray()
+    for node in nodes:
+        d = np.array([[1.0, -2.0, 3.0], [2.0, 1.0, -1.0], [-3.0, 1.0, 1.0]][node % 3])
+        at = slice(3 * node, 3 * node + 3)
+        K[at, at] += stiffness * np.outer(d, d) / (d @ d)
+    return replace(model, K=K)
+
+
+@pytest.mark.parametrize("far", [0.0, 100.0])
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+@pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7])
+def test_oblique_springs_are_counted_and_not_taken_for_few_digits(stiffness: float, count: int, far: float) -> None:
+    model = oblique(block(1e11, 0.0), stiffness, range(count))
+    model = replace(model, nodes=replace(model.nodes, xyz=model.nodes.xyz + far))
+    with Problem(model) as problem:
+        assert problem.rigid.shape[1] == max(6 - count, 0)
+
+
+@pytest.mark.parametrize("part", [1e-8, 3e-8, 1e-6])
+def test_a_support_beside_numbers_of_few_digits_is_not_lost(part: float) -> None:
+    model = steel(box("hex8", (4, 2, 2), (0.5, 0.07, 0.03)))
+    K = model.K.toarray()
+    K[:] = [[float(f"{value:.9e}") for value in row] for row in K]
+    node = where(model, 0, 0.0)[:1]
+    for dof in model.dofs.of_nodes(node).ravel():
+        K[dof, dof] *= 1 + part
+    if part == 1e-8:
+        with pytest.raises(InputError, match="cannot be told from round-off"):
+            Problem(replace(model, K=K))
+        return
+    with Problem(replace(model, K=K)) as problem:
+        assert problem.rigid.shape[1] == 3
