@@ -47,11 +47,7 @@ def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple
     Raises:
         InputError: a support so soft that it cannot be told from round-off.
     """
-    force = K @ Phi
-    force[np.abs(force) <= ZERO * size] = 0.0
-    whole = size.max(axis=1, initial=0.0)[:, None]
-    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
-    level = _round_off(ratio, _work(force, Phi, whole, node), node)
+    ratio, level = _forces(K, Phi, size, node)
     held = np.abs(ratio).max(axis=1, initial=0.0) > level
     if not held.any():
         return Phi, Phi[:, :0]
@@ -75,6 +71,21 @@ def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple
             "entries in its rows (links, penalty springs) softer"
         )
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
+
+
+def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> bool:
+    """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
+    ratio, level = _forces(A, Phi, size, node)
+    return bool((np.abs(ratio) > level).any())
+
+
+def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple[Floats, float]:
+    """Forces (N, k) of ``A`` under ``Phi`` against the terms that cancel in them, and the level of round-off."""
+    force = A @ Phi
+    force[np.abs(force) <= ZERO * size] = 0.0
+    whole = size.max(axis=1, initial=0.0)[:, None]
+    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
+    return ratio, _round_off(ratio, _work(force, Phi, whole, node), node)
 
 
 def _work(force: Floats, Phi: Floats, whole: Floats, node: Ints) -> Floats:

@@ -159,7 +159,7 @@ class Restricted:
         self._meet_motions(U, lam)
         for step in range(REFINED):
             off, lost = self._missed(U), self._lost(self._energy(U, lam), lam)
-            if off <= IMPOSED and lost <= ENERGY or step == REFINED - 1:
+            if (off <= IMPOSED and lost <= ENERGY) or step == REFINED - 1:
                 break
             self._refine(U, lam)
         if not off <= IMPOSED:

@@ -167,6 +167,8 @@ def _refuse_lost_modes(K: Floats, M: Floats, rigid: int) -> None:
     least = LOW**2 * values[rigid] if len(values) > rigid else 0.0
     Y = np.abs(Y)
     off = AS_A_RULE * float(np.finfo(float).eps) * np.einsum("ij,ij->j", Y, np.abs(K) @ Y)
+    # Rigid motion has no stiffness: what is there is lost.
+    off[:rigid] = np.maximum(off[:rigid], np.abs(values[:rigid]))
     if len(values) > rigid and not (off <= LOST * np.maximum(values, least)).all():
         k = int(np.argmax(off / np.maximum(values, least)))
         what = f"its mode {k - rigid + 1}" if k >= rigid else f"its rigid motion at {LOW:g} of its lowest frequency"
