@@ -13,11 +13,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.certificate.certify import certify
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Modal
+from morembs.reducers import Automatic, CraigBampton, Modal, automatic
 from tests.support.meshes import box, steel, where
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
@@ -135,6 +135,35 @@ def test_soft_springs_on_a_solid_hold_it_whatever_the_units() -> None:
             other = replace(model, K=sp.csr_array(K) * scale, nodes=replace(model.nodes, xyz=model.nodes.xyz * scale))
             with Problem(other) as problem:
                 assert problem.rigid.shape[1] == free
+
+
+@pytest.mark.parametrize("number", [(6, 141), (6, 196), (6, 56), (6, 66), (7, 16), (7, 74), (8, 192)])
+def test_models_that_came_out_wrong_or_were_refused_once(number: tuple[int, int]) -> None:
+    logging.disable(logging.WARNING)
+    try:
+        ((case, verdict),) = structured.main(0, number[0], only=number[1], automatic=1000)
+    finally:
+        logging.disable(logging.NOTSET)
+    assert verdict.kind == "right" or (verdict.kind == "refused" and case.decade >= 8), verdict.words
+
+
+@pytest.mark.parametrize("on", [0, 1, 2])
+def test_automatic_refuses_a_sample_on_an_undamped_resonance(on: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = block(1e11)
+    tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
+    with Problem(model, [tip]) as problem:
+        exact = problem.elastic_modes(count=6).frequencies_hz
+        band = [0.3 * float(exact[0]), 1.1 * float(exact[5])]
+        grid = np.sort(np.append(np.linspace(*band, 40), exact[on]))
+        monkeypatch.setattr(automatic, "band_frequencies", lambda *_: grid)
+        with pytest.raises(SolverError, match="cannot be certified"):
+            Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+
+
+def test_a_shift_on_a_resonance_gives_finite_columns() -> None:
+    values = np.array([1.0, 4.0, 9.0])
+    found = automatic._apart(values - 2.0**2, automatic.NOISE * values)
+    assert (np.abs(found) >= automatic.NOISE * values).all() and np.isfinite(1.0 / found).all()
 
 
 def test_random_models_over_twelve_decades_of_stiffness() -> None:
