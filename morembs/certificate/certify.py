@@ -123,7 +123,7 @@ def _certificate(
         raise SolverError(
             f"the response of {reduced.name} or of the full model is not a number at "
             f"{int((~np.isfinite(error)).sum())} of {len(omega)} frequencies, from "
-            f"{omega[~np.isfinite(error)][0] / (2 * np.pi):.6g} Hz on; move these frequencies, or give the model damping"
+            f"{omega[~np.isfinite(error)][0] / (2 * np.pi):.6g} Hz on; move them, or give the model damping"
         )
     reference_error = reference.error + round_off(problem, modes, omega, float(reference.values.max(initial=0.0)))
     below = ~(error <= limit + REFERENCE + UNSURE * reference_error)

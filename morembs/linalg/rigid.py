@@ -94,7 +94,7 @@ def _work(force: Floats, Phi: Floats, whole: Floats, node: Ints) -> Floats:
     gather = sp.csr_array((np.ones(len(node)), (node, np.arange(len(node)))), shape=(count, len(node)))
     done = gather @ (force * Phi)
     most = (gather @ (whole * np.abs(Phi))).max(axis=1, initial=0.0)[:, None]
-    return np.divide(done, most, out=np.zeros_like(done), where=most > 0)
+    return np.asarray(np.divide(done, most, out=np.zeros_like(done), where=most > 0))
 
 
 def _round_off(ratio: Floats, work: Floats, node: Ints) -> float:
