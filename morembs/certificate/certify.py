@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from morembs.certificate.residual import bound_of, modal_damping, residual_of, static_response
 from morembs.certificate.response import reduced_response
+from morembs.errors import SolverError
 from morembs.linalg.eigen import Modes
 from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
@@ -39,7 +40,7 @@ class Certificate:
 
     ``frequencies_hz`` (nf,); ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the norm of
     the difference over that of the full model, ``bound`` (nf,) an upper bound of it, ``bound_kind`` "bound" where it is
-    proven, "estimate" where it is not (or lies below a measured error), "none".
+    proven, "estimate" where it is not (or lies below a measured error), "none", of infinity.
     ``block_error`` (ni, ni) largest relative error of each block
     (motion of interface i, load on interface j), ``held_error`` (ni, nf) the relative error of what is left when
     interface i is held still, from the whole transfer matrix with its rigid-body part; not a number below ``HELD`` of
@@ -84,7 +85,7 @@ def certify(
 
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
-        SolverError: the full response cannot be computed to ``REFERENCE``.
+        SolverError: the full response cannot be computed to ``REFERENCE``, or a response is not a number.
     """
     omega = 2 * np.pi * np.asarray(frequencies_hz, dtype=float)
     modes = problem.elastic_modes(below=beyond(float(frequencies_hz[-1])))
@@ -105,7 +106,7 @@ def _certificate(
     H_r = reduced_response(reduced, omega)
     norm = np.linalg.norm(H * S, axis=(1, 2))
     V = _elastic_part(problem, reduced)
-    kind, limit = "none", np.full(len(omega), np.nan)
+    kind, limit = "none", np.full(len(omega), np.inf)
     notes = []
     if not reduced.is_projection:
         notes.append("no bound: positions and velocities have bases of their own")
@@ -114,7 +115,16 @@ def _certificate(
         if problem.D is not None:
             notes.append("the estimate neglects how the model's own damping couples modes in the band to those above")
         limit = _bounds(problem, reduced, V, modes, omega, reference) / norm
+        if not np.isfinite(limit).all():
+            kind, limit = "none", np.full(len(omega), np.inf)
+            notes.append("no bound: round-off leaves none at some frequencies")
     error = np.linalg.norm((H_r - H) * S, axis=(1, 2)) / norm
+    if not np.isfinite(error).all():
+        raise SolverError(
+            f"the response of {reduced.name} or of the full model is not a number at "
+            f"{int((~np.isfinite(error)).sum())} of {len(omega)} frequencies, from "
+            f"{omega[~np.isfinite(error)][0] / (2 * np.pi):.6g} Hz on; move them, or give the model damping"
+        )
     reference_error = reference.error + round_off(problem, modes, omega, float(reference.values.max(initial=0.0)))
     below = ~(error <= limit + REFERENCE + UNSURE * reference_error)
     if kind == "bound" and below.any():

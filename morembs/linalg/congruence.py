@@ -58,14 +58,11 @@ def magnitudes(A: sp.csr_array, X: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def row_sums(A: sp.csr_array) -> NDArray[np.float64]:
-    """Sums (n,) of the magnitudes in the rows of ``A``."""
-    return magnitudes(A, np.ones((A.shape[1], 1)))[:, 0]
-
-
-def max_norm(A: sp.csr_array) -> float:
-    """Largest sum of magnitudes in a row of ``A``."""
-    return float(row_sums(A).max(initial=0.0))
+def scaled_row_sums(A: sp.csr_array) -> NDArray[np.float64]:
+    """Weights w (n,) with |x|' |A| |x| <= w' x^2 whatever the units: the row sums of the equilibrated ``A``."""
+    d = np.sqrt(np.abs(A.diagonal()))
+    d[d == 0] = 1.0
+    return np.asarray(d * magnitudes(A, 1.0 / d[:, None])[:, 0])
 
 
 def _split(T: sp.csr_array) -> tuple[Ints, Ints, sp.csr_array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,6 +130,27 @@ def _sharpened(pencil: Restricted, M: sp.csr_array, V: Floats) -> tuple[Floats, 
         theta, Y = sl.eigh(0.5 * (G + G.T), 0.5 * (K + K.T))
         values, V = 1.0 / theta[::-1], V @ (Y[:, ::-1] / np.sqrt(theta[::-1]))
     return values, V
+
+
+def graded_modes(
+    A: Floats, M: Floats | None = None, projected: Callable[[Floats], Floats] | None = None
+) -> tuple[Floats, Floats]:
+    """Eigenvalues (n,) of (``A``, ``M``), ascending, and vectors (n, n), where LAPACK has all to eps of the highest.
+
+    Values below ``SOFT`` of the highest are found again in the span of their vectors alone, and so on: all are known
+    to eps / ``SOFT`` of themselves as far as A is. ``projected`` gives Y' A Y of some vectors Y (n, k), by default
+    from ``A``; M = I by default.
+    """
+    values, Y = sl.eigh(A, M)
+    soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
+    while soft:
+        some = Y[:, :soft]
+        part = some.T @ A @ some if projected is None else projected(some)
+        values[:soft], Q = sl.eigh(0.5 * (part + part.T))
+        Y[:, :soft] = some @ Q
+        # At least the highest of them is known now.
+        soft = min(soft - 1, int((values[:soft] < SOFT * values[soft - 1]).sum()))
+    return values, Y
 
 
 def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:

@@ -5,7 +5,9 @@ terms: at most a few eps (|K| |phi|) in that row. A support leaves more in its o
 and whatever the mesh, the units and the rest of the body. Only what the row itself has lost is lost.
 
 Numbers that were written with few digits, and bodies far from the origin, leave more than eps in most rows. Such
-residuals do work of either sign, while a soft ground (positive semidefinite) does positive work in all its rows.
+residuals do work of either sign, while a soft ground (positive semidefinite) does positive work at all its nodes. So
+few digits are the reason only as far as the usual row has such residuals, and their work at the nodes is of either
+sign.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 EPS = float(np.finfo(float).eps)
 # Forces against what cancels in their row: round-off up to the first (assembled bodies reach 3 eps), a support from
 # the second times as much.
@@ -25,28 +28,26 @@ ROUND_OFF, CLEAR = 16 * EPS, 4.0
 ZERO = 3 * EPS
 # Numbers of few digits, and coordinates of few digits, leave no more than this.
 FEW_DIGITS = 1e-6
-# Part of the work, summed without signs, that a soft ground does at least.
-COHERENT = 0.25
-# Times the usual residual of few digits up to which forces may be such residuals too.
-OUTLIER = 300.0
+# Nodes at which a soft ground does positive work less those of negative work, as part of all, at least.
+COHERENT = 0.5
+# Times the usual residual of few digits up to which all forces are such residuals, and up to which they may be where
+# they do work of either sign.
+USUAL, OUTLIER = 30.0, 300.0
 # Part of a held motion that round-off may mix into a free one.
 MIXED = 1e-5
 
 
-def strain_free(K: sp.csr_array, Phi: Floats, size: Floats) -> tuple[Floats, Floats]:
+def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple[Floats, Floats]:
     """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
 
     ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
-    that cancel in K Phi, those that cancelled while K was made among them: eps of it is round-off.
+    that cancel in K Phi, those that cancelled while K was made among them: eps of it is round-off. ``node`` (N,) says
+    which rows belong together.
 
     Raises:
         InputError: a support so soft that it cannot be told from round-off.
     """
-    force = K @ Phi
-    force[np.abs(force) <= ZERO * size] = 0.0
-    whole = size.max(axis=1, initial=0.0)[:, None]
-    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
-    level = _round_off(ratio, force * Phi)
+    ratio, level = _forces(K, Phi, size, node)
     held = np.abs(ratio).max(axis=1, initial=0.0) > level
     if not held.any():
         return Phi, Phi[:, :0]
@@ -72,15 +73,47 @@ def strain_free(K: sp.csr_array, Phi: Floats, size: Floats) -> tuple[Floats, Flo
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
 
 
-def _round_off(ratio: Floats, work: Floats) -> float:
+def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> bool:
+    """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
+    ratio, level = _forces(A, Phi, size, node)
+    return bool((np.abs(ratio) > level).any())
+
+
+def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple[Floats, float]:
+    """Forces (N, k) of ``A`` under ``Phi`` against the terms that cancel in them, and the level of round-off."""
+    force = A @ Phi
+    force[np.abs(force) <= ZERO * size] = 0.0
+    whole = size.max(axis=1, initial=0.0)[:, None]
+    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
+    return ratio, _round_off(ratio, _work(force, Phi, whole, node), node)
+
+
+def _work(force: Floats, Phi: Floats, whole: Floats, node: Ints) -> Floats:
+    """Work (nodes, k) of the forces at each node, against that of all that cancels there."""
+    count = int(node.max(initial=-1)) + 1
+    gather = sp.csr_array((np.ones(len(node)), (node, np.arange(len(node)))), shape=(count, len(node)))
+    done = gather @ (force * Phi)
+    most = (gather @ (whole * np.abs(Phi))).max(axis=1, initial=0.0)[:, None]
+    return np.asarray(np.divide(done, most, out=np.zeros_like(done), where=most > 0))
+
+
+def _round_off(ratio: Floats, work: Floats, node: Ints) -> float:
     """The level that round-off reaches in ``ratio`` (N, k), the forces against the terms that cancel in them.
 
-    ``work`` (N, k) is that of the forces in each row.
+    ``work`` (nodes, k) is that of the forces at each node, ``node`` (N,) that of each row.
     """
     worst = np.abs(ratio).max(axis=1, initial=0.0)
-    weak = (worst > ROUND_OFF) & (worst <= FEW_DIGITS)
-    acting = (np.abs(ratio[weak]) > ROUND_OFF).any(axis=0)
-    done = work[weak][:, acting]
-    if (done.sum(axis=0) >= COHERENT * np.abs(done).sum(axis=0)).all():
+    largest = np.zeros(len(work))
+    np.maximum.at(largest, node, worst)
+    # Nodes with a support that is clear say nothing of the others.
+    if _coherent(work[(largest > ROUND_OFF) & (largest <= FEW_DIGITS)]):
         return ROUND_OFF
-    return min(OUTLIER * float(np.median(worst[weak])), FEW_DIGITS)
+    # Few digits leave residuals in all rows: where the usual row has none, neither do others have large ones.
+    usual = float(np.median(worst))
+    high = (largest > USUAL * usual) & (largest <= OUTLIER * usual)
+    return max(ROUND_OFF, min((USUAL if _coherent(work[high]) else OUTLIER) * usual, FEW_DIGITS))
+
+
+def _coherent(work: Floats) -> bool:
+    """Whether ``work`` (nodes, k) is that of supports: positive at most nodes, however much each does."""
+    return bool((np.sign(work).sum(axis=0) >= COHERENT * np.count_nonzero(work, axis=0)).all())

@@ -146,50 +146,92 @@ class Restricted:
         return self.solve(F)[0]
 
     def impose(self) -> tuple[Floats, Floats]:
-        """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c)."""
+        """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c).
+
+        Where stiff parts take digits of it, loads and displacements are refined with solves of their own.
+
+        Raises:
+            SolverError: round-off takes more digits than refinement gives back.
+        """
         if self.border is None:
             return np.zeros((len(self.statics.Z), 0)), np.zeros((0, 0))
         U, lam = np.zeros((len(self.statics.Z), self.count)), np.zeros((self.count, self.count))
-        rhs, top = np.zeros((len(self.scale), self.count)), self.scale[: self.count, None]
+        self._meet_motions(U, lam)
         for step in range(REFINED):
-            # Stiff links between interfaces cost the bordered system digits, which refinement regains.
-            rhs[: self.count] = self.C.T @ U - np.eye(self.count)
-            both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
-            lam += both[: self.count]
-            U += self.statics.Z @ both[self.count :] - self.X @ both[: self.count]
-            off = float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
-            if off <= EXACT or not off <= (FIRST if step == 0 else IMPOSED):
+            off, lost = self._missed(U), self._lost(self._energy(U, lam), lam)
+            if (off <= IMPOSED and lost <= ENERGY) or step == REFINED - 1:
                 break
+            self._refine(U, lam)
         if not off <= IMPOSED:
             raise SolverError(
                 f"unit interface motions could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); interface points "
                 "far from the body, or interfaces that nearly depend on each other, take the digits"
             )
-        condensed = -0.5 * (lam + lam.T)
-        self._refuse_lost_energy(U, condensed)
-        return U, condensed
+        self._refuse_lost_energy(lost)
+        # Loads have no part in rigid motion, of which the energy has round-off of all rows.
+        return U, -0.5 * (lam + lam.T)
 
-    def _refuse_lost_energy(self, U: Floats, condensed: Floats) -> None:
-        """Refuse a condensed stiffness that gives soft rigid motions another energy than the motions have themselves.
+    def _meet_motions(self, U: Floats, lam: Floats) -> None:
+        """Make C' U = I with loads on the interfaces alone, in place: X has their displacements."""
+        rhs = np.zeros((len(self.scale), self.count))
+        for _ in range(REFINED):
+            # Stiff links between interfaces cost the bordered system digits, which refinement regains.
+            rhs[: self.count] = self.C.T @ U - np.eye(self.count)
+            both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
+            lam += both[: self.count]
+            U += self.statics.Z @ both[self.count :] - self.X @ both[: self.count]
+            if not EXACT < self._missed(U) <= FIRST:
+                break
 
-        Raises:
-            SolverError: as said.
+    def _missed(self, U: Floats) -> float:
+        """Largest error of C' U = I, motions of different units scaled."""
+        top = self.scale[: self.count, None]
+        return float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
+
+    def _refine(self, U: Floats, lam: Floats) -> None:
+        """One step of iterative refinement of K U + C lam = 0, C' U = I, in place."""
+        eye = np.eye(self.count)
+        for some in self._blocks():
+            F = -(self.statics.pencil.lower @ U[:, some]) - np.asarray(self.C @ lam[:, some])
+            dU, dlam = self.solve(F, eye[:, some] - self.C.T @ U[:, some])
+            U[:, some] += dU
+            lam[:, some] += dlam
+
+    def _energy(self, U: Floats, lam: Floats) -> Floats:
+        """Condensed stiffness (c, c) in which all errors of ``U`` and ``lam`` are of second order.
+
+        U' K U - lam' G - G' lam with G = I - C' U: what ``lam`` is checked against.
         """
-        if not self.statics.held.shape[1]:
-            return
-        g = self.C.T @ self.statics.held
-        W = U @ g
-        true = W.T @ (self.statics.pencil.lower @ W)
-        values, Y = sl.eigh(0.5 * (true + true.T))
-        found = np.einsum("ij,ij->j", Y, g.T @ (condensed @ (g @ Y)))
-        seen = values > 1e-13 * values[-1]
-        lost = float((np.abs(found - values)[seen] / values[seen]).max(initial=0.0))
+        parts = [U.T @ np.asarray(self.statics.pencil.lower @ U[:, some]) for some in self._blocks()]
+        cross = lam.T @ (np.eye(self.count) - self.C.T @ U)
+        return np.asarray(np.hstack(parts) - cross - cross.T)
+
+    def _lost(self, condensed: Floats, lam: Floats) -> float:
+        """Largest relative difference of the energies of interface motions, from displacements and from loads."""
+        s = _sizes(condensed)
+        H = s[:, None] * (self.C.T @ self.statics.Z)
+        Q = sl.qr(H)[0][:, H.shape[1] :] if H.shape[1] else np.eye(self.count)
+        A, B = (Q.T @ (0.5 * (E + E.T) / np.outer(s, s)) @ Q for E in (condensed, -lam))
+        if not A.size:
+            return 0.0
+        try:
+            return float(np.abs(sl.eigvalsh(A - B, A)).max())
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    def _refuse_lost_energy(self, lost: float) -> None:
+        """Raise where ``lost`` says that the condensed stiffness is not known."""
         if not lost <= ENERGY:
             raise SolverError(
-                f"the stiffness between the interfaces has the energy of motions on soft supports wrong by {lost:.1e} "
+                f"the stiffness between the interfaces has the energy of soft motions wrong by {lost:.1e} "
                 f"(needed {ENERGY:.0e}): round-off of stiff parts takes the digits; make stiff links softer, replace "
                 'them by rigid couplings, or take method = "free-interface"'
             )
+
+    def _blocks(self) -> list[slice]:
+        """Columns of as many interface motions as the budget lets be handled at once."""
+        width = self.statics.budget.columns(len(self.statics.Z), copies=4)
+        return [slice(at, at + width) for at in range(0, self.count, width)]
 
     def count_below(self, sigma: float) -> int:
         """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester).
@@ -287,6 +329,12 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     top = 1.0 / np.where(size > 1e-4 * least, size, np.where(least > 0, least, 1.0))
     coupled = np.abs(top[:, None] * H).max(axis=0, initial=0.0)
     return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
+
+
+def _sizes(A: Floats) -> Floats:
+    """Roots (c,) of the diagonal of ``A`` (c, c), one where it is not positive."""
+    diagonal = np.diag(A)
+    return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
 
 
 def dense(C: Floats | sp.csc_array) -> Floats:

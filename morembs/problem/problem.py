@@ -16,10 +16,10 @@ from scipy.sparse.csgraph import connected_components
 from morembs.budget import Budget
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
-from morembs.linalg.congruence import congruence, magnitudes, row_sums
+from morembs.linalg.congruence import congruence, magnitudes, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
-from morembs.linalg.rigid import strain_free
+from morembs.linalg.rigid import resists, strain_free
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -35,6 +35,8 @@ Shared = TypeVar("Shared")
 AS_A_RULE = 0.1
 # Part of a static motion or of the stiffness of a mode that round-off may take.
 LOST = 1e-3
+# Shift in the Sturm count of motions without energy, as a multiple of the round-off in that of rigid motion.
+MECHANISM = 1e3
 SOFTER = (
     "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
     "replace them by rigid couplings, or leave a soft support to the simulation"
@@ -115,6 +117,13 @@ class Problem:
     def solver_name(self) -> str:
         """Name of the linear solver in use: the one that was chosen, once there is a factor."""
         return self.statics.factor.stats.backend if "statics" in self.__dict__ else self.solver.name
+
+    @cached_property
+    def damps_rigid_motion(self) -> bool:
+        """Whether the model's own damping matrix resists rigid-body motion, which then couples to the elastic part."""
+        if self.D is None or self.model.D is None or not self.D.nnz or not self.rigid.shape[1]:
+            return False
+        return resists(self.D, self.rigid, self._magnitudes(self.model.D, self.rigid), self._nodes_of_rows())
 
     @cached_property
     def statics(self) -> Statics:
@@ -198,10 +207,20 @@ class Problem:
         good = values > 1e-12
         Phi = R if good.all() else (R / scale) @ U[:, good]
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
+        free, held = strain_free(self.K, Phi, self._magnitudes(self.model.K, Phi), self._nodes_of_rows())
+        return _orthonormal(free, M), _orthonormal(held, M)
+
+    def _magnitudes(self, A: sp.csr_array, Phi: Floats) -> Floats:
+        """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model."""
         # Frames sum up the forces of their nodes, most of which cancel there.
         T = abs(self.coupling.T)
-        free, held = strain_free(self.K, Phi, T.T @ magnitudes(self.model.K, T @ np.abs(Phi)))
-        return _orthonormal(free, M), _orthonormal(held, M)
+        return np.asarray(T.T @ magnitudes(A, T @ np.abs(Phi)))
+
+    def _nodes_of_rows(self) -> NDArray[np.int64]:
+        """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""
+        T = sp.csc_array(self.coupling.T)
+        of_entry = np.asarray(self.model.dofs.node, dtype=np.int64)[T.indices]
+        return np.minimum.reduceat(of_entry, T.indptr[:-1])
 
     def _at_least(
         self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str
@@ -229,7 +248,7 @@ class Problem:
 
         Row sums of |K| stand for its products, so that no copy of K is made.
         """
-        weights = self.shared("row sums of |K|", lambda: row_sums(self.K))
+        weights = self.shared("row sums of |K|", lambda: scaled_row_sums(self.K))
         return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, modes.vectors, modes.vectors))
 
     def _refuse_lost_supports(self, statics: Statics) -> None:
@@ -278,8 +297,13 @@ class Problem:
 
     def _mechanism(self) -> str:
         """Message for a stiffness with more zero-energy motions than the rigid ones."""
-        # A shift far below every elastic mode of a sound part and far above round-off.
-        sigma = 1e-11 * float(np.max(self.K.diagonal() / np.maximum(self.M.diagonal(), np.finfo(float).tiny)))
+        # A shift far above the round-off of rigid motion, and so far below every elastic mode of a sound part.
+        Z, weights = self.rigid, scaled_row_sums(self.K)
+        if Z.shape[1]:
+            lost = float(np.einsum("i,ij,ij->j", weights, Z, Z).max())
+        else:
+            lost = float(weights.sum() / self.mass_properties[0])
+        sigma = MECHANISM * float(np.finfo(float).eps) * lost
         try:
             solver = self.solver.with_memory(self.budget.left())
             found = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")

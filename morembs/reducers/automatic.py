@@ -22,6 +22,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
+from morembs.linalg.eigen import graded_modes
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import Progress
@@ -286,7 +287,11 @@ class _Election:
     def _reduced(self, C: Floats, real: Floats | None = None) -> _Small:
         """The model on span(C); ``real`` (n,) replaces its eigenvalues."""
         reference = self.reference
-        theta, Y = sl.eigh(C.T @ (reference.values[:, None] * C))
+
+        def stiffness(Y: Floats) -> Floats:
+            return np.asarray((C @ Y).T @ (reference.values[:, None] * (C @ Y)))
+
+        theta, Y = graded_modes(stiffness(np.eye(C.shape[1])), projected=stiffness)
         V = C @ Y
         D = None if reference.D is None else V.T @ reference.D @ V
         return _Small(V=V, theta=theta if real is None else real, B=V.T @ self.F, D=D, damping=reference.damping)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
-from morembs.linalg.congruence import max_norm
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.orthogonal import beside, combine, remove
 from morembs.linalg.sparse.select import select_solver
@@ -58,8 +57,6 @@ BESIDE = 0.01
 PERPENDICULAR = 1e-3
 # A pole this far to the right, as part of its size, is unstable.
 GROWING = 1e-8
-# Rigid motion of a free body is damped where D moves it by more than this.
-RIGID_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -320,14 +317,11 @@ def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
     """The elastic part as the iteration sees it: no solution has rigid motion in it."""
     M, K, D, Z = problem.M, problem.K, problem.D, problem.rigid
     alpha, beta = _rayleigh(problem)
-    if D is not None and Z.shape[1]:
-        # Compared at the scale of each row, forces with forces and moments with moments.
-        size = np.abs(D) @ np.abs(Z)
-        if np.abs(D @ Z).max() > RIGID_DAMPING * max(float(size.max()), max_norm(D) * np.finfo(float).tiny):
-            raise InputError(
-                "the damping matrix of this model damps its rigid-body motion, so its elastic part has no Gramian of "
-                "its own; hold the body somewhere, or give [damping] instead of the matrix"
-            )
+    if problem.damps_rigid_motion:
+        raise InputError(
+            "the damping matrix of this model damps its rigid-body motion, so its elastic part has no Gramian of "
+            "its own; hold the body somewhere, or give [damping] instead of the matrix"
+        )
 
     def apply_D(X: Floats) -> Floats:
         Y = alpha * (M @ X) + (beta * (K @ X) if beta else 0.0)

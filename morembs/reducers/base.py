@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, SolverError
-from morembs.linalg.congruence import row_sums
-from morembs.linalg.eigen import signed
+from morembs.linalg.congruence import magnitudes
+from morembs.linalg.eigen import graded_modes, signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
-from morembs.problem import Problem
+from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts
@@ -31,6 +31,8 @@ Floats = NDArray[np.float64]
 MOST_HZ = 1e12
 # Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
 STIFFNESS_ERROR = 1e-2
+# Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
+LOW = 0.03
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
@@ -102,8 +104,7 @@ class ReducedModel:
         Of matrices that are not symmetric the real parts, vectors of unit modal mass.
         """
         if self.symmetric:
-            values, Y = sl.eigh(self.K, self.M)
-            return values, Y
+            return graded_modes(self.K, self.M)
         r = self.rigid_count
         found, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
         order = np.argsort(found.real, kind="stable")
@@ -205,6 +206,8 @@ class Reducer(ABC):
             M = projected(V, problem.M, budget)
             K = 0.5 * (basis.K + basis.K.T)
             B = outputs.T
+            if basis.holds_interfaces:
+                _refuse_lost_modes(K, M, basis.rigid.shape[1])
         else:
             moved = V if basis.inertial is None else basis.inertial
             M, K = projected(moved, problem.M, budget, basis.left), basis.K
@@ -236,7 +239,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None
     n = len(basis.K)
     if basis.K.shape != (V.shape[1], V.shape[1]) or W.shape != V.shape:
         raise SolverError(f'method "{method}" gave a basis of {V.shape[1]} columns and a stiffness {basis.K.shape}')
-    weights = problem.shared("row sums of |K|", lambda: row_sums(K))
+    weights = problem.shared("row sums of |K|", lambda: magnitudes(K, np.ones((K.shape[1], 1)))[:, 0])
     noise = np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V) / STIFFNESS_ERROR
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.abs(np.diag(basis.K)), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
@@ -248,6 +251,27 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None
         raise SolverError(
             f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
+        )
+
+
+def _refuse_lost_modes(K: Floats, M: Floats, rigid: int) -> None:
+    """Refuse a stiffness (n, n) that as delivered, in double precision, does not hold its modes or its rigid motions.
+
+    Raises:
+        SolverError: as said.
+    """
+    values, Y = graded_modes(K, M)
+    least = LOW**2 * values[rigid] if len(values) > rigid else 0.0
+    Y = np.abs(Y)
+    off = AS_A_RULE * float(np.finfo(float).eps) * np.einsum("ij,ij->j", Y, np.abs(K) @ Y)
+    # Rigid motion has no stiffness: what is there is lost.
+    off[:rigid] = np.maximum(off[:rigid], np.abs(values[:rigid]))
+    if len(values) > rigid and not (off <= LOST * np.maximum(values, least)).all():
+        k = int(np.argmax(off / np.maximum(values, least)))
+        what = f"its mode {k - rigid + 1}" if k >= rigid else f"its rigid motion at {LOW:g} of its lowest frequency"
+        raise SolverError(
+            f"round-off in the stiffness between the interfaces hides {what}: it takes {off[k]:.1e} (rad/s)2 of "
+            f"{max(values[k], least):.1e} (allowed {LOST:.0e} of it); {SOFTER}"
         )
 
 
@@ -267,8 +291,12 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
     ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
     """
     V = elastic_columns(problem, X)
-    K = projected(V, problem.K, problem.budget)
-    values, Y = sl.eigh(K)
+
+    def stiffness(Y: Floats) -> Floats:
+        some = combine(V, Y, problem.budget.empty((len(V), Y.shape[1]), order="F"), problem.budget)
+        return projected(some, problem.K, problem.budget)
+
+    values, Y = graded_modes(projected(V, problem.K, problem.budget), projected=stiffness)
     combine(V, Y, V, problem.budget)
     V = signed(V, problem.budget)
     r, m = problem.rigid.shape[1], V.shape[1]

@@ -30,7 +30,6 @@ from morembs.reducers.shifts import (
     outside,
     shift_at,
 )
-from morembs.responses.direct import damps_no_rigid_motion
 from morembs.responses.reference import inertia_loads
 
 Floats = NDArray[np.float64]
@@ -148,7 +147,7 @@ class Krylov(Reducer):
         return elastic_basis(problem, sides[0].V, "krylov", notes)
 
     def _check(self, problem: Problem) -> None:
-        if 0.0 in self.shifts_hz and not damps_no_rigid_motion(problem):
+        if 0.0 in self.shifts_hz and problem.damps_rigid_motion:
             raise InputError(
                 "the model's damping matrix damps its rigid-body motion, so there is no expansion at 0 Hz; take "
                 "real_shifts, or shifts_hz above zero"
@@ -212,7 +211,7 @@ class _Side:
         F = problem.B[:, rows].toarray() * problem.motion_scale[rows]
         self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
         whole = np.linalg.norm(F, axis=0)
-        if damps_no_rigid_motion(problem):
+        if not problem.damps_rigid_motion:
             F -= problem.M @ (problem.rigid @ (problem.rigid.T @ F))
         bends = np.linalg.norm(F, axis=0) > RIGID_LOAD * whole
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]

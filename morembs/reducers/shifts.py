@@ -22,7 +22,6 @@ from morembs.linalg.orthogonal import m_norms, remove
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi, orthonormal
 from morembs.linalg.statics import solved
 from morembs.problem import Problem
-from morembs.responses.direct import damps_no_rigid_motion
 
 Floats = NDArray[np.float64]
 Values = NDArray[Any]
@@ -160,7 +159,7 @@ class Shift:
             self._extend_with(solve, wanted)
 
     def _extend_with(self, solve: Solve, wanted: Mapping[object, Wanted]) -> None:
-        elastic = damps_no_rigid_motion(self.problem)
+        elastic = not self.problem.damps_rigid_motion
         M, Z = self.problem.M, self.problem.rigid
 
         def deformation(F: Values) -> Values:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.linalg.eigen import Modes
+from morembs.linalg.eigen import SOFT, Modes
 from morembs.problem import AS_A_RULE, Problem
 
 Floats = NDArray[np.float64]
@@ -16,7 +16,7 @@ POINTS = 200
 MOST_HZ = 1e12
 # The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
 BEYOND = 1.25
-# Eigenvalues of a dense symmetric matrix are known to this times eps of the highest.
+# Eigenvalues of a dense symmetric matrix are known to this times eps of the highest, or of themselves over SOFT.
 EIGEN = 4.0
 # Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
 FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
@@ -65,7 +65,7 @@ def round_off(problem: Problem, modes: Modes, omega: Floats, highest: float) -> 
     damping, values = problem.damping, modes.eigenvalues
     stiff = values * (1 + 1j * damping.structural)
     a = np.abs(stiff + 1j * omega[:, None] * damping.of_modes(values) - omega[:, None] ** 2)
-    off = AS_A_RULE * problem.uncertainty(modes) + EIGEN * np.finfo(float).eps * highest
+    off = AS_A_RULE * problem.uncertainty(modes) + EIGEN * np.finfo(float).eps * np.minimum(highest, values / SOFT)
     return np.asarray((off / np.maximum(a, np.finfo(float).tiny)).max(axis=1, initial=0.0))
 
 

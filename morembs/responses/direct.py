@@ -16,8 +16,6 @@ from morembs.progress import SILENT, Progress
 Values = NDArray[Any]
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-# A damping matrix whose forces under rigid motion stay below this part of |D| |u| leaves it undamped.
-UNDAMPED = 1e-9
 
 
 def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
@@ -51,7 +49,7 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
     U = _solved(problem, factor, F)
     if not Z.shape[1]:
         return U if c == 1 else U / c
-    if damps_no_rigid_motion(problem):
+    if not problem.damps_rigid_motion:
         # Rigid motion is a solution of its own, and is left out.
         U -= Z @ (Z.T @ (M @ U))
         return U if c == 1 else U / c
@@ -82,15 +80,6 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
         else:
             H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)
     return H
-
-
-def damps_no_rigid_motion(problem: Problem) -> bool:
-    """Whether rigid-body motion is free of the model's own damping, so that the elastic part stands alone."""
-    D, Z = problem.D, problem.rigid
-    if D is None or not D.nnz or not Z.shape[1]:
-        return True
-    force = np.linalg.norm(D @ Z, axis=0)
-    return bool((force <= UNDAMPED * np.abs(D.data).max() * np.linalg.norm(Z, axis=0)).all())
 
 
 def _solved(problem: Problem, factor: Factorization, F: Values) -> Values:

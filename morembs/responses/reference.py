@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
+from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
@@ -182,7 +183,7 @@ class _Growth:
     """The Krylov space of a problem, which grows block by block."""
 
     def __init__(self, problem: Problem, inertia: bool) -> None:
-        self.problem = problem
+        self.problem, self.inertia = problem, inertia
         F = _loads(problem, inertia)
         self.inputs = problem.B.shape[1]
         start = problem.elastic.flexibility(F)
@@ -222,10 +223,10 @@ class _Growth:
             progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
             good = error <= tolerance and jumps <= max(tolerance, JUMPS)
             if good or not lanczos.pending.shape[1]:
-                return replace(made, F=F * self.scale, error=worst)
+                return self._sharpened(made, worst)
             self._clean()
             if not lanczos.pending.shape[1]:
-                return replace(made, F=F * self.scale, error=worst)
+                return self._sharpened(made, worst)
             if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
                 lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
             if lanczos.full():
@@ -235,6 +236,18 @@ class _Growth:
                 )
             lanczos.expand()
             self._border()
+
+    def _sharpened(self, made: Reference, error: float) -> Reference:
+        """``made`` with soft modes known to their own round-off, and with its loads."""
+        problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
+
+        def stiffness(Y: Floats) -> Floats:
+            X = combine(V, Y, problem.budget.empty((len(V), Y.shape[1]), order="F"), problem.budget)
+            return dot(X, problem.K @ X, problem.budget)
+
+        values, Y = graded_modes(self.stiffness, projected=stiffness)
+        F = Y.T @ dot(V, _loads(problem, self.inertia), problem.budget)
+        return replace(made, values=values, Y=Y, F=F, error=error)
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""

@@ -13,11 +13,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.certificate.certify import certify
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Modal
+from morembs.reducers import Automatic, CraigBampton, Modal, automatic
 from tests.support.meshes import box, steel, where
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
@@ -137,6 +137,35 @@ def test_soft_springs_on_a_solid_hold_it_whatever_the_units() -> None:
                 assert problem.rigid.shape[1] == free
 
 
+@pytest.mark.parametrize("number", [(6, 141), (6, 196), (6, 56), (6, 66), (7, 16), (7, 74), (8, 192)])
+def test_models_that_came_out_wrong_or_were_refused_once(number: tuple[int, int]) -> None:
+    logging.disable(logging.WARNING)
+    try:
+        ((case, verdict),) = structured.main(0, number[0], only=number[1], automatic=1000)
+    finally:
+        logging.disable(logging.NOTSET)
+    assert verdict.kind == "right" or (verdict.kind == "refused" and case.decade >= 8), verdict.words
+
+
+@pytest.mark.parametrize("on", [0, 1, 2])
+def test_automatic_refuses_a_sample_on_an_undamped_resonance(on: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = block(1e11)
+    tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
+    with Problem(model, [tip]) as problem:
+        exact = problem.elastic_modes(count=6).frequencies_hz
+        band = [0.3 * float(exact[0]), 1.1 * float(exact[5])]
+        grid = np.sort(np.append(np.linspace(*band, 40), exact[on]))
+        monkeypatch.setattr(automatic, "band_frequencies", lambda *_: grid)
+        with pytest.raises(SolverError, match="cannot be certified"):
+            Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+
+
+def test_a_shift_on_a_resonance_gives_finite_columns() -> None:
+    values = np.array([1.0, 4.0, 9.0])
+    found = automatic._apart(values - 2.0**2, automatic.NOISE * values)
+    assert (np.abs(found) >= automatic.NOISE * values).all() and np.isfinite(1.0 / found).all()
+
+
 def test_random_models_over_twelve_decades_of_stiffness() -> None:
     logging.disable(logging.WARNING)
     try:
@@ -180,3 +209,39 @@ def test_a_body_without_elastic_coordinates_is_refused(interfaces: str) -> None:
     end = make_interface(model, name="end", nodes=where(model, 0, 0.0), coupling="rigid")
     with Problem(model, [end]) as problem, pytest.raises(InputError, match=r"no elastic coordinate.*at least one mode"):
         Modal(modes=0, interfaces=interfaces).reduce(problem)
+
+
+def oblique(model: FEModel, stiffness: float, nodes: range) -> FEModel:
+    """``model`` with an oblique spring to the ground at each of ``nodes``, whose rows do work of either sign."""
+    K = model.K.toarray()
+    for node in nodes:
+        d = np.array([[1.0, -2.0, 3.0], [2.0, 1.0, -1.0], [-3.0, 1.0, 1.0]][node % 3])
+        at = slice(3 * node, 3 * node + 3)
+        K[at, at] += stiffness * np.outer(d, d) / (d @ d)
+    return replace(model, K=K)
+
+
+@pytest.mark.parametrize("far", [0.0, 100.0])
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+@pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7])
+def test_oblique_springs_are_counted_and_not_taken_for_few_digits(stiffness: float, count: int, far: float) -> None:
+    model = oblique(block(1e11, 0.0), stiffness, range(count))
+    model = replace(model, nodes=replace(model.nodes, xyz=model.nodes.xyz + far))
+    with Problem(model) as problem:
+        assert problem.rigid.shape[1] == max(6 - count, 0)
+
+
+@pytest.mark.parametrize("part", [1e-8, 3e-8, 1e-6])
+def test_a_support_beside_numbers_of_few_digits_is_not_lost(part: float) -> None:
+    model = steel(box("hex8", (4, 2, 2), (0.5, 0.07, 0.03)))
+    K = model.K.toarray()
+    K[:] = [[float(f"{value:.9e}") for value in row] for row in K]
+    node = where(model, 0, 0.0)[:1]
+    for dof in model.dofs.of_nodes(node).ravel():
+        K[dof, dof] *= 1 + part
+    if part == 1e-8:
+        with pytest.raises(InputError, match="cannot be told from round-off"):
+            Problem(replace(model, K=K))
+        return
+    with Problem(replace(model, K=K)) as problem:
+        assert problem.rigid.shape[1] == 3
