@@ -188,6 +188,9 @@ def _exit_code() -> int:
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     except Exception as error:
+        number = stopping.asked()
+        if number is not None:
+            return 128 + number
         found = failure(error)
         tell(f"error: {found.message}")
         return found.code
