@@ -6,6 +6,7 @@ import ctypes
 import gc
 import os
 import sys
+import zipfile
 from collections.abc import Callable
 from functools import cache
 from threading import Event, Lock, Thread
@@ -33,6 +34,11 @@ def resident_bytes() -> int:
 def available_bytes() -> int:
     """Memory that this machine has free."""
     return int(psutil.virtual_memory().available)
+
+
+def unpacked_bytes(archive: zipfile.ZipFile | None) -> int:
+    """What all files of an archive take once they are unpacked."""
+    return 0 if archive is None else sum(one.file_size for one in archive.infolist())
 
 
 def refuse_too_large(source: str, size: float) -> None:

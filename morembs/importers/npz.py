@@ -16,7 +16,7 @@ from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
-from morembs.memory import refuse_too_large
+from morembs.memory import refuse_too_large, unpacked_bytes
 
 Array = NDArray[Any]
 _DAMAGED = (
@@ -41,7 +41,7 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             if not isinstance(held, np.lib.npyio.NpzFile):
                 raise InputError(f"{path.name} holds one array without a name (.npy); expected an .npz archive")
-            refuse_too_large(path.name, sum(one.file_size for one in held.zip.infolist()))
+            refuse_too_large(path.name, unpacked_bytes(held.zip))
             names = set(held.files)
             if "format" in names and "shape" in names:
                 matrix, notes = _saved(path.name, held)
