@@ -6,6 +6,7 @@ import ctypes
 import gc
 import os
 import sys
+import zipfile
 from collections.abc import Callable
 from functools import cache
 from threading import Event, Lock, Thread
@@ -13,6 +14,8 @@ from types import TracebackType
 from typing import Self, cast
 
 import psutil
+
+from morembs.errors import InputError
 
 try:
     import resource
@@ -31,6 +34,28 @@ def resident_bytes() -> int:
 def available_bytes() -> int:
     """Memory that this machine has free."""
     return int(psutil.virtual_memory().available)
+
+
+def unpacked_bytes(archive: zipfile.ZipFile | None) -> int:
+    """What all files of an archive take once they are unpacked."""
+    return 0 if archive is None else sum(one.file_size for one in archive.infolist())
+
+
+def refuse_too_large(source: str, size: float) -> None:
+    """Packed zeros take no room in a file, and all of the memory when they are read: ask before.
+
+    Args:
+        size: bytes of the arrays of ``source`` once they are unpacked.
+
+    Raises:
+        InputError: so much memory is not free.
+    """
+    free = available_bytes()
+    if size > free:
+        raise InputError(
+            f"{source} holds arrays of {size:.3g} bytes; {free:.3g} bytes of memory are free; check the file, or give "
+            "more memory"
+        )
 
 
 def peak_memory_bytes() -> int:

@@ -12,9 +12,10 @@ import errno
 import logging
 import os
 import platform
+import re
 import shutil
+import stat
 import tempfile
-import time
 import weakref
 from pathlib import Path
 
@@ -30,8 +31,8 @@ _PREFIX = "morembs-"
 _OWNER = "owner.lock"
 # In the place of the mark where files cannot be locked: then nobody knows whether the owner lives.
 _UNKNOWN = "owner"
-# A folder without a lock file may be one that is being made right now.
-_YOUNG = 60.0
+# The end of a name that tempfile.mkdtemp draws.
+_DRAWN = r"-[a-z0-9_]{8}"
 # What systems say that have no locks for files on some disk.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
@@ -48,12 +49,16 @@ class PrivateFolder:
 
     def __init__(self, parent: Path | None, prefix: str = _PREFIX) -> None:
         remove_abandoned(parent, prefix)
-        self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent)).resolve()
-        try:
-            handle = _lock(self.path)
-        except OSError:
-            shutil.rmtree(self.path, ignore_errors=True)
-            raise
+        handle, made = None, False
+        while not made:
+            self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent)).resolve()
+            try:
+                handle, made = _lock(self.path), True
+            except FileNotFoundError:
+                continue  # another run took it for one that was left behind
+            except OSError:
+                shutil.rmtree(self.path, ignore_errors=True)
+                raise
         self._finalize = weakref.finalize(self, _remove, self.path, handle, os.getpid())
 
     def close(self) -> None:
@@ -91,7 +96,7 @@ def remove_abandoned(parent: Path | None, prefix: str = _PREFIX) -> None:
         with contextlib.suppress(OSError):
             if folder.is_dir() and not folder.is_symlink() and _abandoned(folder):
                 log.info("removing %s, which an interrupted run left behind", folder)
-                shutil.rmtree(folder, ignore_errors=True)
+                _clear(folder)
 
 
 def free_bytes(parent: Path | None) -> int:
@@ -104,9 +109,20 @@ def free_bytes(parent: Path | None) -> int:
 
 def _abandoned(folder: Path) -> bool:
     mark = folder / _OWNER
-    if not mark.exists():
-        empty = all(path.suffix == ".new" for path in folder.iterdir())
-        return empty and time.time() - folder.stat().st_mtime > _YOUNG
+    if mark.exists():
+        return _free(mark)
+    if not re.fullmatch(_DRAWN, folder.name[-9:]) or stat.S_IMODE(folder.stat().st_mode) != 0o700:
+        return False  # somebody else's
+    new = mark.with_suffix(".new")
+    if new.exists() and _free(new):
+        # Its owner ended before it had a name; one that lives makes another folder.
+        new.unlink()
+    folder.rmdir()
+    return False
+
+
+def _free(mark: Path) -> bool:
+    """Whether nobody holds the lock of a mark of this machine."""
     handle = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
     try:
         # Locks of another machine may not be seen here. An empty mark is one of version 0.1.
@@ -118,6 +134,16 @@ def _abandoned(folder: Path) -> bool:
     finally:
         os.close(handle)
     return True
+
+
+def _clear(folder: Path) -> None:
+    """Remove a folder, its mark at the end, so that the next run removes what this one may not come to."""
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name not in (_OWNER, _UNKNOWN):
+            path.unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _machine() -> bytes:
@@ -147,7 +173,8 @@ def _lock(folder: Path) -> int | None:
 def _remove(path: Path, handle: int | None, owner: int) -> None:
     """Remove the folder, unless this is a copy of the process that owns it."""
     if os.getpid() == owner:
-        shutil.rmtree(path, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            _clear(path)
     if handle is not None:
         with contextlib.suppress(OSError):
             os.close(handle)

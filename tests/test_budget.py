@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -178,17 +177,61 @@ def test_scratch_folder_goes_with_the_process_or_with_its_owner(tmp_path: Path) 
 
 
 def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
-    """A name is no proof: only the mark of an owner that is gone is, or an old folder without anything in it."""
-    for name in ("morembs-results", "morembs-young", "morembs-old", "other"):
+    """A name is no proof: the mark of an owner that is gone is."""
+    for name in ("morembs-results", "morembs-old", "other"):
         (tmp_path / name).mkdir()
     (tmp_path / "morembs-results" / "body.h5").write_text("")
     (tmp_path / "morembs-link").symlink_to(tmp_path / "other")
     (tmp_path / "morembs-file").write_text("")
-    for name in ("morembs-results", "morembs-old"):
-        os.utime(tmp_path / name, (time.time() - 3600,) * 2)
     scratches.remove_abandoned(tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["morembs-file", "morembs-link", "morembs-results", "morembs-young", "other"]
+    assert names == ["morembs-file", "morembs-link", "morembs-old", "morembs-results", "other"]
+
+
+CUT = """
+import os, sys
+from pathlib import Path
+from morembs.scratch import ScratchFolder
+
+def traced(event, arguments):
+    if event == sys.argv[2]:
+        os._exit(9)
+
+if sys.argv[3] == "made":
+    sys.addaudithook(traced)
+folder = ScratchFolder(Path(sys.argv[1]))
+(folder.path / "factor").write_bytes(b"x" * 1000)
+sys.addaudithook(traced)
+folder.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("event", "when"),
+    [("fcntl.flock", "made"), ("os.rename", "made"), ("os.rmdir", "closed"), ("os.remove", "closed")],
+)
+def test_what_was_cut_off_while_it_was_made_or_removed_goes_with_the_next(
+    tmp_path: Path, event: str, when: str
+) -> None:
+    ended = subprocess.run([sys.executable, "-c", CUT, tmp_path, event, when], check=False)
+    assert ended.returncode == 9 and len(list(tmp_path.iterdir())) == 1
+    ScratchFolder(tmp_path).close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_another_run_took_away_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, taken = scratches._lock, []
+
+    def lock(folder: Path) -> int | None:
+        if not taken:
+            taken.append(folder)
+            scratches.remove_abandoned(tmp_path)
+        return real(folder)
+
+    monkeypatch.setattr(scratches, "_lock", lock)
+    own = ScratchFolder(tmp_path)
+    assert taken and not taken[0].exists() and list(tmp_path.iterdir()) == [own.path]
+    own.close()
 
 
 def test_parent_that_cannot_be_used_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

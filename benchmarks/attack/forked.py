@@ -29,22 +29,23 @@ import typer
 import typer.main
 
 OUTPUT, ERRORS, TEMPORARY = "stdout", "stderr", "tmp"
+# Seconds between two looks at a child.
+_LOOK = 0.003
 
 
 @dataclass(frozen=True)
 class Ended:
-    """A child that has ended: exit code (negative: the signal), what it printed, seconds, growth of its memory."""
+    """A child that has ended: exit code (negative: the signal), what it printed, seconds, growth of its memory.
+
+    ``hung``: its time was up, and it was ended.
+    """
 
     code: int
     output: str
     errors: str
     seconds: float
     growth: int
-
-    @property
-    def hung(self) -> bool:
-        """Whether the alarm clock ended it."""
-        return self.code == -signal.SIGALRM
+    hung: bool
 
 
 @dataclass
@@ -55,22 +56,30 @@ class Child:
     logs: Path
     start: float
     resident: int
+    limit: int
 
     def send(self, number: int, *, group: bool) -> None:
         """A signal to it, or to its whole group."""
         (os.killpg if group else os.kill)(self.pid, number)
 
     def wait(self) -> Ended:
-        """Wait for its end."""
+        """Wait for its end, which comes at the limit at the latest; a program may stop an alarm clock of its own."""
+        hung = False
         try:
-            _, status, usage = os.wait4(self.pid, 0)
+            while not (found := os.wait4(self.pid, 0 if hung else os.WNOHANG))[0]:
+                hung = time.perf_counter() - self.start > self.limit
+                if hung:
+                    self.send(signal.SIGKILL, group=True)
+                else:
+                    time.sleep(_LOOK)
         except BaseException:
             self.send(signal.SIGKILL, group=True)
             raise
+        _, status, usage = found
         seconds = time.perf_counter() - self.start
         peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
         texts = [(self.logs / name).read_text("utf-8", "replace") for name in (OUTPUT, ERRORS)]
-        return Ended(os.waitstatus_to_exitcode(status), *texts, seconds, peak - self.resident)
+        return Ended(os.waitstatus_to_exitcode(status), *texts, seconds, peak - self.resident, hung)
 
 
 def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Child:
@@ -82,10 +91,10 @@ def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int 
     resident, start = _memory(1), time.perf_counter()
     pid = os.fork()
     if pid == 0:
-        _live(work, folder, logs, seconds, space)
+        _live(work, folder, logs, space)
     # Here too, as nobody knows who comes first.
     _lead(pid)
-    return Child(pid, logs, start, resident)
+    return Child(pid, logs, start, resident, seconds)
 
 
 def run(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Ended:
@@ -129,11 +138,11 @@ def _lead(pid: int) -> None:
         os.setpgid(pid, pid)
 
 
-def _live(work: Callable[[], object], folder: Path, logs: Path, seconds: int, space: int) -> NoReturn:
+def _live(work: Callable[[], object], folder: Path, logs: Path, space: int) -> NoReturn:
     code = 1
     try:
         _lead(0)
-        _own(folder, logs, seconds, space)
+        _own(folder, logs, space)
         code = _code(work)
         try:
             threading._shutdown()  # type: ignore[attr-defined]
@@ -148,7 +157,7 @@ def _live(work: Callable[[], object], folder: Path, logs: Path, seconds: int, sp
         os._exit(code)
 
 
-def _own(folder: Path, logs: Path, seconds: int, space: int) -> None:
+def _own(folder: Path, logs: Path, space: int) -> None:
     """What a new process has of its own; nothing of the parent may be ended or removed by the child."""
     atexit._clear()
     weakref.finalize._registry.clear()  # type: ignore[attr-defined]
@@ -157,7 +166,6 @@ def _own(folder: Path, logs: Path, seconds: int, space: int) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.alarm(seconds)
     if space and sys.platform == "linux":
         used = _memory(0)
         resource.setrlimit(resource.RLIMIT_AS, (used + space, used + space))

@@ -11,9 +11,10 @@ MODULES = (
 
 
 def everything() -> None:
-    """Load them; what is not installed is passed over."""
+    """Load them; libraries that are not installed are passed over."""
     for name in MODULES:
         try:
             importlib.import_module(name)
         except ImportError:
-            continue
+            if name.startswith("morembs."):
+                raise

@@ -98,7 +98,9 @@ def _out_of_core() -> None:
 
     budget._SMALL, budget._IN_MEMORY = 0, 0.0
     if not EmbeddedMumps.unavailable():
-        inputs.select_solver = lambda name, memory, scratch: EmbeddedMumps(scratch=scratch, out_of_core=True)
+        inputs.select_solver = lambda name, memory, scratch: EmbeddedMumps(
+            memory=memory, scratch=scratch, out_of_core=True
+        )
     program(["reduce", "big.toml", "-q"])()
 
 

@@ -43,6 +43,10 @@ def _exit_code() -> int:
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     except Exception as error:
+        number = stopping.asked()
+        if number is not None:
+            # A library made another exception of the signal that came while it called back.
+            return 128 + number
         found = failure(error)
         tell(f"error: {found.message}")
         return found.code

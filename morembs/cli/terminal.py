@@ -133,12 +133,15 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
 
     Raises:
         typer.Exit: there was an error, and no list to keep it in.
+        KeyboardInterrupt, SystemExit: a signal asked for the end before the error.
     """
     try:
         yield
     except typer.Exit:
         raise
     except Exception as error:
+        # What a library makes of a signal that comes in the midst of it is no error of its own.
+        stopping.check()
         found = failure(error)
         tell(f"error: {prefix}{found.message}")
         if failed is None:

@@ -65,14 +65,16 @@ class Checkpoint:
             signature, options = file["signature"][()], str(file["options"].asstr()[()])
             values = {name: file[name][()] for name in ("keys", *_NAMES)}
             reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
-            rows = {len(value) for value in values.values()}
-            if len(rows) > 1:
-                raise KeyError("rows")
-            if values["keys"].dtype.kind not in "iu" or values["keys"].shape[1:] != (4,):
-                raise ValueError("keys")
+            n, N = len(values["keys"]), values["X"].shape[-1] if values["X"].ndim else 0
+            expected = {"keys": (n, 4), "X": (n, N), "W": (n,), "moments": (n, 2), "modes": (n, N, 2)}
+            for name, shape in expected.items() if n else ():
+                if values[name].shape != shape:
+                    raise ValueError(f"{name} has the shape {values[name].shape}, expected {shape}")
+            if values["keys"].dtype.kind not in "iu":
+                raise ValueError("keys are no integers")
             for name in _NAMES:
                 if values[name].dtype.kind != "f" or not np.isfinite(values[name]).all():
-                    raise ValueError(name)
+                    raise ValueError(f"{name} holds what is no finite number")
             if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
                 raise ValueError("notes")
             Checksums(self.path, file).verify()

@@ -7,10 +7,12 @@ sparse solver serves all tangents whoever computes them.
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from threading import Thread
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -46,7 +48,16 @@ class _Bench:
     stack: ExitStack
 
 
+def _follow() -> None:
+    """End this process when its parent is gone, which nobody else would tell it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _begin(work: Work) -> None:
+    Thread(target=_follow, daemon=True).start()
     # Also no threads of OpenMP: those of the parent are not there after a fork.
     _Bench.stack = ExitStack()
     _Bench.stack.enter_context(threadpool_limits(1))

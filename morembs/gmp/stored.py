@@ -66,7 +66,7 @@ def read_parameterised(group: Any) -> Parameterised:
     """What ``write_parameterised`` wrote, from an open HDF5 ``group``.
 
     Raises:
-        InputError: a dataset is missing, or of another size than the others say.
+        InputError: a dataset is missing, holds what is no finite number, or is of another size than the others say.
     """
     names = ("formulation", *_NUMBERS, *_FIELDS, *_MODES, *_TABLES)
     missing = [name for name in names if not hasattr(group.get(name), "shape")]
@@ -77,10 +77,17 @@ def read_parameterised(group: Any) -> Parameterised:
         raise InputError(f"formulation {formulation!r} was found; expected one of {', '.join(get_args(Formulation))}")
     reach, length, count = float(group["reach"][()]), float(group["length"][()]), int(group["count"][()])
     value = {name: group[name][()] for name in (*_FIELDS, *_MODES, *_TABLES)}
+    for name, numbers in {**value, "reach": reach, "length": length}.items():
+        if np.asarray(numbers).dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+            raise InputError(f"{name} of a member holds what is no finite number; write the file again")
+    if value["U"].ndim != 2 or value["Ur"].ndim != 2:
+        raise InputError("U or Ur of a member is no table of functions over the nodes; write the file again")
     fields = Fields(**{name: value[name] for name in _FIELDS})
     every = len(value["squares"])
     expected = {
-        "M": (fields.size, fields.size), "Psi": (fields.size, every), "peaks": (every,), "H0": (every,),
+        "translations": (len(fields.U), 2), "turning": (len(fields.Ur),), "one": fields.U.shape[1:],
+        "turn": fields.Ur.shape[1:],
+        "M": (fields.size, fields.size), "Psi": (fields.size, every), "peaks": (every,), "H0": (every,), "errors": (2,),
         "table": (*(2 * value["table"].shape[:1]), 2 * fields.size + 2 + every + count**2),
         "energy": 2 * value["energy"].shape[:1],
     }  # fmt: skip

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc
+from morembs.memory import refuse_too_large
 
 Array = NDArray[Any]
 _HEADER = 128
@@ -89,7 +90,11 @@ def _variables(file: BinaryIO, order: str, name: str) -> Iterator[bytes]:
 
 def _unpacked(body: bytes, order: str, name: str) -> bytes:
     try:
-        whole = zlib.decompress(body)
+        packed = zlib.decompressobj()
+        tag = packed.decompress(body, 8)
+        count = struct.unpack(order + "II", tag)[1] if len(tag) == 8 else 0
+        refuse_too_large(name, count)
+        whole = tag + packed.decompress(packed.unconsumed_tail, count + 1)
     except zlib.error as error:
         raise _unreadable(name, f"a packed variable is damaged: {error}") from error
     if len(whole) < 8 or struct.unpack(order + "II", whole[:8]) != (_MATRIX, len(whole) - 8):

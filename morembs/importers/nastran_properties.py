@@ -119,13 +119,23 @@ class Materials:
 
 
 def labels_of(texts: list[str], what: str, known: Ints) -> list[int]:
-    """Labels of a list with THRU; those of a range that are not ``known`` are passed over."""
+    """Labels of a list with THRU; those of a range that are not ``known`` are passed over.
+
+    Raises:
+        InputError: no labels, or a range without an end or with one that is below its beginning.
+    """
     found: list[int] = []
     i = 0
     while i < len(texts):
         text = texts[i]
         if text.upper() == "THRU" and found and i + 1 < len(texts):
-            low, high = np.searchsorted(known, [found[-1] + 1, whole(texts[i + 1], what) + 1])
+            end = whole(texts[i + 1], what) if texts[i + 1] else None
+            if end is None or end < found[-1]:
+                given = repr(texts[i + 1]) if texts[i + 1] else "nothing"
+                raise InputError(
+                    f"{what}: THRU is followed by {given}; expected a label that is not below the one before it"
+                )
+            low, high = np.searchsorted(known, [found[-1] + 1, end + 1])
             found += known[low:high].tolist()
             i += 1
         elif text:

@@ -16,7 +16,7 @@ from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
-from morembs.memory import available_bytes
+from morembs.memory import refuse_too_large, unpacked_bytes
 
 Array = NDArray[Any]
 _DAMAGED = (
@@ -41,7 +41,7 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             if not isinstance(held, np.lib.npyio.NpzFile):
                 raise InputError(f"{path.name} holds one array without a name (.npy); expected an .npz archive")
-            _refuse_too_large(path.name, held.zip)
+            refuse_too_large(path.name, unpacked_bytes(held.zip))
             names = set(held.files)
             if "format" in names and "shape" in names:
                 matrix, notes = _saved(path.name, held)
@@ -54,16 +54,6 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
     return matrices_by_name(path.name, found, K=K, M=M, D=D, notes=notes)
-
-
-def _refuse_too_large(source: str, archive: Any) -> None:
-    """Packed zeros take no room in a file, and all of the memory when they are read."""
-    size, free = sum(one.file_size for one in archive.infolist()), available_bytes()
-    if free is not None and size > free:
-        raise InputError(
-            f"{source} holds arrays of {size:.3g} bytes; {free:.3g} bytes of memory are free; check the file, or give "
-            "more memory"
-        )
 
 
 def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> Matrices:

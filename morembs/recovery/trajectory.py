@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.vtkhdf_series import read_arrays
-from morembs.errors import InputError, nearest
+from morembs.errors import InputError, MorembsError, nearest
+from morembs.memory import refuse_too_large, unpacked_bytes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -162,7 +163,11 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def _read_npz(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as file:
+            if isinstance(file, np.lib.npyio.NpzFile):
+                refuse_too_large(path.name, unpacked_bytes(file.zip))
             return {name: file[name] for name in file.files}
+    except MorembsError:
+        raise
     except Exception as error:  # zipfile and numpy raise many kinds
         raise InputError(f"{path} cannot be read as an .npz file ({error}); save it with numpy.savez") from error
 

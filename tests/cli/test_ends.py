@@ -58,6 +58,11 @@ def lose():
             send()
         except BaseException:
             raise OSError("can't write data") from None
+    elif way == "a fault of a library":
+        try:
+            send()
+        except BaseException:
+            raise SystemError("returned a result with an exception set") from None
 
 holder = safefile if place == "_complete" else run
 real = getattr(holder, place)
@@ -87,15 +92,20 @@ def ended(code: str, *arguments: object, **options: object) -> subprocess.Comple
     [
         ("weakref", signal.SIGINT), ("weakref", signal.SIGTERM), ("del", signal.SIGINT), ("ctypes", signal.SIGTERM),
         ("swallowed", signal.SIGINT), ("another error", signal.SIGTERM),
+        ("a fault of a library", signal.SIGINT),
     ],
 )  # fmt: skip
 def test_no_signal_is_lost(tmp_path: Path, way: str, number: signal.Signals) -> None:
     """Where Python drops the exception of the handler, or somebody makes another one of it."""
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
+    (tmp_path / "temporary").mkdir()
     before = sorted(path.name for path in tmp_path.iterdir())
-    done = ended(LOST, way, int(number), "_reduce", "reduce", job, job.with_name("other.toml"))
+    environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
+    other = job.with_name("other.toml")
+    done = ended(LOST, way, int(number), "_reduce", "reduce", job, other, env=environment)
     assert done.returncode == 128 + number, (done.stdout, done.stderr)
+    assert "error: " not in done.stderr and not list((tmp_path / "temporary").iterdir())
     word = "interrupted" if number == signal.SIGINT else "terminated"
     assert done.stderr.splitlines()[-1].startswith(word) and "Traceback" not in done.stderr, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == before

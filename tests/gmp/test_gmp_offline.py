@@ -321,6 +321,48 @@ def test_a_run_that_was_killed_goes_on_and_gives_the_same(tmp_path):
     assert not [name for name in os.listdir(tmp_path) if name != "rod.h5"]
 
 
+@pytest.mark.parametrize("name", ["X", "W", "moments", "modes", "keys"])
+def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
+    path = tmp_path / "rod.h5"
+    made(points_per_angle=3, reach=0.3, checkpoint=path)
+    with h5py.File(path, "a") as file:
+        # Other writers may leave it out.
+        del file["checksums"]
+        value = file[name][()]
+        del file[name]
+        file[name] = value[..., None]
+    with pytest.raises(InputError, match=rf"{name} has the shape .*; if it is damaged, give the name of another"):
+        made(points_per_angle=3, reach=0.3, checkpoint=path)
+
+
+ORPHANS = """
+import os, signal, sys
+sys.path.insert(0, {root!r})
+from morembs.gmp.crew import Crew
+
+class Work:
+    def fresh(self):
+        return self
+
+    def tell(self):
+        print(os.getpid(), flush=True)
+        return os.getpid()
+
+with Crew(Work(), 2) as crew:
+    list(crew.each("tell", [()] * 2))
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_processes_end_with_their_parent(tmp_path):
+    """SIGKILL of the parent alone: its processes hold standard output open as long as they live."""
+    code = ORPHANS.format(root=str(ROOT))
+    # communicate ends when nobody holds the pipe any more.
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    assert ended.stdout.split()
+
+
 def test_a_range_that_was_found_is_kept(tmp_path):
     path, options = tmp_path / "soft.h5", {"reach": Envelope(angle=1.2), "tolerance": 0.05}
     one = made(Softening(1e4), checkpoint=path, **options)

@@ -65,6 +65,31 @@ def test_the_example_of_the_documentation_runs():
     assert space["nodes"].shape == (75, 101) and space["motion"].warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("errors", lambda a: np.array([np.inf, 0.0]), "errors of a member holds what is no finite number"),
+        ("reach", lambda a: np.nan, "reach of a member holds what is no finite number"),
+        ("squares", lambda a: a.astype(complex), "squares of a member holds what is no finite number"),
+        ("errors", lambda a: a[:1], r"errors of a member has the shape \(1,\); expected \(2,\)"),
+        ("translations", lambda a: a.T, "translations of a member has the shape"),
+        ("U", lambda a: a.ravel(), "no table of functions over the nodes"),
+    ],
+)
+def test_numbers_that_no_member_has_are_named(file, tmp_path, name, change, words):
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(file.read_bytes())
+    with h5py.File(damaged, "a") as opened:
+        # Other writers may leave it out.
+        del opened["checksums"]
+        group = opened["bodies/rod/parameterised"]
+        value = group[name][()]
+        del group[name]
+        group[name] = change(value)
+    with pytest.raises(InputError, match=words):
+        read_members(damaged)
+
+
 def test_damaged_files_are_named(file, tmp_path):
     damaged = tmp_path / "damaged.h5"
     damaged.write_bytes(file.read_bytes())

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import pytest
 from typer.testing import CliRunner
 
@@ -146,3 +147,22 @@ def test_solids_of_ansys(tmp_path: Path) -> None:
     assert not ansys_warnings(186, {}, "tet10", 1) and ansys_warnings(187, {6: 1}, "tet10", 1)
     assert ansys_warnings(45, {}, "hex8", 1) and not ansys_warnings(45, {1: 1}, "hex8", 1)
     assert ansys_warnings(95, {11: 1}, "hex20", 1) and not ansys_warnings(95, {}, "hex20", 1)
+
+
+def test_a_mesh_that_stands_twice_in_its_file_is_told(tmp_path: Path) -> None:
+    """Meshio reads both, so that the mass is doubled: the import and the reduction warn."""
+    mesh = box("hex8", (2, 1, 1), (0.2, 0.1, 0.08))
+    cells = [("hexahedron", mesh.blocks[0].nodes)]
+    meshio.write(tmp_path / "part.mesh", meshio.Mesh(mesh.nodes.xyz, cells), "medit")
+    (tmp_path / "twice.mesh").write_bytes(2 * (tmp_path / "part.mesh").read_bytes())
+    meshio.write(tmp_path / "twice.vtu", meshio.Mesh(mesh.nodes.xyz, 2 * cells))
+    words = "2 solid elements lie in the place of others, on the same nodes"
+    for name in ("twice.mesh", "twice.vtu"):
+        material = "young=2.1e11,poisson=0.3,density=7850"
+        told = run("import", tmp_path / name, "--material", material, "-o", tmp_path / "part.model.h5")
+        assert f"warning: {words}" in told
+        model = {"model": f'mesh = "{name}"\nunits = "m-kg-s"', "material": 'set = "all"\nyoung = 2.1e11\npoisson = 0.3'
+                 '\ndensity = 7850.0', "interface": 'name = "a"\nnodes = "box: -1,-1,-1,0.001,1,1"',
+                 "interface2": None}  # fmt: skip
+        folder(tmp_path, model)
+        assert words in " ".join(json.loads(run("reduce", tmp_path / "job.toml", "--json"))["warnings"])

@@ -271,6 +271,13 @@ def test_partial_directions_of_turned_grids_are_refused(bulk):
         bulk(turned + "RBE2,1,10,1,20\n")
 
 
+@pytest.mark.parametrize("line", ["SET1,8,10,THRU\n,40\n", "SET1,8,40,THRU,10\n"])
+def test_a_range_without_its_end_is_refused(bulk, line):
+    """Its end in the next line's first field, with blanks between; an end below its beginning."""
+    with pytest.raises(InputError, match=r"SET1 8: THRU is followed by (nothing|'10'); expected a label"):
+        bulk(CUBE + MAT1 + line)
+
+
 def test_thermal_expansion_of_a_rigid_element_is_no_grid(bulk):
     found = bulk(CUBE + "RBE2,1,10,123456,20,30,1.2-5\n")
     assert len(found.rigid[0].slaves) == 2 and any("thermal expansion 1.2-5" in note for note in found.notes)

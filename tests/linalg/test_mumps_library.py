@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError
-from morembs.linalg.sparse import mumps_library
+from morembs.linalg.sparse import foreign, mumps_library
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import brick, random
@@ -94,10 +94,10 @@ def test_64_bit_integers_are_refused(tmp_path: Path, file: str) -> None:
 
 def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(mumps_library, "_own_build", lambda: None)
-    monkeypatch.setattr(mumps_library.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(mumps_library, "find_library", lambda name: None)
     reason = mumps_library.system_library.__wrapped__("complex64")
     assert "libcmumps_seq) was found" in reason and "apt-get install libmumps-seq-dev" in reason
-    monkeypatch.setattr(mumps_library.ctypes.util, "find_library", lambda name: "libc.so.6")
+    monkeypatch.setattr(mumps_library, "find_library", lambda name: "libc.so.6")
     monkeypatch.setattr(mumps_library, "Path", lambda text: tmp_path / text.strip("/"))
     assert "dmumps_c.h was not found" in mumps_library.system_library.__wrapped__()
     (tmp_path / "usr" / "include").mkdir(parents=True)
@@ -183,3 +183,14 @@ def test_every_arithmetic_solves_to_its_own_accuracy(dtype: str) -> None:
         x = analysis._factorize(Lower.of(A)).solve(b)
     error = np.linalg.norm(A @ x - b) / np.linalg.norm(b)
     assert x.dtype == b.dtype and (error < 1e-13 if precision == "double" else 1e-9 < error < 1e-4)
+
+
+def test_libraries_are_found_without_running_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which takes its time, and leaves a file where the run is killed."""
+    started: list[object] = []
+    monkeypatch.setattr(foreign.ctypes.util.tempfile, "NamedTemporaryFile", lambda *_, **__: started.append(1))
+    assert foreign.find_library("there_is_none") is None and not started
+    assert (foreign.find_library("c") or "").startswith("libc.so")
+    (tmp_path / "libown.so").write_bytes(b"")
+    monkeypatch.setenv("LD_LIBRARY_PATH", f":{tmp_path}")
+    assert foreign.find_library("own") == str(tmp_path / "libown.so")

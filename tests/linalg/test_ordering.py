@@ -153,10 +153,10 @@ def test_a_thread_gets_the_order_of_its_own_matrix() -> None:
 
 @pytest.fixture
 def _without_metis(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    find = ordering.ctypes.util.find_library
+    find = ordering.find_library
     with monkeypatch.context() as patch:
         # The libraries of MUMPS are found in the same way, and remembered.
-        patch.setattr(ordering.ctypes.util, "find_library", lambda name: None if name == "metis" else find(name))
+        patch.setattr(ordering, "find_library", lambda name: None if name == "metis" else find(name))
         ordering._metis.cache_clear()
         yield
     ordering._metis.cache_clear()
@@ -175,7 +175,7 @@ def test_without_metis_there_is_no_order_and_mumps_finds_its_own(kind: type[Mump
 
 def test_a_metis_of_another_version_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Version 4 has another interface; the C library stands for it."""
-    monkeypatch.setattr(ordering.ctypes.util, "find_library", lambda name: "libc.so.6")
+    monkeypatch.setattr(ordering, "find_library", lambda name: "libc.so.6")
     assert ordering._metis.__wrapped__() is None
 
 

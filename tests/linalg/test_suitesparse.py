@@ -336,7 +336,8 @@ def test_header_of_another_version_is_refused(
 
 
 def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    for module in (cholmod_library, umfpack):
+        monkeypatch.setattr(module, "find_library", lambda name: None)
     for load in (cholmod_library.cholmod_library, umfpack.umfpack_library):
         assert "apt-get install libsuitesparse-dev" in load.__wrapped__()
 

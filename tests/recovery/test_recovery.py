@@ -14,6 +14,7 @@ import scipy.linalg as sl
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
+from morembs import memory
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.body.stress_shapes import stress_recovery, write_recovery
@@ -421,6 +422,13 @@ def bad_trajectories():
         "infinite|not finite": {"time": np.array([0.0, 1.0, np.inf])},
         "an array of real": {"coordinates": q * 1j},
     }
+
+
+def test_packed_zeros_do_not_fill_the_memory(bar, tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "t.npz", time=np.arange(3.0), coordinates=np.zeros((3, 10**6)))
+    monkeypatch.setattr(memory, "available_bytes", lambda: 7_000_000)
+    with pytest.raises(InputError, match=r"t.npz holds arrays of 2\.4e\+07 bytes; 7e\+06 bytes of memory are free"):
+        recover(bar.path, tmp_path / "t.npz", tmp_path / "out.vtkhdf", body="cb")
 
 
 @pytest.mark.parametrize("message", bad_trajectories())

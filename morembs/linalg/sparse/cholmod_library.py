@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from threadpoolctl import threadpool_info
 from morembs.linalg.sparse.foreign import (
     UnusableError,
     constants,
+    find_library,
     open_deep,
     padded,
     refuse_missing,
@@ -160,7 +160,7 @@ def _openmp(library: ctypes.CDLL) -> tuple[Any, Any] | None:
 @cache
 def cholmod_library() -> Library | str:
     """The CHOLMOD of the system, or why there is none."""
-    path = ctypes.util.find_library("cholmod")
+    path = find_library("cholmod")
     if path is None:
         return f"no CHOLMOD library (libcholmod) was found; get it with: {HINT}"
     reason = f"its header {_HEADERS[0]} was not found"

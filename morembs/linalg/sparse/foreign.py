@@ -7,9 +7,12 @@ installed with the library, and whoever opens the library checks that the versio
 from __future__ import annotations
 
 import ctypes
+import ctypes.util
 import os
 import re
+import sysconfig
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 Fields = list[tuple[str, Any]]
@@ -17,6 +20,25 @@ Fields = list[tuple[str, Any]]
 
 class UnusableError(Exception):
     """A library or header that cannot be used; the message says why."""
+
+
+def find_library(name: str) -> str | None:
+    """Name or path of a shared library of the system, None without it.
+
+    What ``ctypes`` finds without its last resort on Linux, a compiler: that takes its time whenever a library is not
+    there, and leaves a file where a run is killed. Instead the links are looked at that compilers follow.
+    """
+    cached = getattr(ctypes.util, "_findSoname_ldconfig", None)
+    if cached is None:
+        return ctypes.util.find_library(name)
+    own = [Path(folder) for folder in os.environ.get("LD_LIBRARY_PATH", "").split(":") if folder]
+    many = sysconfig.get_config_var("MULTIARCH") or ""
+    system = [Path(folder) for folder in (f"/usr/lib/{many}", "/usr/local/lib", "/usr/lib64", "/usr/lib")]
+
+    def linked(folders: list[Path]) -> str | None:
+        return next((str(path) for folder in folders if (path := folder / f"lib{name}.so").is_file()), None)
+
+    return linked(own) or cached(name) or linked(system)
 
 
 def open_deep(path: str) -> ctypes.CDLL:

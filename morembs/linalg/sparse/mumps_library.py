@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import importlib.util
 import re
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 from morembs.linalg.sparse.foreign import (
     UnusableError,
     constants,
+    find_library,
     open_deep,
     padded,
     refuse_missing,
@@ -139,7 +139,7 @@ def system_library(dtype: str = "float64") -> Library | str:
     """
     letter = ARITHMETIC[dtype]
     own = _own_build()
-    path = str(own) if own else ctypes.util.find_library(f"{letter}mumps_seq")
+    path = str(own) if own else find_library(f"{letter}mumps_seq")
     if path is None:
         return f"no sequential MUMPS library (lib{letter}mumps_seq) was found; get it with: {SYSTEM_HINT}"
     folders = [Path(sys.prefix) / "include"] if own else [Path("/usr/local/include"), Path("/usr/include")]

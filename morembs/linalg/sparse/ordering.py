@@ -7,7 +7,6 @@ nine times smaller, the ordering faster, and keeps them together in one pivot bl
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import logging
 from functools import cache
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.linalg.sparse.foreign import find_library
 from morembs.linalg.sparse.symmetric import Lower
 
 log = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ _SAME = 1e-10
 @cache
 def _metis() -> tuple[Any, type[np.signedinteger[Any]]] | None:
     """The METIS library and its integer type, None where there is none of version 5."""
-    path = ctypes.util.find_library("metis")
+    path = find_library("metis")
     if path is None:
         return None
     options = np.zeros(2 * _OPTIONS, dtype=np.int32)

@@ -6,7 +6,6 @@ It is proprietary, so it is loaded where the user has installed it, never shippe
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import re
 import sys
 from functools import cache
@@ -14,6 +13,8 @@ from importlib import metadata
 from pathlib import Path
 
 from threadpoolctl import threadpool_info
+
+from morembs.linalg.sparse.foreign import find_library
 
 HINT = "pip install 'morembs[mkl]'"
 _LP64, _INTEL_THREADS, _GNU_THREADS = 0, 0, 3
@@ -30,7 +31,7 @@ def _mkl_file() -> str | None:
             files = []
         found = [path for path in (Path(str(file.locate())) for file in files) if name.match(path.name)]
     held = [str(path) for path in found if path.is_file()]
-    return held[0] if held else ctypes.util.find_library("mkl_rt")
+    return held[0] if held else find_library("mkl_rt")
 
 
 @cache

@@ -7,7 +7,6 @@ under the GPL: it is loaded from the user's system where it is installed, never 
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_session import Fill, fill_of
-from morembs.linalg.sparse.foreign import open_deep
+from morembs.linalg.sparse.foreign import find_library, open_deep
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.solver import (
@@ -55,7 +54,7 @@ _BLOCK = 32
 @cache
 def umfpack_library() -> ctypes.CDLL | str:
     """The UMFPACK of the system, or why there is none."""
-    path = ctypes.util.find_library("umfpack")
+    path = find_library("umfpack")
     if path is None:
         return f"no UMFPACK library (libumfpack) was found; get it with: {HINT}"
     try:
