@@ -140,8 +140,8 @@ def _refuse_cut(path: Path) -> None:
         whole = b"\0" in head + tail or _BINARY.search(head) is not None or tail[-1:] in b"\r\n"
     if not whole:
         raise InputError(
-            f"{path.name} cannot be read as a mesh: it ends where its format does not, so it may be cut off; write it "
-            "again, or end its last line if the file is complete"
+            f"{path.name} cannot be read as a mesh: expected it to end as its format does, and it ends before that, so "
+            "it may be cut off; write it again, or end its last line if the file is complete"
         )
 
 

@@ -64,7 +64,10 @@ def round_off(problem: Problem, modes: Modes, omega: Floats, highest: float) -> 
     """
     damping, values = problem.damping, modes.eigenvalues
     stiff = values * (1 + 1j * damping.structural)
-    a = np.abs(stiff + 1j * omega[:, None] * damping.of_modes(values) - omega[:, None] ** 2)
+    viscous = damping.of_modes(values)
+    if problem.D is not None:
+        viscous = viscous + np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
+    a = np.abs(stiff + 1j * omega[:, None] * viscous - omega[:, None] ** 2)
     off = AS_A_RULE * problem.uncertainty(modes) + EIGEN * np.finfo(float).eps * np.minimum(highest, values / SOFT)
     return np.asarray((off / np.maximum(a, np.finfo(float).tiny)).max(axis=1, initial=0.0))
 

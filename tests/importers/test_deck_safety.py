@@ -201,7 +201,7 @@ def test_a_second_section_without_density_is_not_covered_by_the_first(tmp_path: 
 
 
 def gmsh(path: Path) -> Path:
-    return Path(__file__).parents[1] / "data" / "small_meshes" / "conrod.msh"
+    return Path(__file__).parents[2] / "data" / "small_meshes" / "conrod.msh"
 
 
 def by_meshio(path: Path) -> Path:
