@@ -1,5 +1,6 @@
 """Certificates against dense and sparse direct solutions of the full equations, refined in extended precision."""
 
+import dataclasses
 import importlib
 import sys
 from dataclasses import dataclass, fields, replace
