@@ -72,6 +72,7 @@ MOVED = {
     "multibody.sliding_switch": "multibody.sliding.handler",
     "multibody.surfaces": "multibody.contact.surfaces",
     "multibody.switching": "multibody.sliding.body",
+    "jobs.duration": "reducers.cost",
     "picture": "jobs.picture",
     "preload": "floating.preload",
     "responses.certify": "certificate.certify",
