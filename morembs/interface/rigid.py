@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from morembs.interface.base import CouplingKind, Elimination, Interface
 from morembs.interface.nodes import all_dofs, condition_of, refuse_collinear
-from morembs.linalg.statics import support_dofs
 from morembs.model import FEModel, rigid_motion
 
 Floats = NDArray[np.float64]
@@ -56,6 +55,9 @@ class Rigid(CouplingKind):
 
     def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
         # Six dofs of a rigid patch tell its rotation.
+        # Not at the top: whoever shows a file asks for the names of couplings, and needs no solver.
+        from morembs.linalg.statics import support_dofs
+
         xyz, dofs = model.nodes.xyz[interface.nodes], model.dofs.of_nodes(interface.nodes).ravel()
         size = float(np.ptp(xyz, axis=0).max())
         R = rigid_motion(np.repeat(xyz - xyz.mean(axis=0), 3, axis=0) / size, np.tile(np.arange(3), len(xyz)))

@@ -224,7 +224,8 @@ def test_a_damping_matrix_of_the_model_is_solved_directly():
                 loads[:6] = 0.0
                 mine = reduced.C @ np.linalg.solve(A, loads)
                 assert np.linalg.norm(mine - exact) < 1e-4 * np.linalg.norm(exact)
-    with problem_of(model, Damping(beta=1e-6)) as problem, pytest.raises(InputError, match="add it to the matrix D"):
+    added = r"add alpha M \+ beta K to the matrix"
+    with problem_of(model, Damping(beta=1e-6)) as problem, pytest.raises(InputError, match=added):
         Gramian(band_hz=BAND, order=24, direct=True).reduce(problem)
 
 
