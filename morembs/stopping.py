@@ -3,11 +3,13 @@
 The handler of a signal raises an exception, and Python drops exceptions where nobody could catch them: in callbacks of
 weak references, in ``__del__``, in callbacks from foreign libraries; libraries turn them into errors of their own. So
 the signal is kept too: what was dropped is raised again a moment later, work looks at ``check`` between its steps and
-before it gives a file its name, and ``asked`` tells at the end how the run has to end.
+before it gives a file its name, and ``asked`` tells at the end how the run has to end. A library can end the process
+too, and with a code of its own (STOP in Fortran is exit code 0): ``end_with`` sets the code that counts.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -50,6 +52,7 @@ def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
         now = clock()
         if not _asked:
             _asked.append((number, now))
+            end_with(128 + number)
         elif now - _asked[0][1] >= _SAME:
             os._exit(128 + _asked[0][0])
         else:
@@ -57,7 +60,8 @@ def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
         _stop()
 
     def dropped(what: Any) -> None:
-        if _asked and isinstance(what.exc_value, KeyboardInterrupt | SystemExit):
+        # A library may have made an error of its own of the exception.
+        if _asked and _stops(what.exc_value):
             _set_timer(_AGAIN)
         else:
             before(what)
@@ -76,6 +80,25 @@ def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
         for number in numbers:
             signal.signal(number, signal.SIG_DFL)
         sys.unraisablehook = before
+
+
+def end_with(code: int) -> None:
+    """Have this process end with ``code`` whoever calls ``exit`` from now on; the last call counts.
+
+    The functions that the C library calls at the end run in the reverse of their order, and ``_exit`` is the last of
+    any process. Where the C library cannot be asked nothing changes.
+    """
+    try:
+        c_library = ctypes.CDLL(None)
+        c_library.__cxa_atexit(ctypes.cast(c_library._exit, ctypes.c_void_p), ctypes.c_void_p(code), None)
+    except (OSError, TypeError, AttributeError):
+        return
+
+
+def _stops(error: BaseException | None) -> bool:
+    return error is not None and (
+        isinstance(error, KeyboardInterrupt | SystemExit) or _stops(error.__cause__ or error.__context__)
+    )
 
 
 def _stop() -> None:

@@ -9,13 +9,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from morembs import stopping
-from morembs.cli.messages import BAD_INPUT, echo, failure, tell
+from morembs.cli.messages import BAD_INPUT, FAULT, echo, failure, tell
 from morembs.linalg.sparse.interruptible import calls_running
 from morembs.version import VERSION
 
 
 def main() -> None:
     """Entry point of the command ``morembs``."""
+    # Until its own end is known: a library that ends the process has failed.
+    stopping.end_with(FAULT)
     with stopping.heeded():
         code = _exit_code()
         number = stopping.asked()
@@ -23,6 +25,7 @@ def main() -> None:
             code = 128 + number
             end = "interrupted" if number == signal.SIGINT else "terminated"
             tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
+    stopping.end_with(code)
     if calls_running():
         # A library still computes in another thread; ending as usual would take its memory from under it.
         with suppress(OSError):

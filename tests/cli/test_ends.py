@@ -36,6 +36,13 @@ class Closing:
     def __del__(self):
         os.kill(os.getpid(), number)
 
+class Wrapping:
+    def __del__(self):
+        try:
+            send()
+        except BaseException as error:
+            raise SystemError("returned a result with an exception set") from error
+
 def send(*_):
     os.kill(os.getpid(), number)
 
@@ -46,6 +53,15 @@ def lose():
         del watched
     elif way == "del":
         Closing()
+    elif way == "del with another error":
+        Wrapping()
+    elif way == "the end of a library":
+        ctypes.CDLL(None).exit(0)
+    elif way == "swallowed, then the end of a library":
+        try:
+            send()
+        except BaseException:
+            ctypes.CDLL(None).exit(0)
     elif way == "ctypes":
         ctypes.CFUNCTYPE(None)(send)()
     elif way == "swallowed":
@@ -90,7 +106,8 @@ def ended(code: str, *arguments: object, **options: object) -> subprocess.Comple
 @pytest.mark.parametrize(
     ("way", "number"),
     [
-        ("weakref", signal.SIGINT), ("weakref", signal.SIGTERM), ("del", signal.SIGINT), ("ctypes", signal.SIGTERM),
+        ("weakref", signal.SIGINT), ("weakref", signal.SIGTERM), ("del", signal.SIGINT),
+        ("del with another error", signal.SIGTERM), ("ctypes", signal.SIGTERM),
         ("swallowed", signal.SIGINT), ("another error", signal.SIGTERM),
         ("a fault of a library", signal.SIGINT),
     ],
@@ -121,6 +138,16 @@ def test_no_file_takes_its_name_after_a_signal(tmp_path: Path, way: str) -> None
     done = ended(LOST, way, int(signal.SIGTERM), "_complete", "reduce", job)
     assert done.returncode == 143, (done.stdout, done.stderr)
     assert sorted(path.name for path in tmp_path.iterdir()) == before and (tmp_path / "part.h5").read_text() == "old"
+
+
+@pytest.mark.parametrize(("way", "code"), [("the end of a library", 1), ("swallowed, then the end of a library", 143)])
+def test_a_library_does_not_end_a_run_as_if_it_had_succeeded(tmp_path: Path, way: str, code: int) -> None:
+    """STOP in Fortran, which MUMPS comes to after a fault of its own, is exit code 0."""
+    job = folder(tmp_path)
+    (tmp_path / "part.h5").write_text("old")
+    done = ended(LOST, way, int(signal.SIGTERM), "_reduce", "reduce", job)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    assert (tmp_path / "part.h5").read_text() == "old"
 
 
 REPEATED = """
