@@ -142,8 +142,7 @@ def _live(work: Callable[[], object], folder: Path, logs: Path, space: int) -> N
     code = 1
     try:
         _lead(0)
-        _own(folder, logs, space)
-        code = _code(work)
+        code = _code(folder, logs, space, work)
         try:
             threading._shutdown()  # type: ignore[attr-defined]
             atexit._run_exitfuncs()
@@ -179,9 +178,10 @@ def _own(folder: Path, logs: Path, space: int) -> None:
     sys.stdin, sys.stdout, sys.stderr = (os.fdopen(i, "w" if i else "r", 1, closefd=False) for i in range(3))
 
 
-def _code(work: Callable[[], object]) -> int:
-    """The exit code as the interpreter gives it."""
+def _code(folder: Path, logs: Path, space: int, work: Callable[[], object]) -> int:
+    """The exit code as the interpreter gives it, from the start of the child on."""
     try:
+        _own(folder, logs, space)
         work()
     except SystemExit as end:
         if isinstance(end.code, int) or end.code is None:
