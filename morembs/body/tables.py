@@ -58,32 +58,33 @@ def _switching(**values: Any) -> Switching:
 
 
 _OLD = "files of earlier versions lack it"
+_MAYBE = "may be absent"
 _JUMPS = "only where jumps are wanted"
 
 CERTIFICATE = Table((
     Row("frequencies_hz", "any", "nf", "where the errors were taken", "Hz"),
-    Row("full", "any", "nf", "size of the transfer matrix of the full model", "m/N", when=_OLD),
-    Row("reduced", "any", "nf", "size of that of the body", "m/N", when=_OLD),
+    Row("full", "any", "nf", "size of the transfer matrix of the full model", "m/N", when=_MAYBE),
+    Row("reduced", "any", "nf", "size of that of the body", "m/N", when=_MAYBE),
     Row("error", "any", "nf", "size of the difference, relative to the full model"),
     Row("bound", "any", "nf", "upper bound of the error, or an estimate: see bound_kind",
         doc="upper bound of `error`; not a number where there is none"),
     Row("bound_kind", "text", doc="`bound` (proven in exact arithmetic), `estimate` or `none`"),
-    Row("block_error", "any", "ni ni", "largest error of motion of interface i to load on interface j", when=_OLD),
-    Row("held_error", "any", "ni nf", "error of what is left when interface i is held still", when=_OLD,
+    Row("block_error", "any", "ni ni", "largest error of motion of interface i to load on interface j", when=_MAYBE),
+    Row("held_error", "any", "ni nf", "error of what is left when interface i is held still", when=_MAYBE,
         doc="error of what is left when interface i is held still; not a number at low frequencies"),
-    Row("static_error", "any", "", "error at 0 Hz", when=_OLD),
-    Row("absolute_error", "any", "", "largest difference over the largest size in the band", when=_OLD),
-    Row("reference_error", "any", "nf", "estimated error of the full response itself", when=_OLD,
+    Row("static_error", "any", "", "error at 0 Hz", when=_MAYBE),
+    Row("absolute_error", "any", "", "largest difference over the largest size in the band", when=_MAYBE),
+    Row("reference_error", "any", "nf", "estimated error of the full response itself", when=_MAYBE,
         doc="estimated error of the full response itself, round-off included: below it `error` says nothing"),
-    Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_OLD,
+    Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_MAYBE,
         doc="free-free modes of the full model in the band"),
-    Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_OLD,
+    Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_MAYBE,
         doc="relative deviation of the body's frequencies; no number for a mode without a partner"),
-    Row("mode_mac", "any", "nm", "mass-weighted modal assurance criterion", when=_OLD,
+    Row("mode_mac", "any", "nm", "mass-weighted modal assurance criterion", when=_MAYBE,
         doc="mass-weighted MAC, of the whole cluster where modes are close; near 0 for a mode that the body lacks"),
-    Row("verified_below_hz", "any", "", "a Sturm count found no mode missing", "Hz", when=_OLD,
+    Row("verified_below_hz", "any", "", "a Sturm count found no mode missing", "Hz", when=_MAYBE,
         doc="a Sturm count proved that no mode below is missing"),
-    Row("notes", "notes", doc="what there is to say about them", when=_OLD),
+    Row("notes", "notes", doc="what there is to say about them", when=_MAYBE),
 ))  # fmt: skip
 
 INTEGRALS = Table((
@@ -142,7 +143,7 @@ FRAME = Table((
     Row("integrals", INTEGRALS),
     Row("markers/*", MARKER),
     Row("notes", "notes", doc="what is not exact"),
-    Row("stiffening", STIFFENING, when="where it was asked for"),
+    Row("stiffening", STIFFENING, doc="geometric stiffening, if that was asked for: see below", when="if"),
 ), build=_frame, parts=_frame_parts)  # fmt: skip
 
 RANKING = Table((
@@ -212,11 +213,13 @@ BODY = Table((
         doc="options of the reduction, as JSON with sorted keys"),
     Row("output_matrix", "real", "m n", "interface degrees of freedom; not the transpose of input_matrix", doc="C",
         when="only where it is not B', and then the format version is 2"),
-    Row("certificate", CERTIFICATE, when="if it was asked for", read=False),
+    Row("certificate", CERTIFICATE, when="if", read=False,
+        doc="how wrong the body is, if that was asked for: see below"),
     Row("floating_frame", FRAME, when="free bodies with symmetric matrices", field="floating"),
     Row("ranking", RANKING, when="where the job has an envelope"),
-    Row("switching", SWITCHING, when="if the method was `static-modes-switching`", read=False),
-    Row("recovery", RECOVERY, when="if stress was asked for", read=False),
+    Row("switching", SWITCHING, when="if", read=False, doc="static modes of candidate loads, if the method was "
+        "`static-modes-switching`: see [switching](switching.md#in-the-body-file)"),
+    Row("recovery", RECOVERY, doc="stress shapes, if they were asked for: see below", when="if", read=False),
     Row("basis", "later", "3N n", "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
         doc="Phi: displacements of the nodes, see below", columns=True, read=False),
 ))  # fmt: skip

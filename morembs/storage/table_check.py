@@ -29,7 +29,7 @@ class TableCheck:
         return InputError(f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, write it again")
 
     def table(self, at: str, table: Table, sizes: Sizes) -> None:
-        """All rows of a table below ``at``; ``sizes`` are those of the letters so far.
+        """All rows of a table below ``at``; ``sizes`` are those of the letters so far, which groups within share.
 
         Raises:
             InputError: a dataset is missing, or is not what it should be; its name is in the message.
@@ -40,7 +40,7 @@ class TableCheck:
             item = self.file.get(place)
             if row.many:
                 for name, inner in (item or {}).items():
-                    self._row(f"{place}/{name}", inner, row, dict(sizes) if isinstance(row.kind, Table) else sizes)
+                    self._row(f"{place}/{name}", inner, row, sizes)
             elif isinstance(row.kind, Table) or isinstance(item, h5py.Dataset):
                 if item is not None or not row.when:
                     self._row(place, item, row, sizes)
@@ -59,7 +59,7 @@ class TableCheck:
     def _row(self, name: str, item: Any, row: Row, sizes: Sizes) -> None:
         """One group, or one dataset: its kind, its shape, and what it holds."""
         if isinstance(row.kind, Table):
-            self.table(f"{name}/", row.kind, sizes)
+            self.table(f"{name}/", row.kind, dict(sizes))
             return
         kind = KINDS[row.kind]
         if item.shape is None or item.dtype.kind not in kind.dtypes:
