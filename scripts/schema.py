@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from morembs.body import tables
+from morembs.importers.native import MODEL
 from morembs.storage.table import KINDS, Row, Table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,13 +23,14 @@ SHOWN = {
     "stiffening": [("", tables.STIFFENING)],
     "recovery": [("", tables.RECOVERY)],
     "switching": [("", tables.SWITCHING)],
+    "model file": [("", MODEL)],
 }
 
 
 def lines(at: str, table: Table) -> Iterator[str]:
     """Rows of a table in Markdown; a group with a sentence of its own has its table elsewhere."""
     for row in table:
-        path = at + row.name.replace("*", "NAME")
+        path = at + row.name.replace("*", "NAME").replace("#", "i")
         if not isinstance(row.kind, Table):
             yield f"| `{path}` | {shape(row)} | {stored(row)} | {units(row)} | {meaning(row)} |"
         elif row.doc:
@@ -44,13 +46,12 @@ def shape(row: Row) -> str:
 
 def stored(row: Row) -> str:
     """Type in the file."""
-    kind = str(row.kind)
-    return "f4 or f8" if row.columns and row.name != "basis" else KINDS[kind].stored
+    return "f4 or f8" if row.columns and row.name != "basis" else KINDS[str(row.kind)].stored
 
 
 def units(row: Row) -> str:
     """With raised exponents."""
-    return row.units.replace("2", "²")
+    return row.units.translate({ord("2"): "²", ord("3"): "³"})
 
 
 def meaning(row: Row) -> str:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
+from itertools import count, takewhile
 from typing import Any
 
 import h5py
 import numpy as np
 
 from morembs.errors import InputError
-from morembs.storage.storable import json_text, text
+from morembs.storage.storable import json_text, storable, text
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,27 @@ def _value(value: Any) -> Any:
     return value if np.ndim(value) else value.item()
 
 
+def _whole(value: Any) -> Any:
+    return _value(_integers(value))
+
+
+def _real(value: Any) -> Any:
+    return _value(_floats(value))
+
+
 def _lines(value: Any) -> Any:
     """A text, or a tuple of them."""
     return tuple(line.decode() for line in value.tolist()) if np.ndim(value) else value.decode()
 
 
+def _words(value: Any) -> Any:
+    """As ``_lines``, of programs that fill up with blanks, and of files whose names are no UTF-8."""
+    lines = [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(value)]
+    return tuple(lines) if np.ndim(value) else lines[0]
+
+
 def _text(value: Any) -> Any:
-    return text(*value) if isinstance(value, list | tuple) else value
+    return text(*value) if isinstance(value, list | tuple) else storable(value)
 
 
 def _sentences(value: Any) -> tuple[str, ...]:
@@ -59,18 +74,20 @@ def _sentences(value: Any) -> tuple[str, ...]:
 
 KINDS = {
     # Finite numbers; any, also infinite ones and NaN; those that are looked at when they are read.
-    "real": Kind("f8", "real numbers", "iuf", _floats, _value),
+    "real": Kind("f8", "real numbers", "iuf", _floats, _real),
     "any": Kind("f8", "real numbers", "iuf", _floats, _value),
     "later": Kind("f8", "real numbers", "f", _floats, _value),
-    "whole": Kind("i8", "integers", "iu", _integers, _value),
-    # A few of them, as a tuple.
+    "whole": Kind("i8", "integers", "iu", _integers, _whole),
+    # A few of them, as a tuple; those that keep their width.
     "few": Kind("i8", "integers", "iu", _integers, lambda value: tuple(value.tolist())),
+    "index": Kind("i4 or i8", "integers", "iu", np.asarray, _value),
     "code": Kind("u1", "integers", "iu", lambda value: np.asarray(value, dtype=np.uint8), _value),
     "flag": Kind("u1", "integers", "iu", lambda value: value.astype(np.uint8), lambda value: value.astype(bool)),
     "text": Kind("text", "text", "SO", _text, _lines),
-    "json": Kind("text", "text", "SO", json_text, json.loads),
+    "words": Kind("text", "text", "SO", _text, _words),
+    "json": Kind("text", "text", "SO", lambda value: storable(json_text(value)), json.loads),
     # Sentences in one line of text.
-    "notes": Kind("text", "text", "SO", lambda value: "; ".join(value) or " ", _sentences),
+    "notes": Kind("text", "text", "SO", lambda value: storable("; ".join(value) or " "), _sentences),
 }
 
 
@@ -79,7 +96,8 @@ class Row:
     """A dataset below some group, or a group with a table of its own.
 
     Args:
-        name: path below the group; ``NAME/*`` are all in the group NAME, values of a mapping.
+        name: path below the group; ``NAME/*`` are all in the group NAME, values of a mapping, and ``NAME_#`` are
+            NAME_0, NAME_1, ..., values of a sequence.
         kind: one of ``KINDS``, or a table.
         shape: sizes apart by blanks. A letter is a size that the first dataset with it gives and all others share,
             with a number before it that many times it; ``any`` is any size.
@@ -105,18 +123,33 @@ class Row:
 
     @property
     def many(self) -> bool:
-        """Whether the row stands for all in a group."""
-        return self.name.endswith("/*")
+        """Whether the row stands for several."""
+        return self.name.endswith(("/*", "_#"))
 
     @property
     def place(self) -> str:
-        """Path of the dataset or group."""
-        return self.name.removesuffix("/*")
+        """Path of the dataset or group, of several what their paths have in common."""
+        return self.name.removesuffix("*").removesuffix("#")
 
     @property
     def key(self) -> str:
         """Name of the field."""
-        return self.field or self.place.rpartition("/")[2]
+        return self.field or self.name.removesuffix("/*").rpartition("/")[2]
+
+    def items(self, group: Any) -> dict[str, Any]:
+        """Those in an open ``group``, of several, by what follows ``place`` in their paths."""
+        if self.name.endswith("#"):
+            numbers = takewhile(lambda number: f"{self.place}{number}" in group, count())
+            return {str(number): group[f"{self.place}{number}"] for number in numbers}
+        return dict(group[self.place].items()) if self.place in group else {}
+
+    def parts(self, value: Any) -> Iterator[tuple[str, Any]]:
+        """What a value stands for: paths, and the value of each."""
+        if self.name.endswith("*"):
+            value = value.items()
+        elif self.many:
+            value = enumerate(value)
+        yield from ((f"{self.place}{name}", one) for name, one in value) if self.many else [(self.place, value)]
 
     def value(self, item: Any) -> Any:
         """What an open dataset or group holds."""
@@ -146,9 +179,10 @@ def read_rows(group: Any, table: Table, lacking: str = "the group lacks") -> Any
     """
     found, missing = dict[str, Any](), []
     for row in table:
-        item = group.get(row.place)
+        item = None if row.many else group.get(row.place)
         if row.many:
-            found[row.key] = {name: row.value(inner) for name, inner in (item or {}).items()}
+            several = {name: row.value(one) for name, one in row.items(group).items()}
+            found[row.key] = several if row.name.endswith("*") else tuple(several.values())
         elif isinstance(item, h5py.Group if isinstance(row.kind, Table) else h5py.Dataset):
             if row.read:
                 found[row.key] = row.value(item)

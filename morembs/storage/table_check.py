@@ -19,14 +19,14 @@ Sizes = dict[str, tuple[int, str]]
 
 
 class TableCheck:
-    """Compares an open HDF5 ``file`` with tables; ``path`` is for messages, ``what`` the file is."""
+    """Compares an open HDF5 ``file`` with tables; ``path``, ``what`` the file is and the ``cure`` are for messages."""
 
-    def __init__(self, path: Path, file: Any, what: str) -> None:
-        self.path, self.file, self.what = path, file, what
+    def __init__(self, path: Path, file: Any, what: str, cure: str = "write it again") -> None:
+        self.path, self.file, self.what, self.cure = path, file, what, cure
 
     def refuse(self, name: str, what: str, wanted: str) -> InputError:
         """What to raise for a dataset."""
-        return InputError(f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, write it again")
+        return InputError(f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, {self.cure}")
 
     def table(self, at: str, table: Table, sizes: Sizes) -> None:
         """All rows of a table below ``at``; ``sizes`` are those of the letters so far, which groups within share.
@@ -37,10 +37,10 @@ class TableCheck:
         missing = []
         for row in table:
             place = at + row.place
-            item = self.file.get(place)
+            item = None if row.many else self.file.get(place)
             if row.many:
-                for name, inner in (item or {}).items():
-                    self._row(f"{place}/{name}", inner, row, sizes)
+                for name, one in row.items(self.file[at] if at else self.file).items():
+                    self._row(place + name, one, row, sizes)
             elif isinstance(row.kind, Table) or isinstance(item, h5py.Dataset):
                 if item is not None or not row.when:
                     self._row(place, item, row, sizes)
@@ -54,7 +54,7 @@ class TableCheck:
         """Raise an error that names what is missing, if anything is."""
         if names:
             missing = ", ".join(f"/{name}" for name in names)
-            raise InputError(f"{self.path} is an incomplete {self.what}; missing: {missing}; write it again")
+            raise InputError(f"{self.path} is an incomplete {self.what}; missing: {missing}; {self.cure}")
 
     def _row(self, name: str, item: Any, row: Row, sizes: Sizes) -> None:
         """One group, or one dataset: its kind, its shape, and what it holds."""
@@ -72,7 +72,7 @@ class TableCheck:
                 raise self.refuse(name, f"announces {announced} bytes, of which the file holds {held}", "all of them")
         if row.kind == "real":
             refuse_not_finite(self.path, name, item[()])
-        if kind.words == "text":
+        if row.kind in ("text", "json", "notes"):
             self._text(name, item, "JSON" if row.kind == "json" else "text")
 
     def _shape(self, name: str, item: Any, wanted: Sequence[str], sizes: Sizes) -> None:

@@ -70,8 +70,11 @@ class Writer:
 
     def put(self, name: str, value: object, about: str = "", units: str = "") -> None:
         """Store one dataset with what it is and its units."""
+        self._store(name, storable(value), about, units)
+
+    def _store(self, name: str, data: Any, about: str, units: str) -> None:
         self.doing(name)
-        self._mark(self.file.create_dataset(name, data=storable(value)), about, units)
+        self._mark(self.file.create_dataset(name, data=data), about, units)
 
     def columns(self, name: str, value: NDArray[Any] | Columns, about: str = "", units: str = "") -> None:
         """Store a matrix, each column in one piece."""
@@ -101,14 +104,13 @@ class Writer:
             value: Any = source.get(row.key) if isinstance(source, Mapping) else getattr(source, row.key)
             if row.when and value is None:
                 continue
-            for name, one in value.items() if row.many else ((row.place, value),):
-                place = f"{at}{row.place}/{name}" if row.many else at + name
+            for name, one in row.parts(value):
                 if isinstance(row.kind, Table):
-                    self.rows(f"{place}/", row.kind, one)
+                    self.rows(f"{at}{name}/", row.kind, one)
                 elif row.columns:
-                    self.columns(place, one, row.about, row.units)
+                    self.columns(at + name, one, row.about, row.units)
                 else:
-                    self.put(place, KINDS[row.kind].encode(one), row.about, row.units)
+                    self._store(at + name, KINDS[row.kind].encode(one), row.about, row.units)
 
     def tree(self, name: str, value: object) -> None:
         """Store nested mappings as groups; None is left out, rows of equal keys become columns."""
