@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from morembs.body import tables
+from morembs.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
 from morembs.storage.table import KINDS, Row, Table
 
@@ -23,6 +24,7 @@ SHOWN = {
     "stiffening": [("", tables.STIFFENING)],
     "recovery": [("", tables.RECOVERY)],
     "switching": [("", tables.SWITCHING)],
+    "member": [("", MEMBER)],
     "model file": [("", MODEL)],
 }
 

@@ -36,9 +36,11 @@ def writing(path: Path, *, apart: Sequence[str] = (), sealed: bool = True) -> It
     # chunks are read without the rest.
     with replacing(path) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
         yield Writer(file, safe)
-        safe.doing = "the checksums"
-        for group in (*(file[name] for name in apart), file) if sealed else ():
-            seal(group, apart=apart if group.name == "/" else ())
+        if sealed:
+            safe.doing = "the checksums"
+            for name in apart:
+                seal(file[name])
+            seal(file, apart=apart)
         safe.check()
 
 
