@@ -11,10 +11,9 @@ import scipy.sparse as sp
 from morembs.errors import InputError, nearest
 from morembs.importers.imported import Imported
 from morembs.model import DofMap, Nodes
+from morembs.model.fe_model import LARGEST
 
 Matrices = dict[str, sp.csr_array]
-# Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
-LARGEST = 1e75
 # Names by which matrices go, in small letters; the first that is there is taken.
 USUAL = {
     "K": ("k", "stiffness", "stiffnessmatrix", "kmat", "kgg", "kaa", "stif", "stiff", "kfull"),

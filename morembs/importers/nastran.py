@@ -16,7 +16,7 @@ from morembs.errors import InputError
 from morembs.importers.formulations import nastran_warnings
 from morembs.importers.imported import Imported
 from morembs.importers.includes import Includes
-from morembs.importers.nastran_cards import ends, head_of, real, tables
+from morembs.importers.nastran_cards import Unread, ends, head_of, real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
 from morembs.model import ElementBlock, Mesh, Nodes
@@ -52,7 +52,8 @@ class _Bulk:
         head, start = head_of(path)
         self.cut = start > 0 and not ends(path)
         self.head = re.sub(rb"\$.*", b"", head.replace(b"\r", b"")).decode("latin-1")
-        for table in tables(path, start, Includes(path, outside)):
+        self.unread = Unread()
+        for table in tables(path, start, Includes(path, outside), self.unread):
             if table.name == "GRID":
                 self.grids.add(table)
             elif table.name in SOLIDS:
@@ -238,7 +239,7 @@ def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:
     warnings = nastran_warnings(counts, full, consistent=bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF)
     if bulk.cut:
         warnings.append(f"{bulk.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there")
-    return replace(mesh, warnings=(*mesh.warnings, *warnings))
+    return replace(mesh, warnings=(*mesh.warnings, *warnings, *bulk.unread.warnings))
 
 
 def _notes(bulk: _Bulk, scale: float) -> list[str]:

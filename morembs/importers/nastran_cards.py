@@ -27,6 +27,7 @@ _TAIL = 1 << 16
 _LARGEST = 1e100
 _WIDTH = 24
 _LINE = 80
+_SHOWN = 24
 _SMALL, _LARGE, _FREE, _FREE_LARGE = 1, 2, 3, 4
 _BEGIN = re.compile(rb"^[ \t]*BEGIN[ \t,]+(BULK|SUPER)[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
 _END = re.compile(rb"^[ \t]*ENDDATA.*", re.MULTILINE | re.IGNORECASE | re.DOTALL)
@@ -148,22 +149,62 @@ def ends(path: Path) -> bool:
         return _END.search(file.read()) is not None
 
 
-def tables(path: Path, start: int, includes: Includes, above: tuple[Path, ...] = ()) -> Iterator[Table]:
+class Unread:
+    """Lines of files with text beyond the last column of fixed fields, which belongs to no field."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, str] = {}
+        self._count: dict[str, int] = {}
+
+    def add(self, file: str, line: int, text: str) -> None:
+        """Such a ``text`` of the ``line`` of a file, counted from 1."""
+        short = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+        self._first.setdefault(file, f"line {line}: the text {short!r}")
+        self._count[file] = self._count.get(file, 0) + 1
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each file."""
+        return tuple(
+            f"{file}, {first} beyond column {_LINE}, where the fields of a card end, was not read"
+            + (f", nor that of {count - 1} further lines" if (count := self._count[file]) > 1 else "")
+            + "; check the columns of these cards"
+            for file, first in self._first.items()
+        )
+
+
+def tables(
+    path: Path, start: int, includes: Includes, unread: Unread, above: tuple[Path, ...] = ()
+) -> Iterator[Table]:  # fmt: skip
     """The cards of bulk data from the byte ``start`` on, INCLUDE followed.
 
     Raises:
         InputError: a file is missing, binary, includes what it must not, or has a line that is no card.
     """
     above = (*above, path.resolve())
+    lines = _lines_above(path, start)
     for piece in _pieces(path, start):
         at = 0
         for match in _INCLUDE.finditer(piece):
-            yield from _tables(piece[at : match.start()], path.name)
+            part = piece[at : match.start()]
+            yield from _tables(part, path.name, lines, unread)
+            lines += part.count(b"\n") + match.group().count(b"\n")
             at = match.end()
             name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
             folders = (path.parent, includes.path.parent)
-            yield from tables(includes.take(name, f"{path.name}: INCLUDE", folders, above, _FIRST), 0, includes, above)
-        yield from _tables(piece[at:], path.name)
+            file = includes.take(name, f"{path.name}: INCLUDE", folders, above, _FIRST)
+            yield from tables(file, 0, includes, unread, above)
+        yield from _tables(piece[at:], path.name, lines, unread)
+        lines += piece[at:].count(b"\n")
+
+
+def _lines_above(path: Path, start: int) -> int:
+    """Ends of lines before the byte ``start`` of the text, where bulk data begin."""
+    try:
+        with open_text(path) as file:
+            return len(re.findall(rb"\r\n?|\n", file.read(start)))
+    except OSError as error:
+        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
 
 
 def _pieces(path: Path, start: int) -> Iterator[bytes]:
@@ -212,11 +253,11 @@ def _clean(text: bytes) -> bytes:
         text = re.sub(rb"\$.*", b"", text)
     if b"\t" in text:
         text = b"\n".join(line.expandtabs(8) for line in text.split(b"\n"))
-    return text if text.endswith(b"\n") else text + b"\n"
+    return text if not text or text.endswith(b"\n") else text + b"\n"
 
 
-def _tables(piece: bytes, file: str) -> Iterator[Table]:
-    """Tables of the cards of a piece: one for each name and kind of lines."""
+def _tables(piece: bytes, file: str, above: int, unread: Unread) -> Iterator[Table]:
+    """Tables of the cards of a piece, ``above`` which lines lie: one for each name and kind of lines."""
     codes = np.frombuffer(piece + b" " * (_LINE + _WIDTH), dtype=np.uint8)
     ends = np.flatnonzero(codes == 10)
     starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else np.empty(0, dtype=np.int64)
@@ -224,6 +265,10 @@ def _tables(piece: bytes, file: str) -> Iterator[Table]:
     lines = np.lib.stride_tricks.sliding_window_view(codes, _LINE)[starts].copy()
     lines[np.arange(_LINE) >= lengths[:, None]] = 32
     full = (lines != 32).any(axis=1)
+    for i in np.flatnonzero(lengths > _LINE).tolist():
+        text = bytes(codes[starts[i] : ends[i]])
+        if text[_LINE:].strip() and not (full[i] and b"," in text):
+            unread.add(file, above + i + 1, text[_LINE:].decode("latin-1").strip())
     lines, starts, lengths = lines[full], starts[full], lengths[full]
     if not len(lines):
         return

@@ -17,10 +17,11 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.imported import Imported
-from morembs.importers.named import LARGEST, refuse_entries
+from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
+from morembs.model.fe_model import refuse_far
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
@@ -209,7 +210,7 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
         )  # fmt: skip
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
-    _refuse_far(nodes, source)
+    refuse_far(nodes, source)
     if dofs is None:
         if size != 3 * len(nodes):
             raise InputError(
@@ -220,15 +221,6 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
         notes = (f"rows were taken as x, y, z of {len(nodes)} nodes in their order; the file does not say so",)
     check_dofs(dofs, nodes, size, source)
     return nodes, dofs, notes
-
-
-def _refuse_far(nodes: Nodes, source: str) -> None:
-    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
-    if len(far):
-        raise InputError(
-            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; it is damaged, or its units are "
-            "wrong"
-        )
 
 
 def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
@@ -259,7 +251,7 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     nodes = imported.nodes if imported.nodes is not None else mesh.nodes
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{imported.source} has nodes whose coordinates are not finite; write the file again")
-    _refuse_far(nodes, imported.source)
+    refuse_far(nodes, imported.source)
     blocks = _mesh_on(mesh, nodes, Units()).blocks
     used = np.zeros(len(nodes), dtype=bool)
     for block in blocks:

@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Matrices that came as text differ from their transposes by round-off.
 SYMMETRIC = 1e-8
+# Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
+LARGEST = 1e75
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,6 +73,9 @@ class Mesh:
 
     ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source,
     ``mass_warnings`` what only one with the exact mass will.
+
+    Raises:
+        InputError: coordinates beyond ``LARGEST``.
     """
 
     nodes: Nodes
@@ -82,6 +87,7 @@ class Mesh:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
+        refuse_far(self.nodes, self.source or "the mesh")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +145,7 @@ class FEModel:
     import found, ``warnings`` in what the model differs from its source; they go with it into every body.
 
     Raises:
-        InputError: matrices of another shape or of something else than numbers.
+        InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
     """
 
     K: sp.csr_array
@@ -165,6 +171,7 @@ class FEModel:
             if matrix.shape != (n, n):
                 raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
             object.__setattr__(self, name, matrix)
+        refuse_far(self.nodes, self.source or "the model")
 
     @property
     def size(self) -> int:
@@ -176,6 +183,20 @@ class FEModel:
         """The rigid and average elements by name; each of them can serve as an interface."""
         elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
         return {element.name: element for element in elements}
+
+
+def refuse_far(nodes: Nodes, source: str) -> None:
+    """Refuse coordinates with whose volumes and moments of inertia nothing can be computed; unknown ones (NaN) pass.
+
+    Raises:
+        InputError: coordinates beyond ``LARGEST``.
+    """
+    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
+    if len(far):
+        raise InputError(
+            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; it is damaged, or its units are "
+            f"wrong; expected coordinates up to {LARGEST:g}"
+        )
 
 
 def _sparse(A: Any, name: str) -> sp.csr_array:

@@ -223,6 +223,27 @@ def test_included_files_are_bulk_data(tmp_path, bulk):
             bulk(CUBE + text)
 
 
+def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
+    grid = "GRID         900              5.      5."
+
+    def unread(imported):
+        return [text for text in imported.mesh.warnings if "beyond column" in text]
+
+    quiet = (
+        "$" + 90 * "c" + "\n" + grid.replace("900", "901") + "      5." + 50 * " " + "\n"
+        f"GRID*   {902:>16}{'':16}{'5.':>16}{'5.':>16}*MARK12         $ a comment\n*MARK12 {'5.':>16}\n"
+        "RBAR,3,10,20,123456,,," + 70 * " " + "123456\n"
+    )  # fmt: skip
+    assert not unread(bulk("SOL 103\nBEGIN BULK\n" + CUBE + quiet + MAT1 + "ENDDATA\n"))
+    (tmp_path / "more.bdf").write_text(grid + f"{'5.':>50}\n" + 81 * " " + "3.0\n")
+    # The third coordinate stands behind column 80, then a whole line does; CR LF ends lines.
+    text = "SOL 103\nBEGIN BULK\n" + CUBE + quiet + f"INCLUDE 'more.bdf'\n{MAT1}{grid.replace('900', '903')}"
+    text += f"{7000.125:>50}{30 * ' x'}\nENDDATA\n"
+    found = unread(bulk(text.replace("\n", "\r\n")))
+    assert len(found) == 2 and all(words in found[0] for words in ("more.bdf, line 1", "'5.'", "1 further line"))
+    assert all(words in found[1] for words in ("model.bdf, line 21", "7000.125", "...' beyond column 80"))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

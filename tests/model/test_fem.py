@@ -1,5 +1,7 @@
 """Assembly against beam theory, exact solutions, convergence rates and CalculiX."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sl
@@ -213,6 +215,18 @@ def test_inverted_element_is_named():
     bad = Mesh(nodes=mesh.nodes, blocks=(ElementBlock(type="hex8", nodes=nodes, ids=[11, 22, 33]),))
     with pytest.raises(InputError, match="inverted or degenerate: 22"):
         steel(bad)
+
+
+@pytest.mark.parametrize("size", [1e80, -1e150, np.inf])
+@pytest.mark.filterwarnings("error")
+def test_coordinates_that_overflow_are_named(size):
+    mesh, model = box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)), steel(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)))
+    xyz = mesh.nodes.xyz.copy()
+    xyz[3, 1] = size
+    far = Nodes(ids=mesh.nodes.ids + 100, xyz=xyz)
+    for whole, words in ((mesh, "the mesh: node 104 is at"), (replace(model, source="a.npz"), "a.npz: node 104")):
+        with pytest.raises(InputError, match=f"{words}.*units.*up to 1e[+]75"):
+            replace(whole, nodes=far)
 
 
 def test_assembly_in_small_chunks_is_the_same(monkeypatch):
