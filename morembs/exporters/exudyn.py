@@ -18,7 +18,7 @@ from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
 from morembs.errors import InputError, nearest
-from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import ElementBlock, Mesh, Nodes, skew
 from morembs.model.elements import FACES, TYPES
@@ -53,28 +53,28 @@ class Exudyn(Exporter):
 
     triangles: bool = True
 
-    def _write(self, task: Task) -> Exported:
-        if task.path.suffix != ".hdf5":
-            raise InputError(f"{task.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
-        if not len(task.source.coordinates):
-            raise InputError(f"{task.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
+    def _write(self, context: ExportContext) -> Exported:
+        if context.path.suffix != ".hdf5":
+            raise InputError(f"{context.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
+        if not len(context.source.coordinates):
+            raise InputError(f"{context.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
         faces = (
-            _triangles(task.file, len(task.source.coordinates))
-            if self.triangles and task.file is not None
+            _triangles(context.file, len(context.source.coordinates))
+            if self.triangles and context.file is not None
             else np.zeros((0, 3), dtype=np.int64)
         )
         with (
-            replacing(task.path) as safe,
+            replacing(context.path) as safe,
             h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file,
         ):
-            for name, value in _values(task, faces).items():
+            for name, value in _values(context, faces).items():
                 safe.doing = name
                 _put(file, name, value)
                 safe.check()
             safe.doing = "modeBasis"
-            _put_shapes(file, task)
+            _put_shapes(file, context)
             safe.check()
-        return Exported(paths=(task.path,), notes=_notes(task, drawn=bool(len(faces)) or not self.triangles))
+        return Exported(paths=(context.path,), notes=_notes(context, drawn=bool(len(faces)) or not self.triangles))
 
 
 def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
@@ -99,17 +99,17 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])
 
 
-def _values(task: Task, faces: Ints) -> Mapping[str, Any]:
+def _values(context: ExportContext, faces: Ints) -> Mapping[str, Any]:
     """All but the mode basis, by Exudyn's names."""
-    frame = task.frame
+    frame = context.frame
     terms = _terms(frame.integrals)
-    m, n = frame.count, len(task.source.coordinates)
+    m, n = frame.count, len(context.source.coordinates)
     return {
         "fileVersion": 1,
         "type": "ObjectFFRFreducedOrderInterface",
         "rigidBodyNodeType": "NodeType.RotationEulerParameters",
         "infoList": np.array([m, n, 3, 4, RIGID_COORDINATES, RIGID_COORDINATES + m], dtype=np.int64),
-        "xRef": task.coordinates.ravel(),
+        "xRef": context.coordinates.ravel(),
         "trigList": faces if len(faces) else [],
         "postProcessingModes": {},
         "massMatrixReduced": frame.integrals.Me,
@@ -147,14 +147,14 @@ def _put(file: Any, name: str, value: Any) -> None:
     item.attrs["datatype"] = kind
 
 
-def _put_shapes(file: Any, task: Task) -> None:
-    rows, count = 3 * len(task.source.coordinates), task.frame.count
+def _put_shapes(file: Any, context: ExportContext) -> None:
+    rows, count = 3 * len(context.source.coordinates), context.frame.count
     data = file.create_dataset("modeBasis", (rows, count), np.float64)
     data.attrs["datatype"] = "ndarray"
     step = max(1, PASS_BYTES // (8 * rows))
     for start in range(0, count, step):
         block = slice(start, min(start + step, count))
-        data[:, block] = task.shapes(block)
+        data[:, block] = context.shapes(block)
 
 
 def _triangles(path: Path, count: int) -> Ints:
@@ -198,8 +198,8 @@ def _cells(chosen: NDArray[np.bool_], offsets: Ints, links: Ints) -> Ints:
     return np.asarray(links[first[:, None] + np.arange(size)])
 
 
-def _notes(task: Task, *, drawn: bool) -> tuple[str, ...]:
-    frame, notes = task.frame, list(task.lost("stiffening", "stress", "certificate"))
+def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
+    frame, notes = context.frame, list(context.lost("stiffening", "stress", "certificate"))
     if np.any(frame.De):
         notes.append(
             "the file cannot hold its damping matrix; after AddObjectFFRFreducedOrder set "
@@ -210,7 +210,7 @@ def _notes(task: Task, *, drawn: bool) -> tuple[str, ...]:
     if frame.origin.any():
         place = ", ".join(f"{value:.9g}" for value in frame.origin)
         notes.append(f"node positions count from the origin of the floating frame, ({place}) m in the model")
-    if task.source.interfaces:
+    if context.source.interfaces:
         notes.append("nodes, weights and offset of the markers of interfaces: morembs.exporters.exudyn.exudyn_marker")
     return (*notes, *frame.notes)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
-from morembs.exporters.base import Task
+from morembs.exporters.base import ExportContext
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,14 +49,16 @@ class InterfaceBody:
     notes: tuple[str, ...]
 
 
-def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int, largest_label: int) -> InterfaceBody:
+def on_interfaces(
+    context: ExportContext, first_label: int | None, *, component_of_rest: int, largest_label: int
+) -> InterfaceBody:
     """The body with interface dofs as coordinates, all others beside them; labels up to ``largest_label``.
 
     Raises:
         InputError: the body is not symmetric or has no stiffness, its interface degrees of freedom depend on each
             other, or there are no labels for its points.
     """
-    body, source = task.body, task.source
+    body, source = context.body, context.source
     for name in ("mass_matrix", "stiffness_matrix"):
         if not getattr(body, name).any():
             raise InputError(

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table
 from morembs.gmp.checkpoint import Checkpoint
-from morembs.gmp.crew import Crew, Work
 from morembs.gmp.envelope import Loaded, target
 from morembs.gmp.equilibria import Equilibrium, NotFollowedError
 from morembs.gmp.plan import Envelope, Plan, Report
 from morembs.gmp.symmetry import Shaped, Symmetry, symmetries
+from morembs.gmp.worker_pool import Work, WorkerPool
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -94,10 +94,10 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: Member, crew: Crew, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
+        self, work: Member, pool: WorkerPool, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
         progress: Progress,
     ) -> None:  # fmt: skip
-        self.work, self.crew, self.group, self.reach = work, crew, group, reach
+        self.work, self.pool, self.group, self.reach = work, pool, group, reach
         self.store, self.progress = store, progress
         self.found: dict[Key, Equilibrium] = {}
         self.samples: dict[Key, Any] = {}
@@ -134,10 +134,10 @@ class Sampling:
             near = self.found[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, one in self.crew.each("toward", tasks):
+        for number, one in self.pool.each("toward", tasks):
             if isinstance(one, NotFollowedError):
                 failures[number] = one
-                if self.crew.workers == 1:
+                if self.pool.workers == 1:
                     break
                 continue
             new[open_[number]], self.solved = one, self.solved + 1
@@ -169,7 +169,7 @@ class Sampling:
     def sampled(self, keys: Sequence[Key]) -> list[Any]:
         """Samples at equilibria."""
         missing = [key for key in keys if key not in self.samples]
-        for number, sample in self.crew.each("sample", [(self.found[key],) for key in missing]):
+        for number, sample in self.pool.each("sample", [(self.found[key],) for key in missing]):
             self.samples[missing[number]] = sample
         return [self.samples[key] for key in keys]
 
@@ -228,16 +228,16 @@ def tabulated(work: Member, plan: Plan, progress: Progress = SILENT) -> Tabulate
     store = None
     if plan.checkpoint is not None:
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
-    with Crew(work, plan.workers) as crew:
+    with WorkerPool(work, plan.workers) as pool:
         try:
-            return _ranged(work, crew, group, plan, store, progress, begin)
+            return _ranged(work, pool, group, plan, store, progress, begin)
         finally:
             if store is not None:
                 store.save()
 
 
 def _ranged(
-    work: Member, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
+    work: Member, pool: WorkerPool, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
     progress: Progress, begin: float,
 ) -> Tabulated:  # fmt: skip
     """Over smaller and smaller ranges, where the range follows from an envelope."""
@@ -253,7 +253,7 @@ def _ranged(
         if store is not None:
             store.begin(reach, notes)
         try:
-            sampling = Sampling(work, crew, group, reach, store, progress)
+            sampling = Sampling(work, pool, group, reach, store, progress)
             count, errors = _filled(sampling, plan)
             break
         except NotFollowedError as stuck:
