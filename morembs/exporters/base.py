@@ -89,8 +89,8 @@ class ExportContext:
     @staticmethod
     def left_from_before(paths: Iterable[Path]) -> tuple[str, ...]:
         """A note on files that lie where a set of another body would have them, but do not belong to this one."""
-        found = ", ".join(path.name for path in paths if path.exists())
-        return (f"not of this body, but left from before: {found}; remove what is not needed",) if found else ()
+        left = ", ".join(path.name for path in paths if path.exists())
+        return (f"not of this body, but left from before: {left}; remove what is not needed",) if left else ()
 
     def shapes(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n, k) of the stored nodes for some elastic coordinates; allocates these and one block."""
@@ -109,13 +109,13 @@ class ExportContext:
         Raises:
             InputError: no interface of the body has a frame that turns.
         """
-        found = {name: self.frame.markers[name] for name in self.source.interfaces if name in self.frame.markers}
-        if not found:
+        markers = {name: self.frame.markers[name] for name in self.source.interfaces if name in self.frame.markers}
+        if not markers:
             raise InputError(
                 f"{target} needs interface frames with rotations; body {self.body.name!r} has none "
                 '(direct interfaces have no frame), take coupling = "rigid" or "average"'
             )
-        return found
+        return markers
 
     def lost(self, *what: str) -> tuple[str, ...]:
         """Notes on parts the target cannot hold (keys of LOSSES), those that this body has."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +22,7 @@ from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import ElementBlock, Mesh, Nodes, skew
 from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
-from morembs.storage.safefile import replacing
+from morembs.storage.writer import writing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,17 +62,13 @@ class Exudyn(Exporter):
             if self.triangles and context.file is not None
             else np.zeros((0, 3), dtype=np.int64)
         )
-        with (
-            replacing(context.path) as safe,
-            h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file,
-        ):
+        with writing(context.path, sealed=False) as out:
             for name, value in _values(context, faces).items():
-                safe.doing = name
-                _put(file, name, value)
-                safe.check()
-            safe.doing = "modeBasis"
-            _put_shapes(file, context)
-            safe.check()
+                out.doing(name)
+                _put(out.file, name, value)
+                out.check()
+            out.doing("modeBasis")
+            _put_shapes(out.file, context)
         return Exported(paths=(context.path,), notes=_notes(context, drawn=bool(len(faces)) or not self.triangles))
 
 
@@ -118,21 +113,21 @@ def _values(context: ExportContext, faces: Ints) -> Mapping[str, Any]:
     }
 
 
-def _terms(its: ShapeIntegrals) -> dict[str, float | Floats]:
+def _terms(integrals: ShapeIntegrals) -> dict[str, float | Floats]:
     """Integrals (psi for the shapes, x for the positions), one column or row for each shape and axis."""
-    n = its.count
+    n = integrals.count
     return {
-        "totalMass": float(its.mass),
-        "Mtt": its.mass * np.eye(3),
-        "chiU": its.center,
-        "chiUtilde": skew(its.center),
-        "inertiaLocal": its.inertia,
-        "mPhitTPsi": its.Ct.T,
-        "mPhitTPsiTilde": np.hstack(list(skew(its.Ct))),
-        "mXRefTildePsi": -its.Cr.T,
-        "mXRefTildePsiTilde": -np.hstack(list(its.C4)),
-        "mPsiTildePsi": -its.Cr1.transpose(1, 2, 0).reshape(3 * n, n),
-        "mPsiTildePsiTilde": -its.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n),
+        "totalMass": float(integrals.mass),
+        "Mtt": integrals.mass * np.eye(3),
+        "chiU": integrals.center,
+        "chiUtilde": skew(integrals.center),
+        "inertiaLocal": integrals.inertia,
+        "mPhitTPsi": integrals.Ct.T,
+        "mPhitTPsiTilde": np.hstack(list(skew(integrals.Ct))),
+        "mXRefTildePsi": -integrals.Cr.T,
+        "mXRefTildePsiTilde": -np.hstack(list(integrals.C4)),
+        "mPsiTildePsi": -integrals.Cr1.transpose(1, 2, 0).reshape(3 * n, n),
+        "mPsiTildePsiTilde": -integrals.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n),
     }
 
 
@@ -173,11 +168,11 @@ def _triangles(path: Path, count: int) -> Ints:
         for kind, solid in TYPES.items()
         if solid.vtk in cells
     )
-    found = list(flat.items())
+    outer = list(flat.items())
     if blocks:
         nodes = Nodes(ids=np.arange(1, count + 1), xyz=np.zeros((count, 3)))
-        found += list(outer_faces(Mesh(nodes=nodes, blocks=blocks)).items())
-    split = [faces[:, _SPLIT[kind]].reshape(-1, 3) for kind, faces in found if len(faces)]
+        outer += list(outer_faces(Mesh(nodes=nodes, blocks=blocks)).items())
+    split = [faces[:, _SPLIT[kind]].reshape(-1, 3) for kind, faces in outer if len(faces)]
     return np.concatenate([np.zeros((0, 3), dtype=np.int64), *split])
 
 

@@ -23,14 +23,14 @@ _ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "
 
 def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
     """M, K, D (n, n) and B (n, m); C (m, n) too where it is not B'. Without D or B where there are none."""
-    found = {"M": body.mass_matrix, "K": body.stiffness_matrix}
+    matrices = {"M": body.mass_matrix, "K": body.stiffness_matrix}
     if body.damping_matrix.any():
-        found["D"] = body.damping_matrix
+        matrices["D"] = body.damping_matrix
     if body.input_matrix.size:
-        found["B"] = body.input_matrix
+        matrices["B"] = body.input_matrix
         if not np.array_equal(body.output_matrix, body.input_matrix.T):
-            found["C"] = body.output_matrix
-    return found
+            matrices["C"] = body.output_matrix
+    return matrices
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

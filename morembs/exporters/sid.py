@@ -135,7 +135,7 @@ class SidFem(Exporter):
 
 def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     """The frame with coordinates in which Me is one and Ke diagonal, and whether they had to be changed."""
-    Me, Ke, its = frame.integrals.Me, frame.Ke, frame.integrals
+    Me, Ke, integrals = frame.integrals.Me, frame.Ke, frame.integrals
     diagonal = np.diag(np.diag(Ke))
     if (
         np.abs(Me - np.eye(len(Me))).max() <= NORMAL * len(Me)
@@ -145,7 +145,8 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     _, T = sl.eigh(Ke, Me)
     T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
     integrals = replace(
-        its, Ct=T.T @ its.Ct, Cr=T.T @ its.Cr, Me=_both(T, Me), x_phi=its.x_phi @ T, phi_phi=_both(T, its.phi_phi)
+        integrals, Ct=T.T @ integrals.Ct, Cr=T.T @ integrals.Cr, Me=_both(T, Me), x_phi=integrals.x_phi @ T,
+        phi_phi=_both(T, integrals.phi_phi),
     )
     stiff = frame.stiffening
     if stiff is not None:
@@ -167,20 +168,20 @@ def _both(T: Floats, A: Floats) -> Floats:
 
 def _sid(frame: FloatingFrame) -> Sid:
     """All terms of the body; geometric stiffening joins those of first order."""
-    its, n, stiff = frame.integrals, frame.count, frame.stiffening
-    Cr1, Oe1, Ct1 = its.Cr1, its.Oe1.transpose(0, 2, 1), None
+    integrals, n, stiff = frame.integrals, frame.count, frame.stiffening
+    Cr1, Oe1, Ct1 = integrals.Cr1, integrals.Oe1.transpose(0, 2, 1), None
     if stiff is not None:
         Ct1 = _by_coordinate(stiff.acceleration)
         Cr1 = Cr1 + _by_coordinate(stiff.angular_acceleration)
         Oe1 = Oe1 + _by_coordinate(stiff.rotation)
-    omega = np.sqrt(np.maximum(np.diag(frame.Ke) / np.diag(its.Me), 0.0))
-    J1 = np.array([its.J1[:, a, b] for a, b in INERTIA])
+    omega = np.sqrt(np.maximum(np.diag(frame.Ke) / np.diag(integrals.Me), 0.0))
+    J1 = np.array([integrals.J1[:, a, b] for a, b in INERTIA])
     return Sid(
-        mass=its.mass, frequencies_hz=omega / (2 * np.pi), nodes={},
-        mdCM=Taylor(M0=its.first[:, None], M1=its.Ct.T[:, :, None]),
-        J=Taylor(M0=np.array([[its.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),
-        Ct=Taylor(M0=its.Ct, M1=Ct1), Cr=Taylor(M0=its.Cr, M1=Cr1), Me=Taylor(M0=its.Me),
-        Gr=its.Gr, Ge=its.Ge, Oe=Taylor(M0=its.Oe, M1=Oe1), ksigma=Taylor(M0=np.zeros((n, 1))),
+        mass=integrals.mass, frequencies_hz=omega / (2 * np.pi), nodes={},
+        mdCM=Taylor(M0=integrals.first[:, None], M1=integrals.Ct.T[:, :, None]),
+        J=Taylor(M0=np.array([[integrals.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),
+        Ct=Taylor(M0=integrals.Ct, M1=Ct1), Cr=Taylor(M0=integrals.Cr, M1=Cr1), Me=Taylor(M0=integrals.Me),
+        Gr=integrals.Gr, Ge=integrals.Ge, Oe=Taylor(M0=integrals.Oe, M1=Oe1), ksigma=Taylor(M0=np.zeros((n, 1))),
         Ke=Taylor(M0=frame.Ke), De=Taylor(M0=frame.De),
     )  # fmt: skip
 

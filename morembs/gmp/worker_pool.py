@@ -37,7 +37,7 @@ class Work(Protocol):
     def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
         """From a known equilibrium to the end angles t (2,); raises NotFollowedError."""
 
-    def sample(self, found: Equilibrium) -> Any:
+    def sample(self, equilibrium: Equilibrium) -> Any:
         """What the tables hold at an equilibrium."""
 
 
