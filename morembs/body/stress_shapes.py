@@ -67,9 +67,9 @@ class Recovery:
     jump_element: Ints | None = None
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if isinstance(value := getattr(self, one.name), np.ndarray):
-                object.__setattr__(self, one.name, frozen(value))
+        for attribute in fields(self):
+            if isinstance(value := getattr(self, attribute.name), np.ndarray):
+                object.__setattr__(self, attribute.name, frozen(value))
 
     @cached_property
     def seams(self) -> bool:

@@ -149,7 +149,7 @@ class Row:
             value = value.items()
         elif self.many:
             value = enumerate(value)
-        yield from ((f"{self.place}{name}", one) for name, one in value) if self.many else [(self.place, value)]
+        yield from ((f"{self.place}{name}", part) for name, part in value) if self.many else [(self.place, value)]
 
     def value(self, item: Any) -> Any:
         """What an open dataset or group holds."""
@@ -181,7 +181,7 @@ def read_rows(group: Any, table: Table, lacking: str = "the group lacks") -> Any
     for row in table:
         item = None if row.many else group.get(row.place)
         if row.many:
-            several = {name: row.value(one) for name, one in row.items(group).items()}
+            several = {name: row.value(inner) for name, inner in row.items(group).items()}
             values[row.key] = several if row.name.endswith("*") else tuple(several.values())
         elif isinstance(item, h5py.Group if isinstance(row.kind, Table) else h5py.Dataset):
             if row.read:
