@@ -18,6 +18,7 @@ from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts
+from morembs.responses.band import MOST_HZ as MOST_HZ
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_HZ = 1e12
 # Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
 STIFFNESS_ERROR = 1e-2
 # Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
