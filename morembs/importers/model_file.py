@@ -75,10 +75,10 @@ def write_model(
         if model.mesh is not None:
             _write_mesh(out, model.mesh)
         if model.materials:
-            out.put("materials/sets", text(*(one.set for one in model.materials)))
-            stiffness = np.stack([one.stiffness for one in model.materials])
+            out.put("materials/sets", text(*(material.set for material in model.materials)))
+            stiffness = np.stack([material.stiffness for material in model.materials])
             out.put("materials/stiffness", stiffness, "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa")
-            out.put("materials/density", np.array([one.density for one in model.materials]), units="kg/m3")
+            out.put("materials/density", np.array([material.density for material in model.materials]), units="kg/m3")
         if model.couplings:
             _write_couplings(out, model)
         safe.doing = "the checksums"
@@ -104,8 +104,8 @@ def is_body_file(path: Path) -> bool:
     """Whether a file says that it holds reduced bodies."""
     try:
         with reading(path, "a model file") as file:
-            found = file.get("format")
-            return isinstance(found, h5py.Dataset) and found.shape == () and found[()] == b"morembs-body"
+            format = file.get("format")
+            return isinstance(format, h5py.Dataset) and format.shape == () and format[()] == b"morembs-body"
     except InputError:
         # Reading it as a model says what is wrong.
         return False
@@ -183,16 +183,19 @@ def _write_mesh(out: _Writer, mesh: Mesh) -> None:
 
 def _write_couplings(out: _Writer, model: FEModel) -> None:
     elements = model.couplings.values()
-    out.put("couplings/names", text(*(one.name for one in elements)), "of coupling_0, coupling_1, ...")
-    for number, one in enumerate(elements):
+    out.put("couplings/names", text(*(element.name for element in elements)), "of coupling_0, coupling_1, ...")
+    for number, element in enumerate(elements):
         group = f"couplings/coupling_{number}"
-        rigid = isinstance(one, RigidElement)
-        reference, nodes = (one.master, one.slaves) if isinstance(one, RigidElement) else (one.reference, one.nodes)
+        rigid = isinstance(element, RigidElement)
+        if isinstance(element, RigidElement):
+            reference, nodes = element.master, element.slaves
+        else:
+            reference, nodes = element.reference, element.nodes
         out.put(f"{group}/kind", "rigid" if rigid else "average")
         out.put(f"{group}/reference", reference, "row of /nodes: the master, or the node of the mean motion")
         out.put(f"{group}/nodes", nodes, "rows of /nodes that follow, or whose mean is taken")
-        components = np.array(one.components, dtype=np.int64)
+        components = np.array(element.components, dtype=np.int64)
         out.put(f"{group}/components", components, "0..5: those of the nodes that follow, or of the reference")
         out.put(f"{group}/point", model.nodes.xyz[reference].copy(), units="m")
-        if isinstance(one, AverageElement):
-            out.put(f"{group}/weights", one.weights)
+        if isinstance(element, AverageElement):
+            out.put(f"{group}/weights", element.weights)

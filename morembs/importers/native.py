@@ -48,22 +48,22 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
         dofs = DofMap(node=_whole(path, file["dofs/node"]), component=_whole(path, file["dofs/component"]))
         rigid, average = _couplings(path, file, len(nodes))
-        found = Imported(
+        imported = Imported(
             source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
             mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
             notes=tuple(_words(file["source/notes"])),
             warnings=tuple(_words(file["source/warnings"])) if "source/warnings" in file else (),
         )  # fmt: skip
         Checksums(path, file).verify()
-        return found
+        return imported
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """The HDF5 file, open for reading, once it is known to be a model file of a known version."""
     with reading(path, "a model file", "import the model again") as file:
-        found = file.get("format")
-        if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
+        format = file.get("format")
+        if not isinstance(format, h5py.Dataset) or format.shape != () or format[()] != FORMAT.encode():
             raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
         cure = "install a newer one, or import the model again"
         refuse_newer(path, int(file["format_version"][()]), FORMAT_VERSION, cure)
