@@ -53,9 +53,8 @@ def test_a_whole_process_is_killed_as_a_forked_one(tmp_path: Path) -> None:
     assert target.attack(trial).failures == []
 
 
-def test_damaged_inputs_are_refused_or_the_differ_knows_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(damage, "SECONDS", PATIENCE)
-    outcomes = list(damage.attacks(tmp_path, count=32, seed=1, kinds=FORMATS))
+def test_damaged_inputs_are_refused_or_the_differ_knows_why(tmp_path: Path) -> None:
+    outcomes = list(damage.attacks(tmp_path, count=32, seed=1, kinds=FORMATS, seconds=PATIENCE))
     assert len(outcomes) == 32
     bad = [one for one in outcomes if one.result in damage.FAILURES]
     bad += [one for one in outcomes if one.result == "silent" and mutations.reason(one.kind, one.format) is None]
@@ -121,16 +120,14 @@ def test_a_stray_file_a_lost_file_and_a_false_code_are_seen(tmp_path: Path, monk
         (lambda: Path("more").write_bytes(b""), "half output"), (lambda: sys.exit(2), "messages"),
     ],
 )  # fmt: skip
-def test_what_a_damaged_input_does_is_seen(
-    tmp_path: Path, work: object, result: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_damaged_input_does_is_seen(tmp_path: Path, work: object, result: str) -> None:
     def whole() -> None:
         if Path("in").read_bytes() != b"1 2 3\n":
             work()  # type: ignore[operator]
         Path("out").write_bytes(b"all")
 
-    target = damage.Target("own", damage.Seed({"in": b"1 2 3\n"}, ("in",), whole, "out"), tmp_path / "own")
-    monkeypatch.setattr(damage, "SECONDS", 1 if result == "hang" else PATIENCE)
+    seed, seconds = damage.Seed({"in": b"1 2 3\n"}, ("in",), whole, "out"), 1 if result == "hang" else PATIENCE
+    target = damage.Target("own", seed, tmp_path / "own", seconds=seconds)
     assert target.attack(0, 1).result == result
 
 
