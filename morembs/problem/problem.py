@@ -33,6 +33,8 @@ Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
+# Limits of modes that differ by less than this part are one limit.
+SAME = 1e-14
 # Part of a static motion or of the stiffness of a mode that round-off may take.
 LOST = 1e-3
 # Shift in the Sturm count of motions without energy, as a multiple of the round-off in that of rigid motion.
@@ -227,7 +229,8 @@ class Problem:
     ) -> Modes:
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
-            or (below is not None and known.verified_below > below * (1 + GAP))
+            # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
+            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - SAME))
         )
         if known is not None and enough:
             return known

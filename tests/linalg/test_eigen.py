@@ -121,3 +121,24 @@ def test_modes_kept_from_an_earlier_call_do_not_cut_a_later_one(square_bar, monk
         pair = int((exact <= exact[3] * (1 + 1e-6)).sum())
         assert len(problem.elastic_modes(below=float(exact[3])).eigenvalues) == pair
         assert len(problem.elastic_modes(count=gap + 5).eigenvalues) == gap + 5
+
+
+@pytest.mark.parametrize("kind", ["elastic_modes", "fixed_modes"])
+def test_modes_of_a_band_are_computed_once(monkeypatch, kind):
+    """Equal and lower limits are served from the modes that are known, with no step of the eigensolver."""
+    steps = []
+    monkeypatch.setattr(eigen, "DENSE", 0)
+    monkeypatch.setattr(eigen, "DENSE_PART", 0)
+    expand = BlockLanczos.expand
+    monkeypatch.setattr(BlockLanczos, "expand", lambda self: (steps.append(1), expand(self))[1])
+    model = steel(box("hex8", (8, 2, 2), (0.5, 0.05, 0.03)))
+    with Problem(model, [make_interface(model, name="left", nodes=where(model, 0, 0.0))]) as problem:
+        modes = getattr(problem, kind)
+        below = 3 * float(modes(count=6).eigenvalues[-1])
+        first, known = modes(below=below), len(steps)
+        assert len(first.eigenvalues) > 7
+        assert np.array_equal(modes(below=below).eigenvalues, first.eigenvalues)
+        assert len(modes(below=0.5 * below).eigenvalues) < len(first.eigenvalues)
+        assert len(steps) == known
+        modes(below=1.5 * below)
+        assert len(steps) > known
