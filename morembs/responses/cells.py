@@ -12,8 +12,8 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 # Cells to begin with, and the most that are made: limits hold with any number, but are sharp with enough of them.
 FIRST, MOST = 32, 30_000
-# Narrowest cell, as part of its frequency.
-NARROWEST = 1e-13
+# Narrowest cell, as part of the upper end of the band.
+NARROWEST = 1e-14
 # Numbers that are handled at once.
 AT_ONCE = 3_000_000
 
@@ -62,7 +62,7 @@ def search(
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
     count, decided, step = 0, True, max(1, AT_ONCE // per_cell)
     while len(low) and decided:
-        narrow = high - low <= NARROWEST * high
+        narrow = high - low <= NARROWEST * edges[-1]
         ready = resolved(low, high) | narrow
         unready = np.stack([low[~ready], high[~ready]])
         low, high, narrow = low[ready], high[ready], narrow[ready]
