@@ -58,6 +58,10 @@ _PARTS: Mapping[str, Table] = {
         **{f"{one}?": ("any", "") for one in ("static_error", "absolute_error", "verified_below_hz")},
         **{f"mode_{one}?": ("any", "modes") for one in ("frequencies_hz", "deviation", "mac")},
         "bound_kind": ("text", ""), "notes?": ("text", ""),
+        "version?": ("whole", ""), "band_hz?": ("real", "2"), "measure?": ("text", ""), "damping_floor?": ("real", ""),
+        "limits/*": ("any", "3"), "block_limit?": ("any", "blocks blocks"), "cells_hz?": ("real", "cells 2"),
+        "cell_limit?": ("any", "cells 3"), "uncertainty?": ("any", "lines"), "residue_deviation?": ("any", "modes"),
+        "mode_enclosure_hz?": ("any", "modes 2"),
         "block_error?": ("any", "blocks blocks"), "held_error?": ("any", "blocks lines"),
     },
     "switching": {

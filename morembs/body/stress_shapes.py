@@ -17,13 +17,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.certificate.residual import static_response
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.model.stress_operator import StressOperator, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
+from morembs.responses.krylov_space import static_response
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float64] | NDArray[np.float32]

@@ -20,11 +20,15 @@ BEYOND = 1.25
 EIGEN = 4.0
 # Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
 FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
+# A frequency this near to an undamped resonance, as part of it, is on it.
+ON = 1e-9
 
 
-def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = POINTS) -> Floats:
+def band_frequencies(
+    problem: Problem, band_hz: Sequence[float], points: int = POINTS, floor: float = 0.0
+) -> Floats:
     """Frequencies (nf,) in Hz: ``points`` over the band, half of them in equal steps, half in equal ratios, and the
-    flanks of every resonance in it.
+    flanks of every resonance in it, damped by the ratio ``floor`` at least. None is an undamped resonance.
 
     Raises:
         InputError: not a band.
@@ -34,7 +38,7 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
     grid = [np.linspace(low, high, points - points // 2), np.geomspace(first, high, points // 2)]
     modes = problem.elastic_modes(below=beyond(high))
     omega = np.sqrt(modes.eigenvalues)
-    width = 0.5 * problem.damping.at_resonance(modes.eigenvalues)
+    width = 0.5 * problem.damping.at_resonance(modes.eigenvalues) + floor * omega
     if problem.D is not None:
         width = width + 0.5 * np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
     # At its top an undamped resonance is infinite.
@@ -43,7 +47,11 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
     for flank in FLANKS:
         found = (omega + flank * width) / (2 * np.pi)
         grid.append(found[(found > low) & (found < high) & (damped | bool(flank))])
-    return np.unique(np.concatenate(grid))
+    hz = np.unique(np.concatenate(grid))
+    on = np.abs(hz[:, None] - omega[~damped] / (2 * np.pi)) <= ON * hz[:, None]
+    # At the top of an undamped resonance there is no response: its flank within the band takes its place.
+    moved = np.where(hz * (1 + NEAR) <= high, 1 + NEAR, 1 - NEAR)
+    return np.unique(np.where(on.any(axis=1), hz * moved, hz))
 
 
 def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:

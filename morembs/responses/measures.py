@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
 from morembs.responses.cells import Bounds, Cells, first_edges, search
 from morembs.responses.rational import (
     BULGE,
@@ -50,6 +51,16 @@ class Limit:
     lower: float
     upper: float
     at_hz: float
+
+
+def checked_measure(measure: str) -> None:
+    """Refuse what is no measure.
+
+    Raises:
+        InputError: as said.
+    """
+    if measure not in MEASURES:
+        raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
 
 
 class Layout:
