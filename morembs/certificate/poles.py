@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     outputs, inputs = ((reduced.C * scale[:, None]) @ X).T, L.T @ (reduced.B * scale)
     excited = energy[:inside] > EXCITED * energy.sum()
     starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > CLUSTER * omega)
-    for first, last in zip(starts, [*starts[1:], inside], strict=True):
+    for first, last in pairwise([*starts, inside]):
         held = partner[first:last]
         held = held[held >= 0]
         block = cross[first:last][:, held]

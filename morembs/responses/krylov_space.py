@@ -64,7 +64,9 @@ def static_response(problem: Problem) -> Floats:
 
 def root(gram: Floats) -> Floats:
     """R (q, q) with R'R = ``gram``, not less than it up to round-off."""
-    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    size = np.abs(np.diag(gram))
+    # Where nothing but round-off is left the diagonal may be negative, and smaller than what is beside it.
+    scale = np.sqrt(np.maximum(size, max(EPS * size.max(initial=0.0), float(np.finfo(float).tiny))))
     values, U = sl.eigh(symmetric(gram / np.outer(scale, scale)))
     return np.asarray(np.sqrt(np.maximum(values, 0.0) + len(values) * EPS)[:, None] * U.T * scale)
 
