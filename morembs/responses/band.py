@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.linalg.eigen import SOFT, Modes
-from morembs.problem import AS_A_RULE, Problem
+from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
 POINTS = 200
 MOST_HZ = 1e12
 # The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
 BEYOND = 1.25
-# Eigenvalues of a dense symmetric matrix are known to this times eps of the highest, or of themselves over SOFT.
-EIGEN = 4.0
 # Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
 FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
 # A frequency this near to an undamped resonance, as part of it, is on it.
@@ -63,21 +60,6 @@ def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
     if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ:
         raise InputError(f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH")
     return float(band_hz[0]), float(band_hz[1])
-
-
-def round_off(problem: Problem, modes: Modes, omega: Floats, highest: float) -> Floats:
-    """Error (nf,) of responses at ``omega`` that round-off causes as a rule, relative to their size.
-
-    In K, and in the eigenvalues of a small model (the reference) that reach up to ``highest``, in (rad/s)2.
-    """
-    damping, values = problem.damping, modes.eigenvalues
-    stiff = values * (1 + 1j * damping.structural)
-    viscous = damping.of_modes(values)
-    if problem.D is not None:
-        viscous = viscous + np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
-    a = np.abs(stiff + 1j * omega[:, None] * viscous - omega[:, None] ** 2)
-    off = AS_A_RULE * problem.uncertainty(modes) + EIGEN * np.finfo(float).eps * np.minimum(highest, values / SOFT)
-    return np.asarray((off / np.maximum(a, np.finfo(float).tiny)).max(axis=1, initial=0.0))
 
 
 def beyond(high_hz: float) -> float:

@@ -69,6 +69,15 @@ def floor_of(problem: Problem, given: float | None) -> float:
     if given is None:
         damping = problem.damping
         return 0.0 if damping.is_viscous or damping.structural or problem.D is not None else FLOOR
+    return checked_floor(given)
+
+
+def checked_floor(given: float) -> float:
+    """``given`` if it is a ratio of critical damping.
+
+    Raises:
+        InputError: it is not.
+    """
     if not 0 <= given < 1:
         raise InputError(
             f"damping_floor = {given} was given; expected a part of critical damping from 0 to below 1, such as 0.01"
@@ -131,6 +140,17 @@ class CertifiedReference:
         size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
         off = (size**2 * self.unsure) @ standard.sizes[:, 0]
         return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * (size @ standard.sizes[:, 0]))
+
+    def lost(self) -> tuple[float, float]:
+        """What is not known of the response at the resonances of the band, as part of its envelope, at most, and the
+        frequency in Hz where that is."""
+        low, high = (2 * np.pi * f for f in self.band_hz)
+        inside = _inside(np.sqrt(self.values), (low, high))
+        omega = np.concatenate([[low, high], inside])
+        standard = self.standard()
+        size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
+        part = self.uncertainty(omega) / (size @ standard.sizes[:, 0])
+        return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
 
     @property
     def undamped(self) -> bool:

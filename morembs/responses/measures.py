@@ -63,6 +63,15 @@ def checked_measure(measure: str) -> None:
         raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
+    """Whether a tolerance holds; if not, frequencies ``at`` (n,) in rad/s where to look: the worst one found and the
+    ends of its cell."""
+
+    decided: bool
+    at: Floats
+
+
 class Layout:
     """Entries of m x m matrices as rows (P, e), and the norms of the whole and of the blocks from their squares.
 
@@ -280,6 +289,30 @@ def compare(
             blocks[j, i] = value
     own = cells.upper[:, :3] / np.array([1.0, lower[3], 1.0])
     return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
+
+
+def decide(standard: Standard, body: Terms, low: float, high: float, measure: str, tolerance: float) -> Verdict:
+    """Whether the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
+    comparison = Comparison(standard, body)
+    number = MEASURES.index(measure)
+    allowed = np.full(comparison.quantities, np.inf)
+    if measure == "peak":
+        # Any value that is reached will do for the peak of the full response.
+        size = np.abs(standard.modes.z.real.ravel())
+        w = np.clip(np.append(size, [low, high]), low, high)
+        allowed[number] = tolerance * float(standard.layout.norms(standard.H.at(w))[:, 0].max())
+    else:
+        allowed[number] = tolerance
+    cells = search(
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
+        lambda upper, _: upper <= allowed, quantities=comparison.quantities, allowed=allowed,
+        per_cell=_numbers(comparison),
+    )  # fmt: skip
+    if cells.decided and (cells.upper[:, number] <= allowed[number]).all():
+        return Verdict(decided=True, at=np.zeros(0))
+    worst = int(cells.upper[:, number].argmax())
+    at = cells.at[number] if not cells.decided else cells.edges[worst].mean()
+    return Verdict(decided=False, at=np.unique([at, *cells.edges[worst]]))
 
 
 def _numbers(comparison: Comparison) -> int:

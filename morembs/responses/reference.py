@@ -103,10 +103,6 @@ class Reference:
         out = self.problem.budget.empty((len(self.V), C.shape[1]), order="F")
         return combine(self.V[:, : len(self.Y)], self.Y @ C, out, self.problem.budget)
 
-    def coordinates(self, X: Floats) -> Floats:
-        """Modal coordinates (k, j) of the M-orthogonal projection of ``X`` (Nc, j) on this model."""
-        return np.asarray(self.Y.T @ dot(self.V[:, : len(self.Y)], self.problem.M @ X, self.problem.budget))
-
 
 def reference_model(
     problem: Problem, omega: Floats, *, tolerance: float = 1e-8, inertia_loads: bool = False,
