@@ -44,10 +44,11 @@ def test_the_tolerance_holds(name, damping):
         floor = round_off(problem, omega, modes)
         orders = []
         for tolerance in (1e-2, 1e-4, 1e-6):
-            body = Automatic(band_hz=BAND[name], tolerance=tolerance).reduce(problem)
+            body = Automatic(band_hz=BAND[name], tolerance=tolerance, measure="pointwise").reduce(problem)
             error = errors_of(body, omega, H, scale)
             show(name, damping, f"{tolerance:.0e}: {body.order - 6}", body.recipe["orders"], f"error {error.max():.1e}")
             assert (error <= tolerance * 1.01 + floor).all()
+            assert body.recipe["certified"] <= tolerance
             assert body.rigid_count == 6 and body.recipe["family"] in body.recipe["orders"]
             assert body.recipe["orders"][body.recipe["family"]] == body.order - 6
             orders.append(body.order)
@@ -69,7 +70,7 @@ def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
     model, interfaces = ends("average", n=(6, 1, 1))
     with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
         band, tolerance = [50.0, 3000.0], 1e-4
-        body = Automatic(band_hz=band, tolerance=tolerance).reduce(problem)
+        body = Automatic(band_hz=band, tolerance=tolerance, measure="pointwise").reduce(problem)
         omega = 2 * np.pi * band_frequencies(problem, band, points=30)
         truth = Truth(problem)
         states = [truth.states(w).astype(complex) * problem.motion_scale for w in omega]
@@ -91,10 +92,9 @@ def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
 def test_static_responses_are_exact_if_asked_for(coupling):
     model, interfaces = ends(coupling)
     with Problem(model, interfaces) as problem:
-        hz = np.array([50.0, 2000.0])
         plain, exact = (Automatic(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
                         for s in (False, True))  # fmt: skip
-        loose, tight = (its.static_error for its in certify(problem, [plain, exact], hz))
+        loose, tight = (its.static_error for its in certify(problem, [plain, exact], [50.0, 2000.0], points=4))
         show(coupling, f"static error {loose:.1e} {tight:.1e}, orders {plain.order} {exact.order}")
         assert tight < 1e-9 < loose
         assert exact.order >= plain.order
@@ -151,7 +151,7 @@ def test_two_runs_are_equal_to_the_last_bit():
         model, interfaces = ends("average")
         with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem:
             body = Automatic(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
-            (its,) = certify(problem, [body], np.linspace(50.0, 3000.0, 9))
+            (its,) = certify(problem, [body], [50.0, 3000.0], points=9)
             parts = [body.V, body.K, body.M, body.D, body.B, its.error, its.bound]
             found.append([hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest() for part in parts])
             found[-1].append(json.dumps(dict(body.recipe)))
@@ -163,7 +163,7 @@ def test_a_band_below_the_first_mode_needs_few_vectors():
     with Problem(model, pair(model, "average")) as problem:
         first = problem.elastic_modes(count=1).frequencies_hz[0]
         band = [0.0, 0.3 * float(first)]
-        body = Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+        body = Automatic(band_hz=band, tolerance=1e-3, measure="pointwise").reduce(problem)
         omega, H, scale, _ = full(problem, band)
         assert errors_of(body, omega, H, scale).max() <= 1.01e-3 and body.order - 6 <= 12
 
@@ -235,20 +235,28 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
         kind = kept["bound_kind"]
         kind = kind.item() if hasattr(kind, "item") else kind
         kind = kind.decode() if isinstance(kind, bytes) else str(kind)
-        assert kind == its.bound_kind == ("none" if "false" in certify else "estimate" if damping == MODAL else "bound")
+        assert kind == its.bound_kind == ("none" if "false" in certify else "bound")
     ends_ = result.bodies[0].certificate.frequencies_hz[[0, -1]]
     assert ends_ == pytest.approx([0.0, 4e4] if certify else [500.0, 3e4])
     auto = result.bodies[0].certificate
     inside = (auto.frequencies_hz >= 500.0) & (auto.frequencies_hz <= 3e4)
-    assert auto.error[inside].max() <= 1.01e-3
+    assert result.bodies[0].recipe["certified"] <= 1e-3
+    if "false" not in certify:
+        cells = (auto.cells_hz[:, 0] >= 500.0) & (auto.cells_hz[:, 1] <= 3e4)
+        assert auto.cell_limit[cells, 0].max() <= 1.05e-3 and (auto.error[inside] <= auto.bound[inside]).all()
+        kept = stored.bodies["auto"].certificate
+        assert int(kept["version"]) == 2 and kept["limits"]["envelope"][1] == auto.limit.upper
+        assert np.array_equal(kept["cells_hz"], auto.cells_hz)
+        assert np.array_equal(auto.cells_hz[1:, 0], auto.cells_hz[:-1, 1])
     document = strict(json.dumps(result_json(result), allow_nan=False))
     assert document["bodies"]["auto"]["certificate"]["error"] == pytest.approx(auto.error.tolist())
     console = Console(record=True, width=200)
     print_result(console, result)
     text = console.export_text()
-    assert "certificate: relative errors at" in text
+    assert ("certificate: holds at every frequency from" in text) == ("false" not in certify)
     assert "elastic coordinates, the smallest found that keeps 0.001" in text
-    assert ("estimate" in text) == (damping == MODAL and "false" not in certify)
+    assert ("sampled" in text) == ("false" in certify) and ("proven" in text) == ("false" not in certify)
+    assert ("modal damping acts on" in text) == (damping == MODAL)
 
 
 def test_certificates_on_the_command_line(small_meshes, tmp_path):
@@ -260,7 +268,7 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
     flat = json.dumps(document)
     assert '"certificate"' in flat and '"bound_kind": "bound"' in flat
     shown = CliRunner().invoke(app, ["reduce", str(path)])
-    assert shown.exit_code == 0 and "bound, max" in shown.stdout
+    assert shown.exit_code == 0 and "holds at every frequency from" in shown.stdout
 
 
 @pytest.mark.parametrize(
