@@ -282,7 +282,8 @@ def test_the_bound_holds_with_structural_damping(name, coupling):
         for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = each(reduced_response(body, 2 * np.pi * hz), true, problem)
             assert its.bound_kind == "bound"
-            assert (its.bound * (1 + 1e-9) >= error).all()
+            # The dense solution itself is known to 1e-9.
+            assert (its.bound + 1e-9 >= error).all()
             assert np.median(its.bound / np.maximum(error, 1e-9)) < 1.1
             assert np.abs(its.error - error).max() < 1e-8 * (1 + error.max()) ** 2
             # Statics are real in both.
