@@ -2,7 +2,7 @@
 from .body import ElasticBody, elastic_body, make_part
 from .body.file import read_body, write_body
 from .body.stress_shapes import stress_recovery
-from .certificate.certify import Certificate, certify
+from .certificate.certify import Certificate, ErrorLimits, certify, error_limits
 from .certificate.response import full_response, reduced_response
 from .diagnostics import examined
 from .errors import InputError, MorembsError
@@ -36,7 +36,9 @@ from .reducers import (
     StaticModesSwitching,
 )
 from .responses.band import band_frequencies
+from .responses.certified import CertifiedReference, certified_reference
 from .responses.direct import direct_response
+from .responses.measures import Limit
 from .units import parse_units
 
 __version__: str
@@ -46,10 +48,12 @@ __all__ = [
     "Automatic",
     "Balanced",
     "Certificate",
+    "CertifiedReference",
     "CraigBampton",
     "Damping",
     "ElasticBody",
     "Envelope",
+    "ErrorLimits",
     "FEModel",
     "FloatingFrame",
     "FreeInterface",
@@ -59,6 +63,7 @@ __all__ = [
     "Interface",
     "Irka",
     "Krylov",
+    "Limit",
     "Material",
     "Mesh",
     "Modal",
@@ -71,9 +76,11 @@ __all__ = [
     "assemble",
     "available_solvers",
     "band_frequencies",
+    "certified_reference",
     "certify",
     "direct_response",
     "elastic_body",
+    "error_limits",
     "examined",
     "expand",
     "export_body",

@@ -79,7 +79,7 @@ MOVED = {
     "picture": "jobs.picture",
     "preload": "floating.preload",
     "responses.certify": "certificate.certify",
-    "responses.residual": "certificate.residual",
+    "responses.residual": "responses.krylov_space",
     "responses.response": "certificate.response",
     "selection": "model.selection",
     "storage.body_file": "body.file",

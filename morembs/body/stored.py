@@ -19,6 +19,7 @@ from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
     from morembs.interface import CouplingKind
+    from morembs.reducers.base import ReducedModel
     from morembs.reducers.switching_tables import Switching
 
 Floats = NDArray[np.float64]
@@ -92,6 +93,20 @@ class StoredBody:
             InputError: the file is gone or damaged.
         """
         return self.read_basis(self.name, columns)
+
+    def reduced(self) -> ReducedModel:
+        """The matrices as a reduced model without a basis, to be certified again."""
+        from morembs.problem.damping import STRUCTURAL
+        from morembs.reducers.base import ReducedModel
+
+        n = len(self.stiffness_matrix)
+        symmetric = np.array_equal(self.output_matrix, self.input_matrix.T)
+        return ReducedModel(
+            name=self.name, M=self.mass_matrix, K=self.stiffness_matrix, D=self.damping_matrix, B=self.input_matrix,
+            C=self.output_matrix, V=np.zeros((0, n)), left=None if symmetric else np.zeros((0, n)),
+            mode_kind=self.mode_kind, rigid_count=self.rigid_count, recipe=self.recipe,
+            structural=float(self.recipe.get(STRUCTURAL, 0.0)),
+        )  # fmt: skip
 
     def switching(self) -> Switching:
         """Static modes of candidate loads, read from the file at each call.

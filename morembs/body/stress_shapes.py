@@ -18,12 +18,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.body.tables import RECOVERY
-from morembs.certificate.residual import static_response
 from morembs.model import frozen
 from morembs.model.stress_operator import StressOperator, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
+from morembs.responses.krylov_space import static_response
 from morembs.storage.table import Table, read_rows
 from morembs.storage.writer import Columns
 

@@ -18,6 +18,7 @@ from morembs.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
     from morembs.reducers.switching_tables import Switching
 
 
@@ -46,6 +47,12 @@ def _ranking_parts(terms: Sequence[RankedTerm]) -> Mapping[str, object]:
     return {"terms": names, "equations": equations, "share": share}
 
 
+def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
+    limits = {name: (one.lower, one.upper, one.at_hz) for name, one in certificate.limits.items()}
+    more = {name: getattr(certificate, name) for name in ("bound_kind", "absolute_error")}
+    return vars(certificate) | more | {"limits": limits, "version": CERTIFICATE_VERSION}
+
+
 def _switching(**values: Any) -> Switching:
     # Not at the top: files are shown without what reduces.
     from morembs.reducers.switching_tables import Switching
@@ -53,25 +60,46 @@ def _switching(**values: Any) -> Switching:
     return Switching(**values)
 
 
+# 2: limits hold at every frequency of a band; files without a version have errors at samples.
+CERTIFICATE_VERSION = 2
 _OLD = "files of earlier versions lack it"
 _MAYBE = "may be absent"
 _JUMPS = "only where jumps are wanted"
 
 CERTIFICATE = Table((
-    Row("frequencies_hz", "any", "nf", "where the errors were taken", "Hz"),
+    Row("version", "whole", "", "2: limits on every frequency of the band", when=_OLD),
+    Row("band_hz", "real", "2", "the limits hold from here to there", "Hz", when=_OLD),
+    Row("measure", "text", "", "the limit that counts", when=_OLD,
+        doc="the limit that counts: `envelope`, `peak` or `pointwise`"),
+    Row("damping_floor", "real", "", "ratio of critical damping assumed in the full model and the body", when=_OLD),
+    Row("limits/*", "any", "3", "largest error over the band: at least, at most, where the former is, Hz",
+        doc="`envelope`, `peak`, `pointwise`: largest error over the band: a value that is reached, one that is not "
+        "exceeded (infinite where there is none), and the frequency of the former in Hz"),
+    Row("block_limit", "any", "ni ni", "upper limit of motion of interface i to load on interface j", when=_OLD,
+        doc="upper limits of the motions of interface i under loads at interface j, each by its own envelope"),
+    Row("cells_hz", "real", "nc 2", "cells that cover the band without gaps", "Hz", when=_OLD),
+    Row("cell_limit", "any", "nc 3", "upper limits on the cells: envelope, peak, pointwise", when=_OLD),
+    Row("uncertainty", "any", "nf", "how far the full response is not known, relative to its size", when=_OLD,
+        field="reference_error", doc="limit of what is not known of the full response, relative to `full`, round-off "
+        "included"),
+    Row("residue_deviation", "any", "nm", "relative deviation of the body's residues", when=_OLD,
+        doc="relative deviation of the residues of each mode, or of its cluster; not a number for modes that no load "
+        "excites"),
+    Row("mode_enclosure_hz", "any", "nm 2", "between these a frequency of the full model lies", "Hz", when=_OLD),
+    Row("frequencies_hz", "any", "nf", "of the curves", "Hz"),
     Row("full", "any", "nf", "size of the transfer matrix of the full model", "m/N", when=_MAYBE),
     Row("reduced", "any", "nf", "size of that of the body", "m/N", when=_MAYBE),
     Row("error", "any", "nf", "size of the difference, relative to the full model"),
-    Row("bound", "any", "nf", "upper bound of the error, or an estimate: see bound_kind",
-        doc="upper bound of `error`; not a number where there is none"),
+    Row("bound", "any", "nf", "upper limit of the error, or an estimate: see bound_kind",
+        doc="`error` and `uncertainty`; infinite where there is none"),
     Row("bound_kind", "text", doc="`bound` (proven in exact arithmetic), `estimate` or `none`"),
-    Row("block_error", "any", "ni ni", "largest error of motion of interface i to load on interface j", when=_MAYBE),
+    Row("block_error", "any", "ni ni", "largest error of motion of interface i to load on interface j", when=_MAYBE,
+        doc="largest error at the samples of the motions of interface i under loads at interface j"),
     Row("held_error", "any", "ni nf", "error of what is left when interface i is held still", when=_MAYBE,
         doc="error of what is left when interface i is held still; not a number at low frequencies"),
     Row("static_error", "any", "", "error at 0 Hz", when=_MAYBE),
-    Row("absolute_error", "any", "", "largest difference over the largest size in the band", when=_MAYBE),
-    Row("reference_error", "any", "nf", "estimated error of the full response itself", when=_MAYBE,
-        doc="estimated error of the full response itself, round-off included: below it `error` says nothing"),
+    Row("absolute_error", "any", "", "largest difference over the largest size, at the samples", when=_MAYBE),
+    Row("reference_error", "any", "nf", "as uncertainty", when=_MAYBE),
     Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_MAYBE,
         doc="free-free modes of the full model in the band"),
     Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_MAYBE,
@@ -81,7 +109,13 @@ CERTIFICATE = Table((
     Row("verified_below_hz", "any", "", "a Sturm count found no mode missing", "Hz", when=_MAYBE,
         doc="a Sturm count proved that no mode below is missing"),
     Row("notes", "notes", doc="what there is to say about them", when=_MAYBE),
-))  # fmt: skip
+), parts=_certificate_parts)  # fmt: skip
+
+
+def certificate_values(certificate: Certificate) -> dict[str, Any]:
+    """Values of a certificate by the names of its datasets."""
+    parts = _certificate_parts(certificate)
+    return {name: value for row in CERTIFICATE for name, value in row.parts(parts[row.key])}
 
 INTEGRALS = Table((
     Row("mass", "real", "", units="kg", doc="mass"),

@@ -1,222 +1,297 @@
-"""How wrong a reduced body is: measured against the full model, and bounded without it."""
+"""How wrong a reduced body is: limits of the error on every frequency of a band."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from morembs.certificate.residual import bound_of, modal_damping, residual_of, static_response
+from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
-from morembs.errors import SolverError
-from morembs.linalg.columns import dot, multiply_into, project_out
-from morembs.linalg.eigen import Modes
+from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
-from morembs.responses.band import beyond, round_off
-from morembs.responses.reference import Reference, reference_model
+from morembs.responses.band import POINTS, band_frequencies, checked_band
+from morembs.responses.certified import CertifiedReference, certified_reference
+from morembs.responses.krylov_space import static_response
+from morembs.responses.measures import MEASURES, SHARPNESS, Layout, Limit, checked_measure, compare
+from morembs.responses.pencils import terms_of
+from morembs.responses.rational import Terms
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-# The full response is known to this part of its largest entry.
-REFERENCE = 1e-10
-# A bound that a measured error exceeds by this times the error of the full response itself is not proven.
-UNSURE = 10.0
-# Modes this close to each other are compared as one subspace.
-CLUSTER = 1e-3
 # A mode whose MAC is below this is missing.
 MISSING = 0.5
 # Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
 HELD = 0.02
+# Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
+ALIKE, STORED = 0.05, 5000
+OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate:
-    """Errors of the elastic transfer matrix H over a band, forces and moments scaled by the radius of gyration.
+class ErrorLimits:
+    """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
+    block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
+    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders."""
 
-    ``frequencies_hz`` (nf,); ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the norm of
-    the difference over that of the full model, ``bound`` (nf,) an upper bound of it, ``bound_kind`` "bound" where it is
-    proven, "estimate" where it is not (or lies below a measured error), "none", of infinity.
-    ``block_error`` (ni, ni) largest relative error of each block
-    (motion of interface i, load on interface j), ``held_error`` (ni, nf) the relative error of what is left when
-    interface i is held still, from the whole transfer matrix with its rigid-body part; not a number below ``HELD`` of
-    the upper frequency. ``static_error`` that at 0 Hz. ``mode_frequencies_hz`` (k,) of the
-    full model in the band, ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,)
-    mass-weighted modal assurance criterion, of the whole cluster where modes are close. ``reference_error`` (nf,) is
-    the estimated error of the full response itself, round-off in K included: below it ``error`` says nothing.
+    limits: dict[str, Limit]
+    block_limit: Floats
+    cells_hz: Floats
+    cell_limit: Floats
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certificate(ErrorLimits):
+    """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
+
+    ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an
+    estimate, "sampled" where there are none. ``measure`` is the one that counts; ``damping_floor`` the ratio of
+    critical damping that is assumed in the full model and the body beside their own, for transfer errors only.
+
+    Curves at ``frequencies_hz`` (nf,): ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the
+    norm of the difference over that of the full model, ``bound`` (nf,) that and the ``reference_error`` (nf,), which
+    is how far the full response is not known, round-off in K included.
+    ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
+    what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
+    below ``HELD`` of the upper frequency. ``static_error`` that at 0 Hz.
+
+    ``mode_frequencies_hz`` (k,) of the full model in the band, which lie within ``mode_enclosure_hz`` (k, 2);
+    ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
+    criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
+    whole cluster where modes are close. No mode is missing below ``verified_below_hz``.
     """
 
+    band_hz: tuple[float, float]
+    measure: str
+    damping_floor: float
+    kind: str
     frequencies_hz: Floats
     full: Floats
     reduced: Floats
     error: Floats
     bound: Floats
-    bound_kind: str
     block_error: Floats
     held_error: Floats
     static_error: float
     mode_frequencies_hz: Floats
+    mode_enclosure_hz: Floats
     mode_deviation: Floats
     mode_mac: Floats
+    residue_deviation: Floats
     verified_below_hz: float
     reference_error: Floats
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
     def absolute_error(self) -> float:
-        """Largest error of H, relative to the largest norm of H in the band: means something at resonances too."""
+        """Largest error of H at the sampled frequencies, relative to the largest norm of H there."""
         return float((self.error * self.full).max() / self.full.max())
+
+    @property
+    def bound_kind(self) -> str:
+        """``kind`` by its old names: "bound", "estimate" or "none"."""
+        return OLD_KINDS[self.kind]
+
+    @property
+    def limit(self) -> Limit:
+        """The limit of ``measure``."""
+        return self.limits[self.measure]
 
 
 def certify(
-    problem: Problem, bodies: Sequence[ReducedModel], frequencies_hz: Floats, *, bound: bool = True,
-    progress: Progress = SILENT,
+    problem: Problem, bodies: Sequence[ReducedModel], band_hz: Sequence[float] | Floats, *,
+    measure: str = "envelope", damping_floor: float | None = None, sharpness: float = SHARPNESS, points: int = POINTS,
+    bound: bool = True, progress: Progress = SILENT,
 ) -> tuple[Certificate, ...]:  # fmt: skip
-    """Certificate of each of ``bodies`` at ``frequencies_hz`` (nf,).
+    """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
-    The full response is that of ``reference_model``. The bound knows nothing of it: it takes the free-free modes up to
-    ``band.BEYOND`` times the highest frequency, proven complete by a Sturm count, and one static solve for each
-    coordinate. For Rayleigh and structural damping and none it is proven (in exact arithmetic); otherwise it is an
-    estimate.
+    The full model is that of ``certified_reference``, whose own error counts. Limits are proven in exact arithmetic,
+    and round-off is counted, but for models with a damping matrix of their own. An upper limit is at most ``sharpness``
+    times the lower one, unless round-off hinders. ``points`` beside the resonances are stored as curves; without
+    ``bound`` there is nothing else.
 
     Raises:
-        InputError: no interfaces, or modal damping beside a damping matrix of the model.
-        SolverError: the full response cannot be computed to ``REFERENCE``, or a response is not a number.
+        InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model.
+        SolverError: the full response cannot be computed.
     """
-    omega = 2 * np.pi * np.asarray(frequencies_hz, dtype=float)
-    modes = problem.elastic_modes(below=beyond(float(frequencies_hz[-1])))
-    reference = reference_model(problem, omega, tolerance=REFERENCE, progress=progress)
-    H = reference.response(omega)
+    checked_measure(measure)
+    checked_sharpness(sharpness)
+    given = None
+    if len(band_hz) != 2:
+        warnings.warn(
+            "certify takes the band, [LOW, HIGH] in Hz; a list of frequencies will not be taken any more",
+            DeprecationWarning, stacklevel=2,
+        )  # fmt: skip
+        given, band_hz = np.asarray(band_hz, dtype=float), (float(band_hz[0]), float(band_hz[-1]))
+    low, high = checked_band([float(f) for f in band_hz])
+    reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
+    hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
+    H = reference.H(2 * np.pi * hz)
     made = []
     for reduced in bodies:
         progress.update(f"certificate of {reduced.name}")
-        made.append(_certificate(problem, reduced, modes, omega, H, reference, bound))
+        if bound:
+            known = error_limits(reference, reduced, sharpness=sharpness)
+        else:
+            known = _sampled(len(problem.coupling.columns))
+        made.append(_certificate(reference, reduced, hz, H, known, measure, bound))
     return tuple(made)
 
 
-def _certificate(
-    problem: Problem, reduced: ReducedModel, modes: Modes, omega: Floats, H: Complexes, reference: Reference,
-    bound: bool,
-) -> Certificate:  # fmt: skip
-    S = np.outer(problem.motion_scale, problem.motion_scale)
-    H_r = reduced_response(reduced, omega)
-    norm = np.linalg.norm(H * S, axis=(1, 2))
-    V = _elastic_part(problem, reduced)
-    kind, limit = "none", np.full(len(omega), np.inf)
-    notes = []
-    if not reduced.is_projection:
-        notes.append("no bound: positions and velocities have bases of their own")
-    elif bound and V.shape[1]:
-        kind = "estimate" if problem.damping.is_modal or problem.D is not None else "bound"
-        if problem.D is not None:
-            notes.append("the estimate neglects how the model's own damping couples modes in the band to those above")
-        limit = _bounds(problem, reduced, V, modes, omega, reference) / norm
-        if not np.isfinite(limit).all():
-            kind, limit = "none", np.full(len(omega), np.inf)
-            notes.append("no bound: round-off leaves none at some frequencies")
-    error = np.linalg.norm((H_r - H) * S, axis=(1, 2)) / norm
-    if not np.isfinite(error).all():
-        raise SolverError(
-            f"the response of {reduced.name} or of the full model is not a number at "
-            f"{int((~np.isfinite(error)).sum())} of {len(omega)} frequencies, from "
-            f"{omega[~np.isfinite(error)][0] / (2 * np.pi):.6g} Hz on; move them, or give the model damping"
-        )
-    reference_error = reference.error + round_off(problem, modes, omega, float(reference.values.max(initial=0.0)))
-    below = ~(error <= limit + REFERENCE + UNSURE * reference_error)
-    if kind == "bound" and below.any():
-        # Whatever was proven in exact arithmetic, here round-off is larger.
-        kind = "estimate"
-        notes.append(
-            f"the bound is not proven: it lies below the measured error at {int(below.sum())} of {len(omega)} "
-            f"frequencies, by up to {np.nanmax(error - limit):.1e}; round-off is larger than it"
-        )
-    statics = problem.B.T @ static_response(problem)
-    deviation, mac = _compared_modes(problem, reduced, V, modes, omega[-1])
-    notes += _on_damping(problem, reduced, modes, deviation, reference)
-    inside = modes.eigenvalues <= omega[-1] ** 2
-    missing = modes.frequencies_hz[inside][mac < MISSING]
-    if len(missing):
-        listed = ", ".join(f"{f:,.6g}" for f in missing[:5]) + (", ..." if len(missing) > 5 else "")
-        notes.append(f"{len(missing)} of {int(inside.sum())} modes in the band are not in this body: {listed} Hz")
-    return Certificate(
-        frequencies_hz=omega / (2 * np.pi), full=norm, reduced=np.linalg.norm(H_r * S, axis=(1, 2)),
-        error=error, bound=limit, bound_kind=kind,
-        block_error=_block_errors(problem, (H_r - H) * S, H * S),
-        held_error=_held_errors(problem, H_r * S, H * S, omega),
-        static_error=float(np.linalg.norm((reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
-                                           - statics) * S) / np.linalg.norm(statics * S)),
-        mode_frequencies_hz=modes.frequencies_hz[inside], mode_deviation=deviation, mode_mac=mac,
-        verified_below_hz=float(np.sqrt(modes.verified_below) / (2 * np.pi)),
-        reference_error=reference_error,
-        notes=tuple(notes),
+def checked_sharpness(sharpness: float) -> None:
+    """Refuse what is no factor.
+
+    Raises:
+        InputError: as said.
+    """
+    if not 1.01 <= sharpness <= 2:
+        raise InputError(f"sharpness = {sharpness:g} was given; expected a factor from 1.01 to 2")
+
+
+def body_terms(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Terms:
+    """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
+    scale = reference.problem.motion_scale
+    return terms_of(
+        reduced.M, reduced.D, reduced.K, reduced.B * scale, scale[:, None] * reduced.C, layout,
+        structural=reduced.structural + 2 * reference.floor, highest=2 * np.pi * reference.band_hz[1],
+        rigid=reduced.rigid_count, symmetric=reduced.symmetric,
     )  # fmt: skip
 
 
-def _elastic_coordinates(reduced: ReducedModel) -> Floats:
-    """(n, n - r): eigenvectors of a Galerkin projection, otherwise the coordinates behind the rigid-body modes."""
-    whole = reduced.modes()[1] if reduced.symmetric else np.eye(reduced.order)
-    return whole[:, reduced.rigid_count :]
+def error_limits(
+    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS
+) -> ErrorLimits:
+    """Limits of the error of any body on every frequency of the band of ``reference``; it may be read from a file.
+
+    Raises:
+        InputError: inputs that are not those of the problem.
+    """
+    problem = reference.problem
+    if reduced.B.shape[1] != problem.B.shape[1]:
+        raise InputError(
+            f"{reduced.name} has {reduced.B.shape[1]} inputs and the problem {problem.B.shape[1]}; "
+            "give the problem the interfaces of the body"
+        )
+    low, high = (2 * np.pi * f for f in reference.band_hz)
+    standard = reference.standard(reduced.symmetric)
+    body = body_terms(reference, reduced, standard.layout)
+    sharp = _undamped_pole(standard.H, body, low, high)
+    if sharp is not None:
+        at_hz, n = sharp / (2 * np.pi), len(problem.coupling.columns)
+        return ErrorLimits(
+            limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
+            block_limit=np.full((n, n), np.inf), cells_hz=np.array([reference.band_hz]),
+            cell_limit=np.full((1, 3), np.inf),
+            notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, where a transfer error has none; "
+                   "give damping, or a damping_floor such as 0.01",),
+        )  # fmt: skip
+    limits, blocks, cells = compare(standard, body, low, high, sharpness)
+    hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
+    # The ends as they were given.
+    hz[0, 0], hz[-1, 1] = reference.band_hz
+    notes = [
+        f"{name}: the upper limit is {one.upper / one.lower:.2f} times the lower one, as round-off or the error of the "
+        f"full response itself limits it at {one.at_hz:,.6g} Hz"
+        for name, one in limits.items() if one.lower > 0 and 2 * sharpness * one.lower < one.upper < np.inf
+    ]  # fmt: skip
+    return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=tuple(notes))
 
 
-def _elastic_part(problem: Problem, reduced: ReducedModel, basis: Floats | None = None) -> Floats:
-    """Eigenvectors (Nc, n) of the reduced elastic part, free of rigid-body motion."""
-    basis = reduced.V if basis is None else basis
-    Y = _elastic_coordinates(reduced)
-    V = multiply_into(basis, Y, problem.budget.empty((len(basis), Y.shape[1]), order="F"), problem.budget)
-    project_out(problem.rigid, V, problem.M)
-    return V
+def _undamped_pole(H: Terms, body: Terms, low: float, high: float) -> float | None:
+    """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
+    z = np.concatenate([H.z.ravel(), body.z.ravel()])
+    z = z[np.isfinite(z)]
+    on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]
+    return float(on.min()) if len(on) else None
 
 
-def _bounds(
-    problem: Problem, reduced: ReducedModel, V: Floats, modes: Modes, omega: Floats, reference: Reference
-) -> Floats:
-    """Bounds (nf,) of the Frobenius norm of the scaled error of H."""
-    Y = _elastic_coordinates(reduced)
-    K, D, M = (Y.T @ A @ Y for A in (reduced.K, reduced.D, reduced.M))
-    B, C, S = Y.T @ reduced.B, reduced.C @ Y, problem.motion_scale
-    W = V if reduced.left is None else _elastic_part(problem, reduced, reduced.left)
-    primal = residual_of(problem, V, W, modes, reference).scaled(S)
-    dual = primal if reduced.left is None else residual_of(problem, W, V, modes, reference).scaled(S)
-    C_true = np.asarray(problem.B.T @ V)
-    D_known, off_known = _damping_of_known(problem, modes), problem.uncertainty(modes)
-    found = []
-    for w in omega:
-        c, g = problem.damping.proportional(1j * w)
-        A = (1 + 1j * reduced.structural) * K + 1j * w * D - w**2 * M
-        y = np.linalg.solve(A, (B * S).astype(complex))
-        z = y if reduced.left is None else np.linalg.solve(A.T, (C.T * S).astype(complex))
-        # What the reduced matrices differ from the projections of the full ones: often round-off, and it counts.
-        off = z.T @ primal.projected(y, w, c, g) + S[:, None] * ((C_true - C) @ y)
-        limit = bound_of((primal, np.asarray(y)), (dual, np.asarray(z)), modes, w, c, g, D_known, off_known)
-        found.append(limit + float(np.linalg.norm(off)))
-    return np.array(found)
+def _merged(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Neighbouring cells (nc, 2) with limits (nc, 3) that are alike as one, with the larger limits."""
+    alike = ALIKE
+    while True:
+        kept, limits = [cells[0].copy()], [upper[0].copy()]
+        least = upper[0].copy()
+        for cell, limit in zip(cells[1:], upper[1:], strict=True):
+            both, lowest = np.maximum(limits[-1], limit), np.minimum(least, limit)
+            if (both <= (1 + alike) * lowest).all():
+                kept[-1][1], limits[-1], least = cell[1], both, lowest
+            else:
+                kept.append(cell.copy())
+                limits.append(limit.copy())
+                least = limit.copy()
+        if len(kept) <= STORED:
+            return np.array(kept), np.array(limits)
+        alike *= 2
 
 
-def _damping_of_known(problem: Problem, modes: Modes) -> Floats:
-    """Damping other than Rayleigh's seen by the known modes, (k,) or (k, k)."""
-    if problem.D is not None:
-        return dot(modes.vectors, problem.D @ modes.vectors, problem.budget)
-    return modal_damping(problem, modes.eigenvalues)
+def _sampled(blocks: int) -> ErrorLimits:
+    """No limits."""
+    return ErrorLimits(
+        limits={name: Limit(lower=0.0, upper=np.inf, at_hz=np.nan) for name in MEASURES},
+        block_limit=np.full((blocks, blocks), np.inf), cells_hz=np.zeros((0, 2)), cell_limit=np.zeros((0, 3)),
+    )  # fmt: skip
 
 
-def _on_damping(
-    problem: Problem, reduced: ReducedModel, modes: Modes, deviation: Floats, reference: Reference
-) -> list[str]:
+def _certificate(
+    reference: CertifiedReference, reduced: ReducedModel, hz: Floats, H: Complexes, known: ErrorLimits, measure: str,
+    bound: bool,
+) -> Certificate:  # fmt: skip
+    problem, omega = reference.problem, 2 * np.pi * hz
+    layout = Layout(problem.B.shape[1], list(problem.coupling.columns.values()), symmetric=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        H_r = body_terms(reference, reduced, layout).at(omega).reshape(H.shape)
+        norm = np.linalg.norm(H, axis=(1, 2))
+        error = np.linalg.norm(H_r - H, axis=(1, 2)) / norm
+        unsure = reference.uncertainty(omega) / norm
+    poles = poles_of(reference, reduced)
+    return Certificate(
+        limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
+        band_hz=reference.band_hz, measure=measure, damping_floor=reference.floor,
+        kind=("proven" if reference.proven else "estimate") if bound else "sampled",
+        frequencies_hz=hz, full=norm, reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error,
+        bound=error + unsure if bound else np.full(len(hz), np.inf), reference_error=unsure,
+        block_error=_block_errors(problem, H_r - H, H), held_error=_held_errors(problem, H_r, H, omega),
+        static_error=_static_error(problem, reduced),
+        mode_frequencies_hz=poles.frequencies_hz, mode_enclosure_hz=poles.enclosure_hz,
+        mode_deviation=poles.deviation, mode_mac=poles.mac, residue_deviation=poles.residue,
+        verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
+        notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
+    )  # fmt: skip
+
+
+def _static_error(problem: Problem, reduced: ReducedModel) -> float:
+    S = np.outer(problem.motion_scale, problem.motion_scale)
+    statics = problem.B.T @ static_response(problem)
+    # Without the loss factor, which would hide real parts.
+    found = reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
+    return float(np.linalg.norm((found - statics) * S) / np.linalg.norm(statics * S))
+
+
+def _missing(poles: Poles) -> list[str]:
+    """Modes that loads excite and the body does not have, in words."""
+    lost = poles.frequencies_hz[poles.excited & (poles.mac < MISSING)]
+    if not len(lost):
+        return []
+    listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + (", ..." if len(lost) > 5 else "")
+    return [f"{len(lost)} of {len(poles.mac)} modes in the band are not in this body: {listed} Hz"]
+
+
+def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Poles) -> list[str]:
     """What damping makes of the comparison, in words."""
     found = []
-    damping = problem.damping
-    if len(damping.jumps) and reference.error > REFERENCE:
-        found.append(
-            f"the full response is known to {reference.error:.1e} only: the modal damping table jumps beside modes "
-            "that are not resolved"
-        )
+    problem, damping = reference.problem, reference.problem.damping
+    if problem.D is not None:
+        found.append("the error of the full response, with the model's own damping, is an estimate")
+    if damping.is_modal:
+        found.append(f"modal damping acts on the {len(reference.values)} computed modes of the full model")
     # Where the frequency of a body is off, the table may give its mode another ratio.
-    omega = np.sqrt(modes.eigenvalues[: len(deviation)])
-    moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(deviation)))
+    omega = 2 * np.pi * poles.frequencies_hz
+    moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
     if moved.any():
         listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
         found.append(
@@ -265,30 +340,3 @@ def _with_held(H: Complexes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Comp
     if (np.linalg.matrix_rank(inner) < len(a)).any():
         return np.full((len(H), len(b), len(b)), np.nan)
     return np.asarray(H[:, b[:, None], b] - H[:, b[:, None], a] @ np.linalg.solve(inner, H[:, a[:, None], b]))
-
-
-def _compared_modes(
-    problem: Problem, reduced: ReducedModel, V: Floats, modes: Modes, highest: float
-) -> tuple[Floats, Floats]:
-    """Relative deviations (k,) of the frequencies and the MAC (k,) of the full model's modes up to ``highest``."""
-    inside = int((modes.eigenvalues <= highest**2).sum())
-    if not inside or not V.shape[1]:
-        return np.full(inside, np.nan), np.zeros(inside)
-    cross = dot(modes.vectors[:, :inside], problem.M @ V, problem.budget)
-    if not reduced.symmetric:
-        cross = cross @ reduced.modes()[1][reduced.rigid_count :, reduced.rigid_count :]
-        cross /= np.maximum(np.linalg.norm(cross, axis=0).max(initial=0.0), 1.0)
-    theta = np.maximum(reduced.modes()[0][reduced.rigid_count :], 0.0)
-    rows, found = linear_sum_assignment(-(cross**2))
-    deviation, mac = np.full(inside, np.nan), np.zeros(inside)
-    omega = np.sqrt(modes.eigenvalues[:inside])
-    deviation[rows] = np.abs(np.sqrt(theta[found]) / omega[rows] - 1)
-    partner = np.full(inside, -1)
-    partner[rows] = found
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(omega) > CLUSTER * omega[1:]]))
-    for first, last in zip(starts, [*starts[1:], inside], strict=True):
-        held = partner[first:last]
-        block = cross[first:last][:, held[held >= 0]]
-        s = np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(1)
-        mac[first:last] = s.min() ** 2 if len(held) == block.shape[1] else 0.0
-    return deviation, mac

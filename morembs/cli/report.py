@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +13,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from morembs.body import ElasticBody
+from morembs.body.tables import certificate_values
 from morembs.certificate.certify import Certificate
+from morembs.cli.certificates import Certified, print_certificates
 from morembs.cli.tables import (
     bytes_words,
     frame_words,
@@ -78,11 +80,16 @@ def result_json(result: JobResult) -> dict[str, Any]:
 def _certificate_json(certificate: Certificate) -> dict[str, Any]:
     values = {name: value for name, value in asdict(certificate).items() if name != "notes"}
     values = {name: without_nan(value) for name, value in values.items()}
-    return {**values, "absolute_error": certificate.absolute_error, "notes": list(certificate.notes)}
+    return {
+        **values, "absolute_error": certificate.absolute_error, "bound_kind": certificate.bound_kind,
+        "notes": list(certificate.notes),
+    }  # fmt: skip
 
 
 def without_nan(value: Any) -> Any:
     """Arrays as lists, what is not a number as None."""
+    if isinstance(value, Mapping):
+        return {name: without_nan(inner) for name, inner in value.items()}
     if isinstance(value, np.ndarray):
         return [without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
     return None if isinstance(value, float) and not np.isfinite(value) else value
@@ -130,32 +137,13 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
 
 def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None:
     """The errors of each body, and the choices of those that made some."""
-    known = [(body, body.certificate) for body in bodies if body.certificate is not None]
-    if not known:
-        return
-    hz = known[0][1].frequencies_hz
-    table = plain_table(
-        "body", "order", "error, max", "mean", "bound, max", "", "block, max", "static", "modes off by", "MAC"
-    )
-    for body, certificate in known:
-        table.add_row(
-            body.name, str(body.reduced.order), f"{certificate.error.max():.1e}", f"{certificate.error.mean():.1e}",
-            "-" if certificate.bound_kind == "none" else f"{certificate.bound.max():.1e}",
-            certificate.bound_kind.replace("none", ""), f"{certificate.block_error.max(initial=0.0):.1e}",
-            f"{certificate.static_error:.1e}",
-            f"{np.nanmax(certificate.mode_deviation, initial=0.0):.1e}", f"{certificate.mode_mac.min(initial=1.0):.4f}",
-        )  # fmt: skip
-    titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
-    console.print(
-        "  max, mean: over the band; block: motions of one interface under loads at another; static: at 0 Hz; "
-        "only the kind \"bound\" is proven",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
-    for body, certificate in known:
-        if certificate.error.max() > 1:
-            console.print(f"  {body.name}: the error exceeds 1; it does not serve in this band", highlight=False)
-        for note in [*certificate.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
-            console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
+    known = []
+    for body in bodies:
+        if body.certificate is not None:
+            values = dict(certificate_values(body.certificate))
+            choice = [str(body.recipe["choice"])] if "choice" in body.recipe else []
+            known.append(Certified(name=body.name, order=body.reduced.order, values=values, notes=choice))
+    print_certificates(console, known, [one.name for one in bodies[0].part.interfaces])
 
 
 def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
@@ -187,7 +175,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
 
 def print_contenders(console: Console, job: str, compared: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
-    heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak memory")
+    heads = ("order", "error", "mean", "limit", "static", "held, median", "seconds", "peak memory")
     table = plain_table("body", *heads)
     for contender in compared:
         known = contender.bound, contender.static_error, contender.held_error
@@ -198,8 +186,9 @@ def print_contenders(console: Console, job: str, compared: Sequence[Contender]) 
         )  # fmt: skip
     titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     console.print(
-        "held: with one interface held still, median over the band, worst interface; seconds: what reductions share "
-        "(modes, the reference model) counts for the first that needs it; peak memory: of the process during it",
+        "error: reached in the band, limit: not exceeded in it, by the measure of the certificate; held: with one "
+        "interface held still, median over the band, worst interface; seconds: what reductions share (modes, the "
+        "reference model) counts for the first that needs it; peak memory: of the process during it",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
 

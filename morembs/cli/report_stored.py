@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
 from morembs.cli.messages import console, print_json, printing
@@ -90,10 +88,17 @@ def findings_json(diagnosis: Diagnosis | None) -> list[dict[str, str]]:
     return [] if diagnosis is None else [{key: getattr(each, key) for key in keys} for each in diagnosis.findings]
 
 
+def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a stored certificate by the names of their datasets."""
+    limits = {f"limits/{name}": value for name, value in certificate.get("limits", {}).items()}
+    return {**{name: value for name, value in certificate.items() if name != "limits"}, **limits}
+
+
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
     """What a body file holds, and warnings of what is ``found`` wrong with each body."""
     from rich.markup import escape
 
+    from morembs.cli.certificates import Certified, print_certificates
     from morembs.cli.tables import frame_words, mass_table, ranking_words, titled, words
 
     values = stored_json(path, stored, diagnoses)
@@ -118,15 +123,13 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
             console.print("    stress recovery", highlight=False)
         if body.has_switching:
             console.print("    static modes of candidate loads", highlight=False)
-        if body.certificate is not None:
-            hz, error, bound = (body.certificate[key] for key in ("frequencies_hz", "error", "bound"))
-            known = f", {body.certificate['bound_kind']} {bound.max():.1e}" if np.isfinite(bound).all() else ""
-            console.print(
-                f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
-                highlight=False, soft_wrap=True,
-            )  # fmt: skip
         for finding in diagnoses[name].warnings:
             console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
+    known = [
+        Certified(name=name, order=len(body.stiffness_matrix), values=flat(body.certificate))
+        for name, body in stored.bodies.items() if body.certificate is not None
+    ]  # fmt: skip
+    print_certificates(console, known, list(stored.interfaces))
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
     for warning in stored.warnings:
         console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

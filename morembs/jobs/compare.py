@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
+from morembs.certificate.certify import Certificate
 from morembs.certificate.response import full_response, reduced_response
 from morembs.model.surface import outer_faces
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
+from morembs.responses.measures import MEASURES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 SHOWN_MODES = 4
+POINTWISE = MEASURES.index("pointwise")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,8 +28,8 @@ class FrequencyResponse:
     """Size of the elastic transfer function from interface forces to interface degrees of freedom.
 
     ``full`` (nf,) Frobenius norm of H in m/N at ``frequencies_hz`` (nf,); for each body ``reduced`` (nf,)
-    its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` a bound
-    or an estimate of it where there is one. Rotations and
+    its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` (2, n) steps of
+    frequencies in Hz and of the upper limit of that between them, where there is one. Rotations and
     moments are scaled with the radius of gyration ``length`` in m, so that all entries have one unit.
     """
 
@@ -81,8 +84,16 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
         frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
-        bound={name: certificate.bound for name, certificate in known.items() if certificate.bound_kind != "none"},
+        bound={
+            name: _steps(certificate) for name, certificate in known.items()
+            if np.isfinite(certificate.cell_limit[:, POINTWISE]).any()
+        },
     )  # fmt: skip
+
+
+def _steps(its: Certificate) -> Floats:
+    """(2, 2 nc) ends of the cells and their limits of the error relative to H."""
+    return np.stack([its.cells_hz.ravel(), np.repeat(its.cell_limit[:, POINTWISE], 2)])
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:

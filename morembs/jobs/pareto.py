@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.jobs.run import JobResult
 
@@ -20,7 +21,8 @@ class Contender:
     """One reduction: ``order`` coordinates, ``seconds`` of its own work, and the peak resident
     memory ``peak_memory_bytes`` of the process during it.
 
-    Relative errors of the transfer matrix: ``error`` and ``mean_error`` over the band, ``bound`` (None without one),
+    Relative errors of the transfer matrix: ``error`` that is reached in the band and ``bound`` that is not exceeded
+    (None without one), by the measure of the certificate, ``mean_error`` at the sampled frequencies,
     ``static_error``, ``held_error`` the worst median over the band with one interface held still. What reductions
     share, such as the factorisation, counts for the first that needs it. ``best`` says that no other is at most as
     large and as wrong.
@@ -47,7 +49,7 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
     """
     stages = {stage.name: stage for stage in result.stages}
     orders = {body.name: body.reduced.order for body in result.bodies}
-    errors = {body.name: float(body.certificate.error.max()) for body in result.bodies if body.certificate is not None}
+    errors = {body.name: _error(body.certificate) for body in result.bodies if body.certificate is not None}
     if len(errors) < len(orders):
         raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
     compared = []
@@ -62,14 +64,20 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
         stage = stages[f"reduce {body.name}"]
         compared.append(
             Contender(
-                name=body.name, method=str(body.recipe["method"]), order=own[0], error=own[1],
+                name=body.name, method=str(body.recipe["method"]), order=own[0],
+                error=own[1] if certificate.kind == "sampled" else certificate.limit.lower,
                 mean_error=float(certificate.error.mean()),
-                bound=None if certificate.bound_kind == "none" else float(certificate.bound.max()),
+                bound=None if certificate.kind == "sampled" else certificate.limit.upper,
                 static_error=certificate.static_error, held_error=max(held) if held else None, seconds=stage.seconds,
                 peak_memory_bytes=stage.peak_memory_bytes, best=not better,
             )
         )  # fmt: skip
     return tuple(compared)
+
+
+def _error(certificate: Certificate) -> float:
+    """What reductions are compared by: the limit of their error, or the largest sample of it."""
+    return float(certificate.error.max()) if certificate.kind == "sampled" else certificate.limit.upper
 
 
 def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> None:

@@ -150,11 +150,12 @@ def _draw_response(figure: SubFigure, response: FrequencyResponse) -> None:
         upper.loglog(hz, response.reduced[name], color=color, linewidth=1.3, linestyle=(0, (5, 2)), label=name)
         lower.loglog(hz, np.maximum(response.error[name], 1e-16), color=color, linewidth=1.3, label=name)
         if name in response.bound:
-            limit = np.maximum(response.bound[name], 1e-16)
-            lower.loglog(hz, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, bound")
+            ends, limit = response.bound[name]
+            limit = np.where(np.isfinite(limit), np.maximum(limit, 1e-16), np.nan)
+            lower.loglog(ends, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, limit")
     upper.set_title("Elastic frequency response between the interfaces", loc="left")
     upper.set_ylabel("‖H‖ in m/N")
-    lower.set_ylabel("relative error" + ("\n(dotted: bound)" if response.bound else ""))
+    lower.set_ylabel("relative error" + ("\n(dotted: limit)" if response.bound else ""))
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")
     for panel in (upper, lower):

@@ -44,7 +44,6 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
-from morembs.responses.band import POINTS, band_frequencies
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -196,10 +195,8 @@ def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -
     if band is not None:
         with watch.stage("certify"):
             given = job.tables.certify
-            frequencies = band_frequencies(problem, band, POINTS if given is None else given.points)
-            certificates = certify(
-                problem, reduced, frequencies, bound=given is None or given.bound, progress=watch.progress
-            )
+            options = {} if given is None else given.model_dump(exclude={"band_hz"})
+            certificates = certify(problem, reduced, band, progress=watch.progress, **options)
     return _delivered(job, problem, reduced, certificates, wanted, watch)
 
 

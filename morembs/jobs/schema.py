@@ -176,11 +176,18 @@ class ResponseTable(Table):
 
 
 class CertifyTable(Table):
-    """``[certify]``: errors over a band, measured and bounded."""
+    """``[certify]``: limits of the errors at every frequency of a band."""
 
     band_hz: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(description="[LOW, HIGH] in Hz")
     points: int = Field(default=200, ge=2, le=100_000, description="a count from 2 to 100000")
     bound: bool = Field(default=True, description="true or false")
+    measure: Literal["envelope", "peak", "pointwise"] = Field(
+        default="envelope", description='"envelope", "peak" or "pointwise"'
+    )
+    damping_floor: float | None = Field(
+        default=None, ge=0, lt=1, description="a part of critical damping from 0 to below 1, such as 0.01"
+    )
+    sharpness: float = Field(default=1.05, ge=1.01, le=2, description="a factor from 1.01 to 2")
 
     @model_validator(mode="after")
     def _ascending(self) -> Self:

@@ -1,8 +1,8 @@
 """One tolerance in: the family, the frequencies and the order follow from it.
 
 Everything happens in the modal coordinates of the reference model, where a reduced model of any family is a small
-matrix C (k, n) and the residual bound of its transfer matrix takes small products only. Three families stand for
-election, each cut to its smallest order that meets the tolerance over the band:
+matrix C (k, n). Samples of the band guide and the certificate of the band decides (exchange method). Three families
+stand for election, each cut to its smallest order that meets the tolerance over the band:
 
 - "gramian": leading vectors of the responses over the band (Lehner 2007; Fehr and Eberhard 2010) in the energy inner
   product, with the best of some weights;
@@ -14,7 +14,7 @@ election, each cut to its smallest order that meets the tolerance over the band:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,18 +28,28 @@ from morembs.problem.damping import Damping
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
-from morembs.responses.band import band_frequencies, beyond, checked_band, round_off
+from morembs.responses.band import band_frequencies, checked_band
+from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
+from morembs.responses.measures import Limit, checked_measure, compare, decide
+from morembs.responses.pencils import terms_of
+from morembs.responses.rational import Terms
 from morembs.responses.reference import Reference, product, reference_model
 
 Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
 BETTER, FINE, FINEST = 1e-3, 1e-10, 1e-14
-# With jumps in a modal table it is better by this factor at least.
-BETTER_JUMPS = 0.1
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # Directions whose share of the leading one is below this are round-off.
 NOISE = 1e-13
 GREEDY_STEPS = 40
+# Times that a worst frequency joins the samples before columns are added one by one.
+EXCHANGES = 5
+# More columns than any basis has.
+MANY = 1_000_000
+# A tolerance is not kept below this times the round-off of the model.
+LOST_PARTS = 3.0
+# A response below this part of its envelope is a zero; a shift that is a resonance up to this part of it hits it.
+ZERO, HITS = 1e-3, 1e-6
 # Responses weighted with |H| to these powers: relative errors ask for -1, resonances lose by it.
 WEIGHTS = (-0.5, 0.0, -1.0)
 
@@ -48,10 +58,10 @@ WEIGHTS = (-0.5, 0.0, -1.0)
 class Automatic(OfResponses):
     """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
 
-    ``tolerance`` bounds the Frobenius norm of the error relative to that of the full model, at every frequency
-    of the band and beside its resonances; for undamped models, Rayleigh and structural damping by the residual bound,
-    otherwise as measured. ``static_exact`` keeps the static responses to interface loads, ``inertia_loads`` those to
-    the inertia of a moving frame (of a model that is held somewhere they are followed in any case).
+    ``tolerance`` bounds the error by ``measure`` ("envelope", "peak" or "pointwise") at every frequency of the band,
+    certified as in ``certify``; ``damping_floor`` as there. ``static_exact`` keeps the static responses to interface
+    loads, ``inertia_loads`` those to the inertia of a moving frame (of a model that is held somewhere they are followed
+    in any case).
     """
 
     method: ClassVar[str] = "auto"
@@ -60,11 +70,16 @@ class Automatic(OfResponses):
     tolerance: float
     static_exact: bool = False
     inertia_loads: bool = False
+    measure: str = "envelope"
+    damping_floor: float | None = None
 
     def __post_init__(self) -> None:
         checked_band(self.band_hz)
         if not 0 < self.tolerance < 1:
             raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
+        checked_measure(self.measure)
+        if self.damping_floor is not None:
+            checked_floor(self.damping_floor)
 
     @property
     def computes_modes(self) -> bool:
@@ -75,57 +90,74 @@ class Automatic(OfResponses):
         return self.band_hz
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        omega = 2 * np.pi * band_frequencies(problem, self.band_hz)
+        floor = floor_of(problem, self.damping_floor)
+        omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
         fine = max(min(BETTER * self.tolerance, FINE), FINEST)
         try:
+            certified = certified_reference(
+                problem, self.band_hz, tolerance=min(BETTER * self.tolerance, TOLERANCE), damping_floor=floor,
+                inertia_loads=inertia, progress=progress,
+            )  # fmt: skip
+            self._refuse_lost(certified)
             reference = reference_model(problem, omega, tolerance=fine, inertia_loads=inertia, progress=progress)
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
-        if len(problem.damping.jumps) and reference.error > BETTER_JUMPS * self.tolerance:
-            raise SolverError(
-                f"tolerance = {self.tolerance:g} cannot be certified: the full response is known to "
-                f"{reference.error:.1e} only, as the modal damping table jumps beside modes that are not resolved; "
-                "raise the tolerance, or let the ratio jump elsewhere"
-            )
-        lost = self._round_off(problem, reference, omega)
-        if lost > self.tolerance:
-            raise SolverError(
-                f"tolerance = {self.tolerance:g} cannot be certified: round-off in the stiffness matrix moves the full "
-                f"response by {lost:.1e}; {SOFTER}, or raise the tolerance"
-            )
-        election = _Election(problem, reference, omega, self.static_exact)
-        found, best, reached = None, "", np.inf
+        election = _Election(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
+        found: dict[str, Floats] = {}
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            C, error = election.smallest(family, self.tolerance)
-            orders[family] = "not reached" if error > self.tolerance else C.shape[1]
-            reached = min(reached, error)
-            if error <= self.tolerance and (found is None or C.shape[1] < found.shape[1]):
-                found, best = C, family
-        if found is None:
-            raise self._unreachable(reached)
+            fewer = min((C.shape[1] for C in found.values()), default=MANY)
+            C = election.smallest(family, fewer)
+            orders[family] = "not reached" if election.reached[family] is None else election.reached[family]
+            if C is not None:
+                found = {family: C}
+        if not found:
+            raise self._unreachable(election)
+        ((best, C),) = found.items()
         notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
+                 "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
             notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in election.chosen]
-        basis = elastic_basis(problem, reference.vectors(found), KINDS[best], notes)
-        real = election.measured(found, np.diag(basis.K)[problem.rigid.shape[1] :])
-        if real > self.tolerance:
-            raise self._unreachable(real)
-        return basis
+        basis = elastic_basis(problem, reference.vectors(C), KINDS[best], notes)
+        limit = election.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
+        if limit.upper > self.tolerance:
+            raise self._unreachable(election)
+        return replace(basis, notes={**notes, "certified": limit.upper})
 
-    def _round_off(self, problem: Problem, reference: Reference, omega: Floats) -> float:
-        modes = problem.elastic_modes(below=beyond(self.band_hz[1]))
-        return float(round_off(problem, modes, omega, float(reference.values[-1])).max())
+    def _refuse_lost(self, certified: CertifiedReference) -> None:
+        """Refuse what round-off, or resonances without damping, make impossible.
 
-    def _unreachable(self, error: float) -> InputError:
+        Raises:
+            InputError: an undamped resonance.
+            SolverError: a tolerance below round-off.
+        """
+        if not np.isfinite(certified.off).all():
+            raise InputError(
+                "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
+                "damping_floor such as 0.01"
+            )
+        lost, at_hz = certified.lost()
+        if self.tolerance < LOST_PARTS * lost:
+            raise SolverError(
+                f"it lies below the round-off of this model, {lost:.1e} at {at_hz:,.6g} Hz; {SOFTER}, or raise the "
+                "tolerance"
+            )
+
+    def _unreachable(self, election: _Election) -> InputError:
+        at_hz = election.worst.at_hz
+        if self.measure == "pointwise" and election.zero(at_hz):
+            return InputError(
+                f"tolerance = {self.tolerance:g} cannot be reached pointwise: H has a zero at {at_hz:,.6g} Hz; take "
+                'measure = "envelope"'
+            )
         return InputError(
             f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; the "
-            f"smallest error found is {error:.1e}, where the round-off of the full model begins; raise the tolerance, "
-            "or give an undamped model damping"
+            f"smallest error found is {election.worst.upper:.1e}, where the round-off of the full model begins; raise "
+            "the tolerance"
         )
 
 
@@ -135,14 +167,6 @@ def _words(best: str, orders: dict[str, object], band_hz: list[float], tolerance
         f"{best} basis of {orders[best]} elastic coordinates, the smallest found that keeps {tolerance:g} from "
         f"{band_hz[0]:g} to {band_hz[1]:g} Hz ({others})"
     )
-
-
-def _better(one: tuple[Floats, float], other: tuple[Floats, float], tolerance: float) -> bool:
-    """Whether ``one`` holds the tolerance with fewer columns, or comes nearer to it where none does."""
-    (C, error), (D, least) = one, other
-    if error <= tolerance and least <= tolerance:
-        return bool(C.shape[1] < D.shape[1])
-    return error < least
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,119 +189,171 @@ class _Small:
 
 
 class _Election:
-    """Families of bases (k, n) in the coordinates of a reference model, and their errors."""
+    """Families of bases (k, n) in the coordinates of a reference model, and their errors.
 
-    def __init__(self, problem: Problem, reference: Reference, omega: Floats, static: bool) -> None:
-        self.reference, self.omega = reference, omega
+    Samples guide and the certificate decides (exchange method): a basis that is cut at the samples is certified over
+    the band, and where it fails the worst frequency joins the samples.
+    """
+
+    def __init__(
+        self, certified: CertifiedReference, reference: Reference, omega: Floats, measure: str, tolerance: float,
+        static: bool,
+    ) -> None:  # fmt: skip
+        problem, damping = reference.problem, certified.damping
+        self.certified, self.standard = certified, certified.standard()
+        self.reference = reference = replace(reference, damping=damping)
+        self.omega, self.measure, self.tolerance = omega, measure, tolerance
         scale = np.ones(reference.F.shape[1])
         scale[: reference.inputs] = problem.motion_scale
         # Inertia loads count as much as the interface loads, whatever their units.
         energy = np.sqrt(np.einsum("ij,ij->j", reference.F * scale, reference.F * scale / reference.values[:, None]))
         scale[reference.inputs :] *= energy[: reference.inputs].max() / energy[reference.inputs :]
         self.F = reference.F * scale
-        self.known = reference.values <= beyond(float(omega[-1]) / (2 * np.pi))
-        self.cut = beyond(float(omega[-1]) / (2 * np.pi))
-        full = self._full()
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
-        self.sizes = self._norms(full)
-        self.size = self.sizes[:, -1]
-        self.worst_first = np.arange(len(omega))[::-1]
-        # Only undamped models, Rayleigh and structural damping have a bound; for others the errors are measured.
-        self.full = full if reference.damping.is_modal or reference.D is not None else None
+        self.looked: Floats = np.zeros(0)
+        self._look_at(omega)
+        self.size = self._norms(self.full)[:, -1]
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []
         self.greedy: Floats | None = None
+        self.reached: dict[str, int | None] = {}
+        self.worst = Limit(lower=np.inf, upper=np.inf, at_hz=np.nan)
 
-    def smallest(self, family: str, tolerance: float) -> tuple[Floats, float]:
-        """Basis of the lowest order with an error below ``tolerance`` and that error; the best found if none has."""
+    def _look_at(self, omega: Floats) -> None:
+        """Samples at ``omega`` join those at which errors are taken."""
+        self.looked = np.unique(np.concatenate([self.looked, omega]))
+        self.full = np.array([self.F.T @ self._states(w) for w in self.looked])
+        self.sizes = self._sizes(self.full)
+        self.worst_first = np.arange(len(self.looked))[::-1]
+
+    def _sizes(self, full: NDArray[Any]) -> Floats:
+        """(nf, 1 or 2) what errors at the samples are relative to, by the measure."""
+        if self.measure == "pointwise":
+            return self._norms(full)
+        if self.measure == "peak":
+            return np.broadcast_to(self._norms(full).max(axis=0), (len(full), len(self.counted)))
+        reference, w = self.reference, self.looked[:, None]
+        a = reference.values * (1 + 1j * reference.damping.structural) - w**2 + 1j * w * reference.damping_of_modes()
+        each = np.stack([(self.F[:, :m] ** 2).sum(axis=1) for m in self.counted], axis=1)
+        return np.asarray(1 / np.maximum(np.abs(a), np.finfo(float).tiny) @ each)
+
+    def smallest(self, family: str, fewer: int) -> Floats | None:
+        """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
         made: dict[str, Callable[[float, float], Floats]] = {
             "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
         }  # fmt: skip
-        found: tuple[Floats, float] | None = None
+        found: Floats | None = None
+        self.reached[family] = None
         for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
-            tried = self._cut(made[family](tolerance, exponent), tolerance)
-            if found is None or _better(tried, found, tolerance):
-                found = tried
-        return found if found is not None else (self.fixed, np.inf)
+            columns = made[family](self.tolerance, exponent)
+            order, C = self._certified(columns, min(fewer, MANY if found is None else found.shape[1]))
+            if order is not None:
+                known = self.reached[family]
+                self.reached[family] = order if known is None else min(known, order)
+            found = C if C is not None else found
+        return found
 
-    def _cut(self, columns: Floats, tolerance: float) -> tuple[Floats, float]:
-        """The first of ``columns``, as few as hold the tolerance, and their error."""
+    def _certified(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
+        """The first of ``columns``, as few as hold the tolerance: their number, at the samples at least, and the
+        certified basis where it has ``fewer``."""
+        for _ in range(EXCHANGES):
+            C, error = self._cut(columns)
+            if error > self.tolerance:
+                return None, None
+            if C.shape[1] >= fewer:
+                return C.shape[1], None
+            if self._decided(C):
+                return C.shape[1], C
+        for order in range(C.shape[1] + 1, min(columns.shape[1] + 1, fewer)):
+            if self._decided(columns[:, :order]):
+                return order, columns[:, :order]
+        return None, None
+
+    def _decided(self, C: Floats) -> bool:
+        """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
+        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        verdict = decide(self.standard, self._terms(C), low, high, self.measure, self.tolerance)
+        if not verdict.decided:
+            self._look_at(verdict.at)
+            return False
+        return True
+
+    def limit(self, C: Floats, theta: Floats) -> Limit:
+        """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
+        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        body = self._terms(C, theta if len(theta) == C.shape[1] else None)
+        self.worst = compare(self.standard, body, low, high)[0][self.measure]
+        return self.worst
+
+    def _terms(self, C: Floats, real: Floats | None = None) -> Terms:
+        """The transfer matrix of the model on span(C)."""
+        reduced, layout = self._reduced(C, real), self.standard.layout
+        b, theta = reduced.B[:, : self.reference.inputs], reduced.theta
+        D = np.diag(reduced.damping.of_modes(theta)) if reduced.D is None else reduced.D
+        return terms_of(
+            np.eye(len(theta)), D, np.diag(theta), b, b.T, layout, structural=reduced.damping.structural,
+            highest=2 * np.pi * self.certified.band_hz[1],
+        )  # fmt: skip
+
+    def zero(self, hz: float) -> bool:
+        """Whether the response is as good as zero at ``hz``."""
+        w = 2 * np.pi * np.array([hz])
+        e = (1 / self.standard.modes.distances(w).prod(axis=2)) @ self.standard.sizes[:, 0]
+        return bool(np.linalg.norm(self.standard.H.at(w)) < ZERO * e[0])
+
+    def _cut(self, columns: Floats) -> tuple[Floats, float]:
+        """The first of ``columns``, as few as hold the tolerance at the samples, and their error."""
         few, many = self.fixed.shape[1], columns.shape[1]
         error = self.error(columns)
-        if error > tolerance:
+        if error > self.tolerance:
             return columns, error
         while few < many:
             middle = (few + many) // 2
-            tried = self._exceeds(columns[:, :middle], tolerance)
-            if tried <= tolerance:
+            tried = self._exceeds(columns[:, :middle])
+            if tried <= self.tolerance:
                 many, error = middle, tried
             else:
                 few = middle + 1
         return columns[:, :many], error
 
     def error(self, C: Floats) -> float:
-        """Largest error over the band."""
+        """Largest error at the samples."""
         return float(self.errors(C).max())
 
     def errors(self, C: Floats) -> Floats:
-        """Errors (nf,) relative to |H|: the residual bound, or as measured where the damping allows no bound."""
+        """Errors (nf,) at the samples by the measure."""
         if not C.shape[1]:
-            return np.ones(len(self.omega))
+            return np.ones(len(self.looked))
         reduced = self._reduced(C)
-        found = np.array([self._error_at(j, reduced) for j in range(len(self.omega))])
+        found = np.array([self._error_at(j, reduced) for j in range(len(self.looked))])
         self.worst_first = np.argsort(-found, kind="stable")
+        if found.max() < self.worst.upper:
+            j = int(found.argmax())
+            self.worst = Limit(lower=found[j], upper=found[j], at_hz=self.looked[j] / (2 * np.pi))
         return found
 
-    def _exceeds(self, C: Floats, tolerance: float) -> float:
-        """Largest error over the band, or the first found above ``tolerance``."""
+    def _exceeds(self, C: Floats) -> float:
+        """Largest error at the samples, or the first found above the tolerance."""
         if not C.shape[1]:
             return 1.0
         reduced, worst = self._reduced(C), 0.0
         # Where the last basis was worst this one is most likely too far off.
         for j in self.worst_first.tolist():
             worst = max(worst, self._error_at(j, reduced))
-            if worst > tolerance:
+            if worst > self.tolerance:
                 break
         return worst
 
     def _error_at(self, j: int, reduced: _Small) -> float:
-        """Error at the frequency ``j``."""
-        reference, values, w = self.reference, self.reference.values, float(self.omega[j])
-        u = product(reduced.V, reduced.state(w))
-        if self.full is not None:
-            off = self.full[j] - self.F.T @ u
-            return float(max(np.linalg.norm(off[:m, :m]) / self.sizes[j, i] for i, m in enumerate(self.counted)))
-        a = values * (1 + 1j * reference.damping.structural) - w**2 + 1j * w * reference.damping_of_modes()
-        a = a if a.imag.any() else a.real
-        r = self.F - a[:, None] * u
-        seen = r[self.known].T @ (r[self.known] / a[self.known, None])
-        tail = r[~self.known] / np.sqrt(values[~self.known])[:, None]
-        gram = tail.conj().T @ tail
-        gamma = self.cut / (self.cut - w**2)
-        found = 0.0
-        for i, m in enumerate(self.counted):
-            # Frobenius and spectral norm of the tail from its Gram matrix.
-            top = sl.eigvalsh(gram[:m, :m], subset_by_index=[m - 1, m - 1])[0]
-            rest = np.sqrt(max(float(np.trace(gram[:m, :m]).real), 0.0) * max(float(top), 0.0))
-            found = max(found, float(np.linalg.norm(seen[:m, :m]) + gamma * rest) / float(self.sizes[j, i]))
-        return found
-
-    def measured(self, C: Floats, theta: Floats) -> float:
-        """Largest error over the band of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
-        full = self._full()
-        reduced = self._reduced(C, theta if len(theta) == C.shape[1] else None)
-        seen = self.F.T @ reduced.V
-        H = np.array([product(seen, reduced.state(float(w))) for w in self.omega])
-        return float((self._norms(full - H) / self.sizes).max())
+        """Error at the sample ``j``."""
+        u = product(reduced.V, reduced.state(float(self.looked[j])))
+        off = self.full[j] - self.F.T @ u
+        return float(max(np.linalg.norm(off[:m, :m]) / self.sizes[j, i] for i, m in enumerate(self.counted)))
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:
         """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
         return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
-
-    def _full(self) -> NDArray[Any]:
-        """H (nf, p, p) of the reference model."""
-        return np.array([self.F.T @ self._states(w) for w in self.omega])
 
     def _states(self, w: float) -> NDArray[Any]:
         """(k, p) modal coordinates of the reference model at ``w`` rad/s, real ones where there is no damping."""
@@ -333,14 +409,14 @@ class _Election:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(GREEDY_STEPS):
-            blocks = [self.F / _apart(values - shift**2, NOISE * values)[:, None] for shift in shifts]
+            blocks = [self.F / _apart(values, shift)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
-            near = np.min(np.abs(self.omega[:, None] - np.array(shifts)) / self.omega[-1], axis=1) < 5e-3
+            near = np.min(np.abs(self.looked[:, None] - np.array(shifts)) / self.looked[-1], axis=1) < 5e-3
             if errors.max() <= tolerance or near.all():
                 break
-            shifts.append(float(self.omega[np.argmax(np.where(near, 0.0, errors))]))
+            shifts.append(float(self.looked[np.argmax(np.where(near, 0.0, errors))]))
         self.chosen = shifts
         return C
 
@@ -356,9 +432,11 @@ class _Election:
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
 
 
-def _apart(a: Floats, least: Floats) -> Floats:
-    """``a`` (k,), kept ``least`` (k,) away from zero: beside a resonance that a shift hits."""
-    return np.where(np.abs(a) < least, least, a)
+def _apart(values: Floats, shift: float) -> Floats:
+    """``values`` - shift^2 (k,), for a shift half a percent higher where it hits a resonance."""
+    if (np.abs(np.sqrt(values) - shift) < HITS * shift).any():
+        shift *= 1.005
+    return np.asarray(values - shift**2)
 
 
 def _parts(states: Sequence[NDArray[Any]]) -> Floats:

@@ -103,10 +103,6 @@ class Reference:
         """Columns (Nc, j) in coupled dofs of the modal coordinates ``C`` (k, j)."""
         return multiply(self.V[:, : len(self.Y)], self.Y @ C, self.problem.budget)
 
-    def coordinates(self, X: Floats) -> Floats:
-        """Modal coordinates (k, j) of the M-orthogonal projection of ``X`` (Nc, j) on this model."""
-        return np.asarray(self.Y.T @ dot(self.V[:, : len(self.Y)], self.problem.M @ X, self.problem.budget))
-
 
 def reference_model(
     problem: Problem, omega: Floats, *, tolerance: float = 1e-8, inertia_loads: bool = False,
@@ -130,8 +126,12 @@ def reference_model(
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
         return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
-    growth = problem.shared(("reference", inertia_loads), lambda: _Growth(problem, inertia_loads))
-    return growth.until(omega, tolerance, progress)
+    return growth_of(problem, inertia_loads).until(omega, tolerance, progress)
+
+
+def growth_of(problem: Problem, inertia: bool = False) -> Growth:
+    """The Krylov space of ``problem``, also for ``inertia`` loads: kept, and larger with every demand."""
+    return problem.shared(("reference", inertia), lambda: Growth(problem, inertia))
 
 
 def _damped(
@@ -177,7 +177,7 @@ def inertia_loads(problem: Problem) -> Floats:
     return np.asarray(elastic[:, keep])
 
 
-class _Growth:
+class Growth:
     """The Krylov space of a problem, which grows block by block."""
 
     def __init__(self, problem: Problem, inertia: bool) -> None:
@@ -222,18 +222,30 @@ class _Growth:
             good = error <= tolerance and jumps <= max(tolerance, JUMPS)
             if good or not lanczos.pending.shape[1]:
                 return self._sharpened(made, worst)
-            self._clean()
-            if not lanczos.pending.shape[1]:
+            if not self.grow(worst, JUMPY if jumps > tolerance else ""):
                 return self._sharpened(made, worst)
-            if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
-                lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
-            if lanczos.full():
-                raise SolverError(
-                    f"the full response reached an error of only {worst:.1e} with {lanczos.size} vectors; lower the "
-                    "upper frequency, or raise the tolerance" + (JUMPY if jumps > tolerance else "")
-                )
-            lanczos.expand()
-            self._border()
+
+    def grow(self, error: float, advice: str = "") -> bool:
+        """One block more; False where there is none. ``error`` and ``advice`` are told where there is no room.
+
+        Raises:
+            SolverError: the space has ``MAX_ORDER`` columns.
+        """
+        lanczos = self.lanczos
+        if lanczos.pending.shape[1]:
+            self._clean()
+        if not lanczos.pending.shape[1]:
+            return False
+        if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
+            lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
+        if lanczos.full():
+            raise SolverError(
+                f"the full response reached an error of only {error:.1e} with {lanczos.size} vectors; lower the "
+                "upper frequency, or raise the tolerance" + advice
+            )
+        lanczos.expand()
+        self._border()
+        return True
 
     def _sharpened(self, made: Reference, error: float) -> Reference:
         """``made`` with soft modes known to their own round-off, and with its loads."""

@@ -13,7 +13,6 @@ import scipy.sparse.linalg as spl
 from morembs.body.stress_shapes import read_recovery, recovery_parts, stress_recovery, stress_shapes
 from morembs.body.tables import RECOVERY
 from morembs.budget import Budget
-from morembs.certificate.residual import static_response
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
@@ -25,6 +24,7 @@ from morembs.model.material import isotropic, orthotropic
 from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
+from morembs.responses.krylov_space import static_response
 from morembs.storage.writer import Writer
 from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, steel, where

@@ -46,7 +46,7 @@ def whole(tmp_path_factory):
         stiff = geometric_stiffening(problem, reduced, frame)
         body = elastic_body(
             problem, reduced, make_part(problem), floating=replace(frame, stiffening=stiff),
-            certificate=certify(problem, [reduced], np.array([100.0, 500.0]))[0],
+            certificate=certify(problem, [reduced], [100.0, 500.0])[0],
         )  # fmt: skip
         body = replace(body, recovery=stress_recovery(problem, reduced))
         write_body(path, [body])

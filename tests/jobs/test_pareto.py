@@ -37,7 +37,7 @@ def test_errors_with_an_interface_held_are_those_of_the_held_model():
         reducers = Modal(modes=9), FreeInterface(modes=6), CraigBampton(modes=6)
         bodies = [reducer.reduce(problem) for reducer in reducers]
         scale = problem.motion_scale
-        for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
+        for body, its in zip(bodies, certify(problem, bodies, [100.0, 2500.0], points=8), strict=True):
             for i, (held, free) in enumerate(((slice(0, 6), slice(6, 12)), (slice(6, 12), slice(0, 6)))):
                 for j, w in enumerate(2 * np.pi * hz):
                     mine, true = (

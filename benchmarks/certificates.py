@@ -1,0 +1,223 @@
+"""Certificates of random bodies against dense solutions: values above a limit, sharpness, time.
+
+    python benchmarks/certificates.py --count 100 --seed 1
+    python benchmarks/certificates.py --seed 1 --only 17
+
+Trusses of 12 to 40 nodes, free and held, some with twins of nearly equal modes, with 1 to 9 inputs; Rayleigh,
+structural and modal damping from 1e-6 to 5e-2 and none, reduced by projections and by methods that are none. The truth
+is the modal sum of a dense eigenproblem at 20,000 frequencies of the band, about every pole and where the certificate
+says that it reaches its limits. Beyond a limit counts what is above the limit of its cell.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from morembs.certificate.certify import Certificate, body_terms, certify
+from morembs.errors import InputError, SolverError
+from morembs.interface import make_interface
+from morembs.model import DofMap, FEModel, Nodes
+from morembs.problem import Damping, Problem
+from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Krylov, Modal
+from morembs.reducers.base import ReducedModel
+from morembs.responses.certified import certified_reference
+from morembs.responses.measures import MEASURES, Layout
+from morembs.responses.rational import Terms
+
+Floats = NDArray[np.float64]
+DENSE, BESIDE = 20_000, 25
+DAMPINGS = ("rayleigh", "structural", "both", "modal", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One certificate: ``above`` values beyond the limits, upper limits over the largest dense values (3,), upper over
+    lower limits (3,), upper limits (3,), whether round-off is small beside them (3,), ``seconds`` it took."""
+
+    words: str
+    above: int
+    effectivity: Floats
+    gap: Floats
+    upper: Floats
+    clear: NDArray[np.bool_]
+    seconds: float
+
+
+def truss(rng: np.random.Generator, nodes: int, held: bool, twins: bool) -> FEModel:
+    """Bars between near points of a slender cloud; ``twins`` are two equal halves, joined softly."""
+    half = nodes // 2 if twins else nodes
+    xyz = rng.uniform(0, 1, (half, 3)) * [1.0, 0.4, 0.3]
+    xyz = xyz[np.argsort(xyz[:, 0])]
+    bars = {(max(0, b - back), b) for b in range(1, half) for back in (1, 2, 3, 4, 5)}
+    K, M = _bars(rng, xyz, sorted(bars), held), np.diag(np.repeat(10 ** rng.uniform(-0.5, 0.5, half), 3))
+    if twins:
+        xyz = np.vstack([xyz, xyz + np.array([0.0, 0.8, 0.0])])
+        K, M = sl.block_diag(K, K), sl.block_diag(M, M)
+        soft = 10 ** rng.uniform(-5, -2) * 1e6
+        for a in range(half):
+            # Bars along the line that joins the twins resist no rigid motion of the whole.
+            v = _along(xyz[a], xyz[a + half], a, a + half, len(K))
+            K += soft * np.outer(v, v)
+            for other in {max(a - 1, 0), min(a + 1, half - 1)} - {a}:
+                v = _along(xyz[a], xyz[other + half], a, other + half, len(K))
+                K += soft * np.outer(v, v)
+    node = np.repeat(np.arange(len(xyz)), 3)
+    return FEModel(
+        K=sp.csr_array(0.5 * (K + K.T)), M=sp.csr_array(M), nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        dofs=DofMap(node=node, component=np.tile(np.arange(3), len(xyz))),
+    )  # fmt: skip
+
+
+def _along(a: Floats, b: Floats, i: int, j: int, size: int) -> Floats:
+    v = np.zeros(size)
+    direction = (b - a) / np.linalg.norm(b - a)
+    v[3 * i : 3 * i + 3], v[3 * j : 3 * j + 3] = -direction, direction
+    return v
+
+
+def _bars(rng: np.random.Generator, xyz: Floats, bars: list[tuple[int, int]], held: bool) -> Floats:
+    K = np.zeros((3 * len(xyz), 3 * len(xyz)))
+    for a, b in bars:
+        if a != b:
+            v = _along(xyz[a], xyz[b], a, b, len(K))
+            K += 1e6 * rng.uniform(0.3, 3) * np.outer(v, v)
+    if held:
+        K[:9, :9] += 1e6 * np.eye(9)
+    return K
+
+
+def damping_of(rng: np.random.Generator, kind: str, omega: Floats) -> Damping:
+    """Damping of about a random ratio of critical damping in the middle of the band."""
+    zeta, middle = 10 ** rng.uniform(-6, np.log10(5e-2)), float(np.sqrt(omega[0] * omega[-1]))
+    rayleigh = {"alpha": zeta * middle, "beta": zeta / middle}
+    return Damping(**{"rayleigh": rayleigh, "structural": {"structural": 2 * zeta}, "modal": {"modal": zeta},
+                      "both": {**rayleigh, "structural": zeta}, "none": {}}[kind])  # fmt: skip
+
+
+def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[ReducedModel]:
+    """Two bodies of different methods, with other damping spoiled in one out of four."""
+    count = len(problem.elastic_modes(below=(2 * np.pi * high) ** 2).eigenvalues)
+    m, made = problem.B.shape[1], []
+    band = [0.0, high]
+    tried = [
+        Modal(modes=count + 2), FreeInterface(modes=max(1, count - int(rng.integers(0, 3)))),
+        Krylov(shifts_hz=[0.0, 0.8 * high]), Gramian(band_hz=band, order=count + m),
+        Balanced(order=count + m, band_hz=band), CraigBampton(modes=count),
+    ]  # fmt: skip
+    for number in rng.permutation(len(tried)):
+        try:
+            made.append(tried[number].reduce(problem))
+        except (InputError, SolverError):
+            continue
+        if len(made) == 2:
+            break
+    return made
+
+
+def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], words: str) -> Verdict:
+    """The certificate of ``reduced`` against dense values."""
+    start = time.process_time()
+    (its,) = certify(problem, [reduced], band, points=10)
+    seconds = time.process_time() - start
+    reference = certified_reference(problem, band)
+    loss = problem.damping.structural + 2 * reference.floor
+    values, phi = sl.eigh(problem.K.toarray(), problem.M.toarray())
+    r = problem.rigid.shape[1]
+    values, phi = values[r:], phi[:, r:]
+    # Quotients: the eigenvalues of LAPACK are known to eps of the highest only.
+    values = np.einsum("ij,ij->j", phi, problem.K @ phi) / np.einsum("ij,ij->j", phi, problem.M @ phi)
+    b = (problem.B.T @ phi).T * problem.motion_scale
+    layout = Layout(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
+    body, rows = body_terms(reference, reduced, layout), layout.rows(b, b)
+    full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows, np.zeros(len(b)))
+    z = np.concatenate([one.z[np.isfinite(one.z)] for one in (full_terms, body)])
+    beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
+    w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(),
+         2 * np.pi * np.array([one.at_hz for one in its.limits.values()])]  # fmt: skip
+    omega = np.unique(np.concatenate(w))
+    omega = omega[(omega >= 2 * np.pi * band[0]) & (omega <= 2 * np.pi * band[1])]
+    E, H, e = np.zeros(len(omega)), np.zeros(len(omega)), np.zeros(len(omega))
+    for at in range(0, len(omega), 2000):
+        some = slice(at, at + 2000)
+        full = full_terms.at(omega[some])
+        E[some], H[some] = (np.linalg.norm(X, axis=1) for X in (full - body.at(omega[some]), full))
+        e[some] = 1 / full_terms.distances(omega[some]).prod(axis=2) @ (b**2).sum(axis=1)
+    top = int(H.argmax())
+    # The peak itself lies between the samples.
+    around = omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)]
+    peak = -minimize_scalar(lambda x: -float(np.linalg.norm(full_terms.at(np.array([x])))), bounds=around,
+                            method="bounded", options={"xatol": 1e-12 * around[1]}).fun  # fmt: skip
+    true = np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
+    cell = np.clip(np.searchsorted(its.cells_hz[:, 0], omega / (2 * np.pi), side="right") - 1, 0, None)
+    upper = np.array([its.limits[name].upper for name in MEASURES])
+    lower = np.array([its.limits[name].lower for name in MEASURES])
+    return Verdict(
+        words=words, above=int((true > its.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
+        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(its, upper), seconds=seconds,
+    )  # fmt: skip
+
+
+def lost_beside(its: Certificate, upper: Floats) -> NDArray[np.bool_]:
+    """Whether what is not known of the full response is below a tenth of the limits."""
+    return np.asarray(its.reference_error.max() < 0.1 * upper)
+
+
+def trial(seed: int, number: int) -> list[Verdict]:
+    """Certificates of one random model."""
+    rng = np.random.default_rng([seed, number])
+    while True:
+        held, twins, kind = bool(rng.integers(2)), rng.uniform() < 0.3, str(rng.choice(DAMPINGS))
+        model = truss(rng, int(rng.integers(12, 41)), held, twins)
+        at = rng.permutation(len(model.nodes))[: int(rng.integers(1, 4))]
+        inputs = [np.sort(rng.permutation(3)[: int(rng.integers(1, 4))]) for _ in at]
+        faces = [make_interface(model, name=f"i{n}", nodes=np.array([node]), coupling="direct", components=own.tolist())
+                 for n, (node, own) in enumerate(zip(at, inputs, strict=True))]  # fmt: skip
+        try:
+            with Problem(model, faces) as plain:
+                omega = np.sqrt(plain.elastic_modes(count=12).eigenvalues)
+            break
+        except (InputError, SolverError):
+            continue
+    high = float(omega[int(rng.integers(4, 10))] * rng.uniform(1.01, 1.1) / (2 * np.pi))
+    words = f"{number}: {'held' if held else 'free'} {'twins ' if twins else ''}{kind}, {sum(map(len, inputs))} inputs"
+    with Problem(model, faces, damping=damping_of(rng, kind, omega)) as problem:
+        return [judged(problem, body, (0.0, high), f"{words}, {body.recipe['method']}")
+                for body in bodies_of(problem, high, rng)]  # fmt: skip
+
+
+def main(arguments: list[str]) -> int:
+    """Run trials and print what they found; the number of values above a limit."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int)
+    options = parser.parse_args(arguments)
+    found = []
+    for number in range(options.count) if options.only is None else [options.only]:
+        for one in trial(options.seed, number):
+            found.append(one)
+            if one.above or options.only is not None:
+                sys.stdout.write(f"{one.words}: {one.above} above, {one.effectivity}, {one.gap}, {one.upper}\n")
+    for q, name in enumerate(MEASURES):
+        clear = [one for one in found if one.clear[q]]
+        if clear:
+            shown = [np.quantile([getattr(one, what)[q] for one in clear], (0.5, 0.95, 1)).round(3).tolist()
+                     for what in ("effectivity", "gap")]  # fmt: skip
+            sys.stdout.write(f"{name}: upper over dense {shown[0]}, over lower {shown[1]} ({len(clear)} bodies)\n")
+    seconds = np.quantile([one.seconds for one in found], (0.5, 1)).round(2).tolist()
+    above = sum(one.above for one in found)
+    sys.stdout.write(f"{len(found)} certificates, {above} values above a limit, {seconds} s (median, largest)\n")
+    return above
+
+
+if __name__ == "__main__":
+    sys.exit(bool(main(sys.argv[1:])))

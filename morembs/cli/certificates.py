@@ -1,0 +1,125 @@
+"""Certificates for people: the same table for those just made and those read from files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from morembs.cli.tables import plain_table, titled
+
+MEASURES = ("envelope", "peak", "pointwise")
+KINDS = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
+MISSING = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certified:
+    """A body with its order, the ``values`` of its certificate by the names of a body file, and further ``notes``."""
+
+    name: str
+    order: int
+    values: Mapping[str, Any]
+    notes: Sequence[str] = ()
+
+    def text(self, key: str) -> str:
+        """A text of the certificate."""
+        value = self.values.get(key, "")
+        return str(value.item() if isinstance(value, np.ndarray) else value).strip()
+
+
+def print_certificates(console: Console, known: Sequence[Certified], interfaces: Sequence[str]) -> None:
+    """Tables of the certificates: one for each band and damping floor."""
+    groups: dict[tuple[float, ...], list[Certified]] = {}
+    for one in known:
+        if "version" in one.values:
+            groups.setdefault((*map(float, one.values["band_hz"]), float(one.values["damping_floor"])), []).append(one)
+        else:
+            _at_samples(console, one)
+    for (low, high, floor), its in groups.items():
+        holds = any(KINDS[one.text("bound_kind")] != "sampled" for one in its)
+        what = "holds at every frequency" if holds else "errors at samples"
+        titled(console, f"certificate: {what} from {low:,.4g} to {high:,.4g} Hz", _table(its))
+        if floor:
+            console.print(
+                f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "
+                "without it",
+                highlight=False, soft_wrap=True,
+            )  # fmt: skip
+        for one in its:
+            for note in (*_does_not_serve(one, interfaces), *_notes(one)):
+                console.print(f"  {one.name}: {note}", highlight=False, soft_wrap=True)
+
+
+def _table(known: Sequence[Certified]) -> Any:
+    table = plain_table(
+        "body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "static", "modes off by",
+        "residues off by", "MAC", "kind",
+    )  # fmt: skip
+    for one in known:
+        its = one.values
+        kind = KINDS[one.text("bound_kind")]
+        limits = [np.asarray(its[f"limits/{name}"], dtype=float) for name in MEASURES]
+        worst = limits[MEASURES.index(one.text("measure"))]
+        residue = np.asarray(its["residue_deviation"], dtype=float)
+        mac = np.asarray(its["mode_mac"], dtype=float)[np.isfinite(residue)]
+        table.add_row(
+            one.name, str(one.order), *("-" if kind == "sampled" else _limit(limit[1]) for limit in limits),
+            "-" if kind == "sampled" else f"{worst[2]:,.6g}",
+            "-" if kind == "sampled" else _limit(np.max(its["block_limit"], initial=0.0)),
+            f"{float(its['static_error']):.1e}", f"{np.nanmax(its['mode_deviation'], initial=0.0):.1e}",
+            f"{np.nanmax(residue, initial=0.0):.1e}", f"{mac.min(initial=1.0):.4f}", kind,
+        )  # fmt: skip
+    return table
+
+
+def _limit(value: float) -> str:
+    """Never less than ``value``."""
+    if not np.isfinite(value):
+        return "unbounded"
+    shown = f"{value:.1e}"
+    if float(shown) < value:
+        digits, power = shown.split("e")
+        shown = f"{float(digits) + 0.1:.1f}e{power}"
+    return shown
+
+
+def _does_not_serve(one: Certified, interfaces: Sequence[str]) -> list[str]:
+    """That a body is wrong by more than all of its response, and what is most wrong."""
+    its = one.values
+    least, _, at_hz = np.asarray(its["limits/envelope"], dtype=float)
+    if not least > 1:
+        return []
+    lost = np.asarray(its["mode_frequencies_hz"])[
+        (np.asarray(its["mode_mac"]) < MISSING) & np.isfinite(np.asarray(its["residue_deviation"], dtype=float))
+    ]
+    if len(lost):
+        listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + ("" if len(lost) <= 5 else ", ...")
+        why = f"modes not in this body: {listed} Hz"
+    else:
+        blocks = np.asarray(its["block_limit"], dtype=float)
+        i, j = divmod(int(np.argmax(blocks)), len(blocks))
+        why = f"worst are motions of {interfaces[i]} under loads on {interfaces[j]}"
+    return [f"the error exceeds 1, at {at_hz:,.6g} Hz; it does not serve in this band; {why}"]
+
+
+def _notes(one: Certified) -> list[str]:
+    infinite = [name for name in MEASURES if not np.isfinite(one.values[f"limits/{name}"][1])]
+    found = []
+    if infinite == ["pointwise"] and one.text("bound_kind") != "none":
+        at_hz = float(one.values["limits/pointwise"][2])
+        found.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
+    return [*found, *([one.text("notes")] if one.text("notes") else []), *one.notes]
+
+
+def _at_samples(console: Console, one: Certified) -> None:
+    hz, error, bound = (np.asarray(one.values[key]) for key in ("frequencies_hz", "error", "bound"))
+    known = f", {one.text('bound_kind')} {bound.max():.1e}" if np.isfinite(bound).all() else ""
+    console.print(
+        f"  {one.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies from "
+        f"{hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip

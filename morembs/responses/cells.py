@@ -1,0 +1,98 @@
+"""Branch and bound over the cells of a band."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+# Cells to begin with, and the most that are made: limits hold with any number, but are sharp with enough of them.
+FIRST, MOST = 32, 30_000
+# Narrowest cell, as part of the upper end of the band.
+NARROWEST = 1e-14
+# Numbers that are handled at once.
+AT_ONCE = 3_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bounds:
+    """Of some cells: ``upper`` (nc, t) limits of t quantities on all of a cell, ``lower`` (nc, t) values that are
+    reached in it, at ``at`` (nc, t) rad/s; ``final`` (nc, t) tells where smaller cells would give nothing."""
+
+    upper: Floats
+    lower: Floats
+    at: Floats
+    final: Flags
+
+    @classmethod
+    def joined(cls, parts: list[Bounds]) -> Bounds:
+        """Those of all ``parts``."""
+        return cls(**{name: np.concatenate([getattr(one, name) for one in parts])
+                      for name in ("upper", "lower", "at", "final")})  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """Cells that cover a band: ``edges`` (nc, 2) in rad/s, ``upper`` (nc, t); of the whole band ``lower`` (t,) values
+    that are reached at ``at`` (t,) rad/s. ``decided`` is False where a lower value exceeded what was allowed."""
+
+    edges: Floats
+    upper: Floats
+    lower: Floats
+    at: Floats
+    decided: bool = True
+
+
+def search(
+    bounds: Callable[[Floats, Floats], Bounds], resolved: Callable[[Floats, Floats], Flags], edges: Floats,
+    done: Callable[[Floats, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
+) -> Cells:  # fmt: skip
+    """Halve cells until all are done.
+
+    ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
+    ``done(upper, lower)`` (nc, t) from limits of cells and the largest lower values (t,). It ends early where a lower
+    value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell.
+    """
+    low, high = edges[:-1], edges[1:]
+    kept: list[tuple[Floats, Floats, Floats]] = []
+    best, at = np.full(quantities, -np.inf), np.zeros(quantities)
+    count, decided, step = 0, True, max(1, AT_ONCE // per_cell)
+    while len(low) and decided:
+        narrow = high - low <= NARROWEST * edges[-1]
+        ready = resolved(low, high) | narrow
+        unready = np.stack([low[~ready], high[~ready]])
+        low, high, narrow = low[ready], high[ready], narrow[ready]
+        if len(low):
+            parts = [bounds(low[i : i + step], high[i : i + step]) for i in range(0, len(low), step)]
+            found = Bounds.joined(parts)
+            here = found.lower.argmax(axis=0)
+            reached = found.lower.max(axis=0)
+            at = np.where(reached > best, np.take_along_axis(found.at, here[None], axis=0)[0], at)
+            best = np.maximum(best, reached)
+            closed = (found.final | done(found.upper, best)).all(axis=1) | narrow
+            decided = allowed is None or not bool((best > allowed).any())
+            if not decided or count + 2 * len(low) + unready.shape[1] > MOST:
+                closed[:] = True
+            count += int(closed.sum())
+            kept.append((low[closed], high[closed], found.upper[closed]))
+            low, high = low[~closed], high[~closed]
+        low, high = np.concatenate([low, unready[0]]), np.concatenate([high, unready[1]])
+        middle = 0.5 * (low + high)
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+    cells = np.concatenate([np.stack([one[0], one[1]], axis=1) for one in kept])
+    order = np.argsort(cells[:, 0], kind="stable")
+    upper = np.concatenate([one[2] for one in kept])
+    return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided)
+
+
+def first_edges(low: float, high: float, inside: Floats) -> Floats:
+    """Edges (n + 1,) of the first cells of a band in rad/s, with those of ``inside`` it as ends."""
+    least = NARROWEST * high
+    inside = inside[(inside > low + least) & (inside < high - least)]
+    edges = np.unique(np.concatenate([np.linspace(low, high, FIRST + 1), inside]))
+    # Ends that are nearly equal are one.
+    return np.asarray(edges[np.concatenate([[True], np.diff(edges) > least])])

@@ -1,0 +1,321 @@
+"""How far two transfer functions are apart on every frequency of a band, in three measures.
+
+With E = H - H_r and Frobenius norms:
+
+- "envelope": max |E(w)| / e(w), e(w) = sum_p |b_p|^2 / |a_p(w)| the sum of the sizes of all modal contributions;
+  it has the peaks of H and no zeros;
+- "peak": max |E| / max |H|;
+- "pointwise": max |E(w)| / |H(w)|, large at zeros of H.
+
+The block of the motions i and loads j is measured by the envelope of its own, sum_p |b_p,i| |b_p,j| / |a_p|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.responses.cells import Bounds, Cells, first_edges, search
+from morembs.responses.rational import (
+    BULGE,
+    DEGREE,
+    GRID,
+    POINTS,
+    SEGMENTS,
+    Terms,
+    cell_points,
+    on_grid,
+    squares,
+)  # fmt: skip
+
+Floats = NDArray[np.float64]
+MEASURES = ("envelope", "peak", "pointwise")
+SHARPNESS = 1.05
+# Part of its limit that interpolation may cost in a cell that is not halved any more.
+FINE = 0.4
+EPS = float(np.finfo(float).eps)
+# Round-off of the evaluation itself, as a multiple of eps times the envelope.
+EVALUATION = 10.0
+TINY = np.finfo(float).tiny
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The largest value over a band lies between ``lower``, reached ``at_hz``, and ``upper``; infinite ``upper``
+    where there is no limit."""
+
+    lower: float
+    upper: float
+    at_hz: float
+
+
+def checked_measure(measure: str) -> None:
+    """Refuse what is no measure.
+
+    Raises:
+        InputError: as said.
+    """
+    if measure not in MEASURES:
+        raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
+    """Whether a tolerance holds; if not, frequencies ``at`` (n,) in rad/s where to look: the worst one found and the
+    ends of its cell."""
+
+    decided: bool
+    at: Floats
+
+
+class Layout:
+    """Entries of m x m matrices as rows (P, e), and the norms of the whole and of the blocks from their squares.
+
+    ``blocks`` are the columns of each interface; ``symmetric`` matrices are held by one triangle.
+    """
+
+    def __init__(self, m: int, blocks: Sequence[slice], symmetric: bool) -> None:
+        self.symmetric = symmetric
+        self.i, self.j = np.triu_indices(m) if symmetric else (i.ravel() for i in np.indices((m, m)))
+        self.weight = np.where((self.i != self.j) & symmetric, np.sqrt(2.0), 1.0)
+        owner = np.zeros(m, dtype=np.int64)
+        for number, block in enumerate(blocks):
+            owner[block] = number
+        n = len(blocks)
+        self.pairs = [(a, b) for a in range(n) for b in range(n) if not symmetric or a <= b] if n > 1 else []
+        self.blocks = blocks
+        masks = [np.ones(len(self.i))]
+        for a, b in self.pairs:
+            held = (owner[self.i] == a) & (owner[self.j] == b)
+            if symmetric:
+                held |= (owner[self.i] == b) & (owner[self.j] == a)
+            # Of blocks beside the diagonal one triangle holds either entry once, with the weight of both.
+            masks.append(held * (0.5 if symmetric and a != b else 1.0))
+        self.masks = np.stack(masks, axis=1)
+
+    def rows(self, left: NDArray[np.number], right: NDArray[np.number]) -> NDArray[np.number]:
+        """(P, e) of left_p right_p' for ``left`` and ``right`` (P, m)."""
+        return left[:, self.i] * right[:, self.j] * self.weight
+
+    def norms(self, X: NDArray[np.complex128]) -> Floats:
+        """(..., 1 + nb) Frobenius norms of the whole and of the blocks of entries ``X`` (..., e)."""
+        return np.asarray(np.sqrt(squares(np.asarray(X, dtype=complex)) @ self.masks))
+
+    def sizes(self, b: Floats) -> Floats:
+        """(P, 1 + nb) norms of the contributions b_p b_p' for ``b`` (P, m)."""
+        own = [np.linalg.norm(b[:, block], axis=1) for block in self.blocks]
+        return np.stack([(b**2).sum(axis=1), *(own[i] * own[j] for i, j in self.pairs)], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standard:
+    """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertain(low, high)``
+    (nc,) times the envelope on cells (without round-off), the envelope's ``modes`` with ``sizes`` (k, 1 + nb)."""
+
+    H: Terms
+    modes: Terms
+    sizes: Floats
+    layout: Layout
+    floor: float
+    edges: Floats
+    off: Floats
+
+    def uncertain(self, low: Floats, high: Floats) -> Floats:
+        """(nc,) limits of |H - H_ref| / e on cells, round-off apart."""
+        last = len(self.off) - 1
+        first = np.clip(np.searchsorted(self.edges, low, side="right") - 1, 0, last)
+        end = np.clip(np.searchsorted(self.edges, high, side="left"), first + 1, last + 1)
+        # Every other result belongs to a cell; the last end may lie behind all.
+        pairs = np.stack([first, end], axis=1).ravel()
+        return np.asarray(np.maximum.reduceat(np.append(self.off, 0.0), pairs)[::2])
+
+
+class Comparison:
+    """A body (``Terms`` in the entries of the layout of ``standard``) against its standard, cell by cell.
+
+    Quantities: envelope, |E|, pointwise, |H|, and the envelopes of the blocks.
+    """
+
+    def __init__(self, standard: Standard, body: Terms) -> None:
+        self.standard, self.body = standard, body
+        self.X = standard.H.minus(body)
+        self.sizes_X, self.sizes_H = (standard.layout.norms(one.N) for one in (self.X, standard.H))
+        self.sizes_body = standard.layout.norms(body.N)
+        self.quantities = 3 + self.sizes_X.shape[1]
+
+    def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
+        """Whether cells are far enough from the poles to be worth a look."""
+        return np.asarray(0.5 * (high - low) < 0.7 * self.X.nearest(0.5 * (low + high)))
+
+    def bounds(self, low: Floats, high: Floats) -> Bounds:
+        """Limits of the quantities on cells."""
+        standard, layout = self.standard, self.standard.layout
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        w = cell_points(low, high, POINTS)
+        grid = cell_points(low, high, np.cos(GRID))
+        H = on_grid(standard.H.at(w))
+        rest_H = standard.H.remainder(middle, half, self.sizes_H[:, :1])
+        X = on_grid(self.X.at(w))
+        rest = self.X.remainder(middle, half, self.sizes_X)[:, None]
+        size = layout.norms(X)
+        most = np.maximum(size[:, 1:], size[:, :-1]) + BULGE * _spread(X, layout)[:, None] + rest
+        e, e_least, e_most, floor, floor_most = self._envelope(grid)
+        off = standard.uncertain(low, high)[:, None]
+        # The uncertainty of the whole counts for every block.
+        unsure = floor + (off * e[..., 0])[..., None]
+        unsure_most = floor_most + (off * e_most[..., 0])[..., None]
+        size_H = np.sqrt(squares(H).sum(axis=2))
+        bulge_H = BULGE * _spread(H, None)[:, :1] + rest_H
+        least_H = _chords(H) - bulge_H
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            pure = [most[..., :1] / e_least[..., :1], most[..., :1],
+                    most[..., :1] / np.maximum(least_H, 0.0)[..., None],
+                    (np.maximum(size_H[:, 1:], size_H[:, :-1]) + bulge_H)[..., None], most[..., 1:] / e_least[..., 1:]]
+            whole = most + unsure_most
+            upper = [whole[..., :1] / e_least[..., :1], whole[..., :1],
+                     whole[..., :1] / np.maximum(least_H - unsure_most[..., 0], 0.0)[..., None],
+                     pure[3] + unsure_most[..., :1], whole[..., 1:] / e_least[..., 1:]]  # fmt: skip
+            least = np.maximum(size - rest - unsure, 0.0)
+            reached = np.concatenate([
+                least[..., :1] / e[..., :1], least[..., :1],
+                least[..., :1] / (size_H + rest_H + unsure[..., 0])[..., None],
+                np.maximum(size_H - rest_H - unsure[..., 0], 0.0)[..., None], least[..., 1:] / e[..., 1:],
+            ], axis=2)  # fmt: skip
+            seen = np.concatenate([size[..., :1] / e[..., :1], size[..., :1], size[..., :1] / size_H[..., None],
+                                   size_H[..., None], size[..., 1:] / e[..., 1:]], axis=2).max(axis=1)  # fmt: skip
+            pure_upper, total = (np.concatenate(one, axis=2).max(axis=1) for one in (pure, upper))
+            # nan: infinite limits on both sides of a difference.
+            cost = np.nan_to_num(pure_upper - seen, nan=np.inf, posinf=np.inf)
+            final = cost <= np.maximum(FINE * (SHARPNESS - 1) * total, total - pure_upper)
+        # Where only what is not known makes a limit infinite, smaller cells do not help.
+        final &= np.isfinite(cost)
+        where = reached.argmax(axis=1)
+        return Bounds(
+            upper=np.nan_to_num(total, nan=np.inf, posinf=np.inf), lower=reached.max(axis=1),
+            at=np.take_along_axis(grid, where, axis=1), final=final,
+        )  # fmt: skip
+
+    def _envelope(self, grid: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Envelopes on the grid and their least and largest values between its points; round-off, and its largest."""
+        standard = self.standard
+        half = 0.5 * np.diff(grid[:, ::-1], axis=1)[:, ::-1]
+        inverse, near, far = _inverse(standard.modes, grid)
+        e = inverse @ standard.sizes
+        # On each half of a segment by the way to its end.
+        grown = [((1 + half / near[:, s]) * (1 + half / far[:, s]))[..., None] for s in (slice(1, None), slice(-1))]
+        least = np.minimum(e[:, 1:] / grown[0], e[:, :-1] / grown[1])
+        floor = _moved(inverse, standard.modes.unsure) @ standard.sizes + standard.floor * e
+        shrunk = _shrunk(half, near, far)
+        most = np.maximum(e[:, 1:] * shrunk[0], e[:, :-1] * shrunk[1])
+        floor_most = np.maximum(floor[:, 1:] * shrunk[0] ** 2, floor[:, :-1] * shrunk[1] ** 2)
+        inverse, near, far = _inverse(self.body, grid)
+        own = (_moved(inverse, self.body.unsure) + EVALUATION * EPS * inverse) @ self.sizes_body
+        shrunk = _shrunk(half, near, far)
+        own_most = np.maximum(own[:, 1:] * shrunk[0] ** 2, own[:, :-1] * shrunk[1] ** 2)
+        return e, least, most, floor + own, floor_most + own_most
+
+
+def _inverse(terms: Terms, grid: Floats) -> tuple[Floats, Floats, Floats]:
+    """(nc, n, P) of 1 / |a_p|, the distance (nc, n) of the nearest root, and one below that of any second one."""
+    away = terms.distances(grid)
+    # Roots come in pairs of opposite real parts, and no frequency is negative.
+    near = away[..., np.isfinite(terms.z)].min(axis=2, initial=np.inf)
+    return 1.0 / np.maximum(away.prod(axis=3), TINY), near, np.maximum(near, grid)
+
+
+def _moved(inverse: Floats, unsure: Floats) -> Floats:
+    """By how much 1 / |a_p| changes where a_p is off by ``unsure`` (P,)."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(inverse * unsure / np.maximum(1.0 / inverse - unsure, 0.0))
+
+
+def _shrunk(half: Floats, near: Floats, far: Floats) -> list[Floats]:
+    """By how much 1 / |a_p| grows at most up to ``half`` a segment away from its ends."""
+    with np.errstate(divide="ignore"):
+        return [1.0 / (np.maximum(1 - half / near[:, s], 0.0) * np.maximum(1 - half / far[:, s], 0.0))[..., None]
+                for s in (slice(1, None), slice(-1))]  # fmt: skip
+
+
+def _spread(p: NDArray[np.complex128], layout: Layout | None) -> Floats:
+    """(nc, q) largest |p - p_mid| on the grid."""
+    away = p - p[:, SEGMENTS // 2, None]
+    if layout is None:
+        return np.asarray(np.sqrt(squares(away).sum(axis=2)).max(axis=1))[:, None]
+    return np.asarray(layout.norms(away).max(axis=1))
+
+
+def _chords(p: NDArray[np.complex128]) -> Floats:
+    """(nc, SEGMENTS) distances of zero from the straight lines between neighbours on the grid."""
+    a, b = p[:, :-1], p[:, 1:]
+    step = squares(b - a).sum(axis=2)
+    along = -((b - a).real * a.real + (b - a).imag * a.imag).sum(axis=2)
+    t = np.clip(along / np.maximum(step, TINY), 0.0, 1.0)
+    return np.asarray(np.sqrt(squares(a + t[..., None] * (b - a)).sum(axis=2)))
+
+
+def compare(
+    standard: Standard, body: Terms, low: float, high: float, sharpness: float = SHARPNESS
+) -> tuple[dict[str, Limit], Floats, Cells]:
+    """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
+
+    ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
+    nor what is not known of the full model stand against it.
+    """
+    comparison = Comparison(standard, body)
+    # Two limits make that of the peak.
+    factor = np.full(comparison.quantities, sharpness)
+    factor[[1, 3]] = np.sqrt(sharpness)
+    cells = search(
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
+        lambda upper, lower: upper <= factor * lower, quantities=comparison.quantities,
+        per_cell=_numbers(comparison),
+    )  # fmt: skip
+    upper, lower = cells.upper.max(axis=0), cells.lower
+    hz = cells.at / (2 * np.pi)
+    limits = {
+        "envelope": Limit(lower=float(lower[0]), upper=float(upper[0]), at_hz=float(hz[0])),
+        "peak": Limit(lower=float(lower[1] / upper[3]), upper=float(upper[1] / lower[3]), at_hz=float(hz[1])),
+        "pointwise": Limit(lower=float(lower[2]), upper=float(upper[2]), at_hz=float(hz[2])),
+    }
+    n = len(standard.layout.blocks)
+    blocks = np.full((n, n), upper[0])
+    for (i, j), value in zip(standard.layout.pairs, upper[4:], strict=True):
+        blocks[i, j] = value
+        if standard.layout.symmetric:
+            blocks[j, i] = value
+    own = cells.upper[:, :3] / np.array([1.0, lower[3], 1.0])
+    return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
+
+
+def decide(standard: Standard, body: Terms, low: float, high: float, measure: str, tolerance: float) -> Verdict:
+    """Whether the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
+    comparison = Comparison(standard, body)
+    number = MEASURES.index(measure)
+    allowed = np.full(comparison.quantities, np.inf)
+    if measure == "peak":
+        # Any value that is reached will do for the peak of the full response.
+        size = np.abs(standard.modes.z.real.ravel())
+        w = np.clip(np.append(size, [low, high]), low, high)
+        allowed[number] = tolerance * float(standard.layout.norms(standard.H.at(w))[:, 0].max())
+    else:
+        allowed[number] = tolerance
+    cells = search(
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
+        lambda upper, _: upper <= allowed, quantities=comparison.quantities, allowed=allowed,
+        per_cell=_numbers(comparison),
+    )  # fmt: skip
+    if cells.decided and (cells.upper[:, number] <= allowed[number]).all():
+        return Verdict(decided=True, at=np.zeros(0))
+    worst = int(cells.upper[:, number].argmax())
+    at = cells.at[number] if not cells.decided else cells.edges[worst].mean()
+    return Verdict(decided=False, at=np.unique([at, *cells.edges[worst]]))
+
+
+def _numbers(comparison: Comparison) -> int:
+    """Numbers that are held for one cell at once."""
+    entries, poles = comparison.X.N.shape[1], len(comparison.X.z)
+    return int(SEGMENTS * (6 * entries + 6 * poles) + 20 * DEGREE * poles)

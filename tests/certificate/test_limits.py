@@ -1,0 +1,239 @@
+"""Certificates over whole bands: bodies of every method and from files, undamped models, round-off, bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from benchmarks import certificates as campaign
+from morembs.body import elastic_body, make_part
+from morembs.body.file import read_body, write_body
+from morembs.certificate.certify import certify, error_limits
+from morembs.errors import InputError
+from morembs.interface import make_interface
+from morembs.jobs.job import load_job
+from morembs.problem import Damping, Problem
+from morembs.reducers import Automatic, Balanced, FreeInterface, Modal
+from morembs.responses.certified import certified_reference
+from morembs.responses.direct import direct_response
+from tests.certificate.test_certify import Truth, norms
+from tests.support.meshes import box, steel, where
+
+DAMPED = Damping(alpha=2.0, beta=4e-7)
+
+
+def beam(n=(6, 1, 1), kind="hex20"):
+    return steel(box(kind, n, (0.5, 0.05, 0.03)))
+
+
+def ends(model, coupling="average"):
+    return [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [0, 3, 6, 11])
+def test_random_bodies_against_dense_solutions(number):
+    """A short form of benchmarks/certificates.py."""
+    for one in campaign.trial(1, number):
+        assert not one.above, one.words
+        # A dense grid may miss the largest value, which the certificate then names.
+        assert (one.effectivity[one.clear] >= 1).all() and (one.gap[one.clear] < 1.15).all(), one.words
+
+
+@pytest.mark.parametrize("damping", [DAMPED, Damping(), Damping(structural=1e-4)])
+def test_the_reference_is_known_to_its_uncertainty(damping):
+    """Against solutions in extended precision, on and beside resonances, with references of all qualities."""
+    model = beam()
+    with Problem(model, ends(model, "rigid"), damping=damping) as problem:
+        band = [50.0, 3500.0]
+        modes = problem.elastic_modes(count=10).eigenvalues
+        omega = np.sqrt(modes[modes < (2 * np.pi * band[1]) ** 2])
+        omega = np.concatenate([2 * np.pi * np.linspace(*band, 9), omega, omega * (1 + 1e-4)])
+        H = Truth(problem)(omega)
+        for tolerance in (1e-2, 1e-6, 1e-9):
+            reference = certified_reference(problem, band, tolerance=tolerance)
+            off = norms(reference.H(omega) - H)
+            assert (off <= reference.uncertainty(omega)).all() and reference.proven
+            assert (reference.off <= tolerance).all()
+
+
+def test_a_changed_body_has_a_larger_limit():
+    """One residue off by 1e-3, one pole by 1e-4, another model: limits rise to the true errors."""
+    model = beam()
+    with Problem(model, ends(model), damping=DAMPED) as problem:
+        sound = FreeInterface(modes=8).reduce(problem)
+        scale = np.outer(problem.motion_scale, problem.motion_scale)
+        B, K = sound.B.copy(), sound.K.copy()
+        B[7] *= 1.001
+        K[8, 8] *= 1.0001
+        other = Problem(steel(box("hex20", (6, 1, 1), (0.5, 0.05, 0.031))), ends(model), damping=DAMPED)
+        with other:
+            foreign = FreeInterface(modes=8).reduce(other)
+        wrong = [replace(sound, B=B, C=B.T), replace(sound, K=K), replace(foreign, name="foreign")]
+        (before, *after) = certify(problem, [sound, *wrong], [50.0, 3000.0])
+        for body, its in zip(wrong, after, strict=True):
+            assert its.limit.lower > 2 * before.limit.upper
+            w = 2 * np.pi * np.array([its.limits["pointwise"].at_hz])
+            A = [(1 + 1j * w[0] * 4e-7) * body.K + 1j * w[0] * (body.D - 4e-7 * body.K) - w[0] ** 2 * body.M]
+            H = (body.C[:, 6:] @ np.linalg.solve(A[0][6:, 6:], body.B[6:])) * scale
+            full = Truth(problem)(w)[0]
+            error = np.linalg.norm(H - full) / np.linalg.norm(full)
+            assert its.limits["pointwise"].lower * (1 - 1e-6) <= error <= its.limits["pointwise"].upper
+
+
+def test_bodies_that_are_no_projections_and_bodies_of_files(tmp_path):
+    """Separate bases of positions and velocities, and what was read back, are certified as others are."""
+    model = beam()
+    with Problem(model, ends(model), damping=DAMPED) as problem:
+        band = [50.0, 3000.0]
+        bodies = [FreeInterface(modes=8).reduce(problem, "free"),
+                  Balanced(band_hz=band, order=24, variant="pv").reduce(problem, "pv")]  # fmt: skip
+        made = certify(problem, bodies, band)
+        assert [its.kind for its in made] == ["proven", "proven"] and made[1].limit.upper < 1
+        part = make_part(problem)
+        write_body(tmp_path / "two.h5", [elastic_body(problem, body, part, its)
+                                         for body, its in zip(bodies, made, strict=True)])  # fmt: skip
+        stored = read_body(tmp_path / "two.h5").bodies
+        for body, its in zip(bodies, made, strict=True):
+            again = error_limits(certified_reference(problem, band), stored[body.name].reduced())
+            for name, limit in its.limits.items():
+                assert again.limits[name].upper == pytest.approx(limit.upper, rel=1e-6)
+        few = replace(bodies[0], B=bodies[0].B[:, :3], C=bodies[0].C[:3])
+        with pytest.raises(InputError, match="has 3 inputs and the problem 12"):
+            error_limits(certified_reference(problem, band), few)
+
+
+def test_undamped_bodies_with_good_poles_serve():
+    """Frequencies to 0.02 % and MAC 1: with 1 % the envelope is off by about 0.0002 / 0.01."""
+    model = beam()
+    with Problem(model, ends(model)) as problem:
+        band = [0.0, 3000.0]
+        sound = FreeInterface(modes=12).reduce(problem)
+        body = replace(sound, K=sound.K * 1.0004)
+        (its,) = certify(problem, [body], band)
+        assert its.damping_floor == 0.01 and its.mode_mac.min() > 1 - 1e-9
+        assert its.mode_deviation.max() == pytest.approx(2e-4, rel=1e-3)
+        assert 0.015 < its.limit.lower <= its.limit.upper < 0.03
+        (bare,) = certify(problem, [body], band, damping_floor=0.0)
+        assert all(one.upper == np.inf for one in bare.limits.values()) and np.isinf(bare.cell_limit).all()
+        assert bare.mode_deviation == pytest.approx(its.mode_deviation)
+        assert [note for note in bare.notes if "undamped resonance at" in note]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("floor", [None, 0.0])
+def test_samples_and_ends_on_an_undamped_resonance(floor):
+    model = beam()
+    with Problem(model, ends(model)) as problem:
+        first = float(problem.elastic_modes(count=1).frequencies_hz[0])
+        body = FreeInterface(modes=6).reduce(problem)
+        for band in ([0.0, 2 * first], [0.5 * first, first]):
+            (its,) = certify(problem, [body], band, points=41, damping_floor=floor)
+            assert np.isfinite(its.error).all() and its.frequencies_hz[0] >= band[0]
+            assert np.isfinite(its.limit.upper) == (floor is None)
+        for tolerance in (1e-1, 1e-2, 1e-4) if floor is None else ():
+            reduced = Automatic(band_hz=[0.0, 2 * first], tolerance=tolerance).reduce(problem)
+            assert reduced.recipe["certified"] <= tolerance
+
+
+def test_frequencies_of_the_full_model_are_enclosed():
+    model = beam((5, 1, 1))
+    with Problem(model, ends(model, "rigid")) as problem:
+        values = sl.eigh(problem.K.toarray(), problem.M.toarray(), eigvals_only=True)[6:]
+        (its,) = certify(problem, [Modal(modes=4).reduce(problem)], [10.0, 4000.0])
+        true = np.sqrt(values[: len(its.mode_frequencies_hz)]) / (2 * np.pi)
+        low, high = its.mode_enclosure_hz.T
+        assert (low * (1 - 1e-9) <= true).all() and (true <= high * (1 + 1e-9)).all()
+        assert (high - low < 1e-6 * true).all()
+
+
+def test_modes_that_no_load_excites_are_there_and_not_missing():
+    """Only axial motion is asked for: bending modes count in the reference and are no fault of a body."""
+    model = beam()
+    faces = [make_interface(model, name=str(x), nodes=where(model, 0, x), coupling="average", components=[0])
+             for x in (0.0, 0.5)]  # fmt: skip
+    with Problem(model, faces, damping=DAMPED) as problem:
+        hz = problem.elastic_modes(count=14).frequencies_hz
+        body = Automatic(band_hz=[0.0, float(hz[-1])], tolerance=1e-3).reduce(problem)
+        (its,) = certify(problem, [body], [0.0, float(hz[-1])])
+        assert its.limit.upper <= 1e-3 and (its.mode_mac < 0.5).sum() > 5
+        assert np.isnan(its.residue_deviation[its.mode_mac < 0.5]).all()
+        assert not [note for note in its.notes if "are not in this body" in note]
+
+
+def test_a_damping_matrix_of_the_models_own_makes_an_estimate():
+    """Poles that couple the modes: three dampers and stiffness damping."""
+    model = beam()
+    D = sp.lil_array(model.K * 1e-6)
+    for dof in (4, 50, 90):
+        D[dof, dof] += 50.0
+    with Problem(replace(model, D=sp.csr_array(D)), ends(model)) as problem:
+        body = FreeInterface(modes=6).reduce(problem)
+        (its,) = certify(problem, [body], [50.0, 3000.0], points=12)
+        omega = 2 * np.pi * its.frequencies_hz
+        H = direct_response(problem, omega) * np.outer(problem.motion_scale, problem.motion_scale)
+        assert its.kind == "estimate" and its.limit.upper < np.inf
+        reference = certified_reference(problem, [50.0, 3000.0])
+        assert norms(reference.H(omega) - H).max() < 1e-6 * norms(H).max()
+        assert (its.error <= its.limits["pointwise"].upper).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"measure": "max"}, r"measure = 'max' was given; expected \"envelope\", \"peak\" or \"pointwise\""),
+        ({"damping_floor": -0.1}, r"damping_floor = -0.1 was given; expected a part of critical damping from 0 to"),
+        ({"damping_floor": 1.0}, r"damping_floor = 1.0 was given"),
+        ({"damping_floor": float("nan")}, r"damping_floor = nan was given"),
+        ({"sharpness": 1.0}, r"sharpness = 1 was given; expected a factor from 1.01 to 2"),
+        ({"sharpness": 3.0}, r"sharpness = 3 was given"),
+    ],
+)
+def test_options_that_are_none(options, message):
+    model = beam((2, 1, 1))
+    with Problem(model, ends(model)) as problem, pytest.raises(InputError, match=message):
+        certify(problem, [], [10.0, 100.0], **options)
+    if "sharpness" not in options:
+        with pytest.raises(InputError, match=message):
+            Automatic(band_hz=[10.0, 100.0], tolerance=1e-3, **options)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('measure = "max"', 'expected "envelope", "peak" or "pointwise"'),
+        ("damping_floor = -0.1", "expected a part of critical damping from 0 to below 1, such as 0.01"),
+        ("sharpness = 1.0", "expected a factor from 1.01 to 2"),
+    ],
+)
+def test_keys_of_a_job_that_are_wrong(tmp_path, line, message):
+    path = tmp_path / "job.toml"
+    path.write_text(
+        '[model]\nmesh = "m.msh"\n[[material]]\nyoung = 1.0\npoisson = 0.3\ndensity = 1.0\n[[reduce]]\n'
+        f'method = "guyan"\n[output]\npath = "o.h5"\n[certify]\nband_hz = [0, 10]\n{line}\n'
+    )
+    with pytest.raises(InputError, match=message):
+        load_job(path)
+
+
+def test_tolerances_that_no_body_keeps():
+    model = beam()
+    with Problem(model, ends(model)) as problem:
+        with pytest.raises(InputError, match="an undamped model has no bound at its resonances; give damping, or a"):
+            Automatic(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
+        with pytest.raises(Exception, match=r"tolerance = 1e-14 .* lies below the round-off of this model, .* Hz"):
+            Automatic(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
+
+
+def test_a_list_of_frequencies_is_taken_once_more():
+    model = beam((2, 1, 1))
+    with Problem(model, ends(model), damping=DAMPED) as problem:
+        body = Modal(modes=4).reduce(problem)
+        hz = np.linspace(10.0, 800.0, 5)
+        with pytest.warns(DeprecationWarning, match="certify takes the band"):
+            (its,) = certify(problem, [body], hz)
+        assert np.array_equal(its.frequencies_hz, hz) and its.band_hz == (10.0, 800.0)
+        (band,) = certify(problem, [body], [10.0, 800.0])
+        assert band.limit == its.limit
