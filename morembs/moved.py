@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 MOVED = {
     "conversion": "importers",
@@ -124,10 +125,10 @@ class _Moved(MetaPathFinder, Loader):
         module.__spec__ = self._spec
 
 
-def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], object]:
+def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     """``__getattr__`` of ``module``, which gives what it now calls ``names[old]`` for an old name, and warns."""
 
-    def find(name: str) -> object:
+    def find(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         new = names[name]
