@@ -20,17 +20,8 @@ from morembs.diagnostics.findings import Diagnosis, Finding, Names, listed
 from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
-from morembs.diagnostics.rigid import (
-    MANY,
-    MOST,
-    fitting_order,
-    free_motions,
-    mounted,
-    residual,
-    rigid_findings,
-    rotation_factor,
-    rotation_finding,
-)
+from morembs.diagnostics.readings import MANY, fitting_order, rotation_factor, rotation_finding
+from morembs.diagnostics.rigid import MOST, free_motions, mounted, residual, rigid_findings
 from morembs.diagnostics.units import estimate, unit_findings
 from morembs.errors import InputError
 from morembs.linalg.sparse.solver import LinearSolver
