@@ -213,9 +213,10 @@ def _map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
     outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > 5)
     if outside.any():
         sentence = (
-            f"{int(outside.sum())} dofs name nodes or motions that do not exist (row {np.flatnonzero(outside)[0] + 1})"
+            f"{int(outside.sum())} dofs name nodes or components that do not exist (row "
+            f"{np.flatnonzero(outside)[0] + 1})"
         )
-        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="motions are 0 to 5"))
+        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="components are 0 to 5"))
         return findings
     key = np.sort(6 * dofs.node + dofs.component)
     twice = np.unique(key[1:][key[1:] == key[:-1]])
