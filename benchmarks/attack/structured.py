@@ -30,7 +30,7 @@ from morembs.errors import MorembsError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes, rigid_motion
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Modal
+from morembs.reducers import AutoReducer, CraigBampton, Modal
 from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
@@ -343,8 +343,11 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
 
 
 def _frequencies(body: ReducedModel, shift: float) -> Floats:
-    """Eigenvalues of the delivered matrices, from the inverse pencil: the lowest ones to most digits."""
-    return 1 / sl.eigh(body.M, body.K + shift * body.M, eigvals_only=True)[::-1] - shift
+    """Eigenvalues of the delivered matrices: vectors of the inverse pencil, which has the lowest ones to most digits,
+    and their Rayleigh quotients in extended precision, which have the others too."""
+    V = sl.eigh(body.M, body.K + shift * body.M)[1][:, ::-1].astype(np.longdouble)
+    energies = ((V * (A.astype(np.longdouble) @ V)).sum(axis=0) for A in (body.K, body.M))
+    return np.asarray(next(energies) / next(energies), dtype=float)
 
 
 def _whole(problem: Problem) -> ReducedModel:
@@ -355,7 +358,7 @@ def _whole(problem: Problem) -> ReducedModel:
 def _automatic(problem: Problem, omega: Floats) -> ReducedModel:
     """A body chosen by itself, with a certificate that must not contradict itself."""
     band = [float(omega[0]) / 7, float(omega[-1]) / 6]
-    body = Automatic(band_hz=band, tolerance=TOLERANCE, measure="pointwise").reduce(problem)
+    body = AutoReducer(band_hz=band, tolerance=TOLERANCE, measure="pointwise").reduce(problem)
     (made,) = certify(problem, [body], band, points=9)
     limit = made.limits["pointwise"].upper
     if not made.error.max() <= limit:

@@ -2,7 +2,7 @@
 
 Everything happens in the modal coordinates of the reference model, where a reduced model of any family is a small
 matrix C (k, n). Samples of the band guide and the certificate of the band decides (exchange method). Three families
-stand for election, each cut to its smallest order that meets the tolerance over the band:
+are searched, each cut to its smallest order that meets the tolerance over the band:
 
 - "gramian": leading vectors of the responses over the band (Lehner 2007; Fehr and Eberhard 2010) in the energy inner
   product, with the best of some weights;
@@ -55,7 +55,7 @@ WEIGHTS = (-0.5, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Automatic(OfResponses):
+class AutoReducer(OfResponses):
     """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
 
     ``tolerance`` bounds the error by ``measure`` ("envelope", "peak" or "pointwise") at every frequency of the band,
@@ -104,28 +104,28 @@ class Automatic(OfResponses):
             reference = reference_model(problem, omega, tolerance=fine, inertia_loads=inertia, progress=progress)
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
-        election = _Election(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
+        search = _FamilySearch(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
         found: dict[str, Floats] = {}
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
             fewer = min((C.shape[1] for C in found.values()), default=MANY)
-            C = election.smallest(family, fewer)
-            orders[family] = "not reached" if election.reached[family] is None else election.reached[family]
+            C = search.smallest(family, fewer)
+            orders[family] = "not reached" if search.reached[family] is None else search.reached[family]
             if C is not None:
                 found = {family: C}
         if not found:
-            raise self._unreachable(election)
+            raise self._unreachable(search)
         ((best, C),) = found.items()
         notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
                  "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
-            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in election.chosen]
+            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
         basis = elastic_basis(problem, reference.vectors(C), KINDS[best], notes)
-        limit = election.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
+        limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
-            raise self._unreachable(election)
+            raise self._unreachable(search)
         return replace(basis, notes={**notes, "certified": limit.upper})
 
     def _refuse_lost(self, certified: CertifiedReference) -> None:
@@ -147,16 +147,16 @@ class Automatic(OfResponses):
                 "tolerance"
             )
 
-    def _unreachable(self, election: _Election) -> InputError:
-        at_hz = election.worst.at_hz
-        if self.measure == "pointwise" and election.zero(at_hz):
+    def _unreachable(self, search: _FamilySearch) -> InputError:
+        at_hz = search.worst.at_hz
+        if self.measure == "pointwise" and search.zero(at_hz):
             return InputError(
                 f"tolerance = {self.tolerance:g} cannot be reached pointwise: H has a zero at {at_hz:,.6g} Hz; take "
                 'measure = "envelope"'
             )
         return InputError(
             f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; the "
-            f"smallest error found is {election.worst.upper:.1e}, where the round-off of the full model begins; raise "
+            f"smallest error found is {search.worst.upper:.1e}, where the round-off of the full model begins; raise "
             "the tolerance"
         )
 
@@ -188,7 +188,7 @@ class _Small:
         return np.asarray(self.B / (a if a.imag.any() else a.real)[:, None])
 
 
-class _Election:
+class _FamilySearch:
     """Families of bases (k, n) in the coordinates of a reference model, and their errors.
 
     Samples guide and the certificate decides (exchange method): a basis that is cut at the samples is certified over

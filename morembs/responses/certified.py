@@ -34,8 +34,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
+from morembs.linalg.columns import dot, m_norms, multiply, multiply_into, subtract
 from morembs.linalg.eigen import GAP, Modes
-from morembs.linalg.orthogonal import combine, dot, m_norms, subtract
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
@@ -45,7 +45,7 @@ from morembs.responses.krylov_space import KrylovSpace, root, static_response, s
 from morembs.responses.measures import EPS, EVALUATION, Layout, Standard
 from morembs.responses.pencils import terms_of
 from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
-from morembs.responses.reference import Growth, growth_of, reference_model
+from morembs.responses.reference import ReferenceSpace, reference_model, reference_space
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -216,7 +216,7 @@ class _Build:
 
     def grown(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""
-        growth = growth_of(self.problem, self.inertia)
+        growth = reference_space(self.problem, self.inertia)
         while True:
             error = self._guess(growth)
             self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
@@ -228,7 +228,7 @@ class _Build:
             if not growth.grow(error):
                 return self._made(growth)
 
-    def _guess(self, growth: Growth) -> float:
+    def _guess(self, growth: ReferenceSpace) -> float:
         """Largest error at some frequencies, relative to the envelope, where all modes are excited by the loads."""
         problem, lanczos, S = self.problem, growth.lanczos, growth.stiffness
         values, Y = sl.eigh(S)
@@ -257,7 +257,7 @@ class _Build:
         """Damping (k,) of the modes without what comes with the stiffness."""
         return np.asarray(self.damping.of_modes(values) - self.damping.beta * values)
 
-    def _made(self, growth: Growth) -> CertifiedReference:
+    def _made(self, growth: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
         problem, budget, K, M = self.problem, self.problem.budget, self.problem.K, self.problem.M
         space = KrylovSpace(problem, growth, self.modes)
@@ -272,10 +272,10 @@ class _Build:
                 f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
-        U = combine(space.V, Y[:, :k], budget.empty((len(space.V), k), order="F"), budget)
+        U = multiply(space.V, Y[:, :k], budget)
         # Couplings that the small eigenproblem leaves, in parts of the highest eigenvalue, would hide light damping.
         turn = sl.eigh(symmetric(dot(U, K @ U, budget)), symmetric(dot(U, M @ U, budget)))[1]
-        combine(U, turn, U, budget)
+        multiply_into(U, turn, U, budget)
         U /= m_norms(U, M @ U)
         Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
         values = np.concatenate([np.einsum("ij,ij->j", U, K @ U), values[k:]])

@@ -6,12 +6,11 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.linalg.columns import dot, hstack, map_columns, orthonormal, project_out, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
-from morembs.linalg.orthogonal import beside, dot, m_orthonormal, remove, subtract
-from morembs.linalg.statics import solved
 from morembs.problem import Problem
-from morembs.responses.reference import Growth
+from morembs.responses.reference import ReferenceSpace
 
 Floats = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
@@ -22,19 +21,19 @@ MISSED = 1e-6
 class KrylovSpace:
     """Columns ``V`` (Nc, n), M-orthonormal: the Krylov space of the loads and the modes that it misses."""
 
-    def __init__(self, problem: Problem, growth: Growth, modes: Modes, everything: bool = False) -> None:
+    def __init__(self, problem: Problem, space: ReferenceSpace, modes: Modes, everything: bool = False) -> None:
         self.problem = problem
-        lanczos, K, M, budget = growth.lanczos, problem.K, problem.M, problem.budget
+        lanczos, K, M, budget = space.lanczos, problem.K, problem.M, problem.budget
         V = lanczos.V[:, : lanczos.size]
         seen = (dot(V, M @ modes.vectors, budget) ** 2).sum(axis=0)
         missed = (1 - seen > (0.0 if everything else MISSED**2)).nonzero()[0]
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
-            remove(V, X, M, budget=budget)
-            X = m_orthonormal(X, M, np.ones(X.shape[1]) if X.shape[1] == len(missed) else None)
-        self.V = V if not X.shape[1] else beside(V, X, budget=budget)
+            project_out(V, X, M, budget=budget)
+            X = orthonormal(X, M, np.ones(X.shape[1]) if X.shape[1] == len(missed) else None)
+        self.V = V if not X.shape[1] else hstack(V, X, budget=budget)
         cross, own = dot(V, K @ X, budget), X.T @ (K @ X)
-        self.stiffness = symmetric(np.block([[growth.stiffness, cross], [cross.T, own]]))
+        self.stiffness = symmetric(np.block([[space.stiffness, cross], [cross.T, own]]))
         # Of G M V these columns alone leave the space.
         self.rows = np.r_[np.arange(lanczos.last.start, lanczos.last.stop), lanczos.size + np.arange(X.shape[1])]
         Z = np.array(lanczos.rest_vectors, order="F")
@@ -59,7 +58,8 @@ class KrylovSpace:
 
 def static_response(problem: Problem) -> Floats:
     """G_e B (Nc, m): elastic displacements under unit interface loads, solved for once. Not to be changed."""
-    return problem.shared("static response", lambda: solved(problem.elastic.flexibility, problem.B, problem.budget))
+    flexibility = problem.elastic.flexibility
+    return problem.shared("static response", lambda: map_columns(flexibility, problem.B, problem.budget))
 
 
 def root(gram: Floats) -> Floats:

@@ -126,12 +126,12 @@ def reference_model(
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
         return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
-    return growth_of(problem, inertia_loads).until(omega, tolerance, progress)
+    return reference_space(problem, inertia_loads).until(omega, tolerance, progress)
 
 
-def growth_of(problem: Problem, inertia: bool = False) -> Growth:
+def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
     """The Krylov space of ``problem``, also for ``inertia`` loads: kept, and larger with every demand."""
-    return problem.shared(("reference", inertia), lambda: Growth(problem, inertia))
+    return problem.shared(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
 
 
 def _damped(
@@ -177,7 +177,7 @@ def inertia_loads(problem: Problem) -> Floats:
     return np.asarray(elastic[:, keep])
 
 
-class Growth:
+class ReferenceSpace:
     """The Krylov space of a problem, which grows block by block."""
 
     def __init__(self, problem: Problem, inertia: bool) -> None:

@@ -15,7 +15,7 @@ from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.jobs.job import load_job
 from morembs.problem import Damping, Problem
-from morembs.reducers import Automatic, Balanced, FreeInterface, Modal
+from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
 from tests.certificate.test_certify import Truth, norms
@@ -134,7 +134,7 @@ def test_samples_and_ends_on_an_undamped_resonance(floor):
             assert np.isfinite(its.error).all() and its.frequencies_hz[0] >= band[0]
             assert np.isfinite(its.limit.upper) == (floor is None)
         for tolerance in (1e-1, 1e-2, 1e-4) if floor is None else ():
-            reduced = Automatic(band_hz=[0.0, 2 * first], tolerance=tolerance).reduce(problem)
+            reduced = AutoReducer(band_hz=[0.0, 2 * first], tolerance=tolerance).reduce(problem)
             assert reduced.recipe["certified"] <= tolerance
 
 
@@ -156,7 +156,7 @@ def test_modes_that_no_load_excites_are_there_and_not_missing():
              for x in (0.0, 0.5)]  # fmt: skip
     with Problem(model, faces, damping=DAMPED) as problem:
         hz = problem.elastic_modes(count=14).frequencies_hz
-        body = Automatic(band_hz=[0.0, float(hz[-1])], tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=[0.0, float(hz[-1])], tolerance=1e-3).reduce(problem)
         (its,) = certify(problem, [body], [0.0, float(hz[-1])])
         assert its.limit.upper <= 1e-3 and (its.mode_mac < 0.5).sum() > 5
         assert np.isnan(its.residue_deviation[its.mode_mac < 0.5]).all()
@@ -197,7 +197,7 @@ def test_options_that_are_none(options, message):
         certify(problem, [], [10.0, 100.0], **options)
     if "sharpness" not in options:
         with pytest.raises(InputError, match=message):
-            Automatic(band_hz=[10.0, 100.0], tolerance=1e-3, **options)
+            AutoReducer(band_hz=[10.0, 100.0], tolerance=1e-3, **options)
 
 
 @pytest.mark.parametrize(
@@ -222,9 +222,9 @@ def test_tolerances_that_no_body_keeps():
     model = beam()
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances; give damping, or a"):
-            Automatic(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
+            AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
         with pytest.raises(Exception, match=r"tolerance = 1e-14 .* lies below the round-off of this model, .* Hz"):
-            Automatic(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
+            AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
 
 
 def test_a_list_of_frequencies_is_taken_once_more():

@@ -17,7 +17,7 @@ from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Guyan, Modal, automatic
+from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal, automatic
 from tests.support.meshes import box, steel, where
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
@@ -88,7 +88,7 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
     tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
     hz = np.linspace(1.0, 5.0, 5)
     with Problem(model, [tip]) as problem:
-        body = Automatic(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
         (its,) = certify(problem, [body], [1.0, 5.0])
         c = 1 + 0.02j
         dense = [problem.B.T @ np.linalg.solve(c * problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(),
@@ -189,10 +189,10 @@ def test_a_sample_on_an_undamped_resonance_is_no_trouble(on: int, monkeypatch: p
         band = [0.3 * float(exact[0]), 1.1 * float(exact[5])]
         grid = np.sort(np.append(np.linspace(*band, 40), exact[on]))
         monkeypatch.setattr(automatic, "band_frequencies", lambda *_, **__: grid)
-        body = Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=band, tolerance=1e-3).reduce(problem)
         assert body.recipe["damping_floor"] == 0.01 and body.recipe["certified"] <= 1e-3
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances"):
-            Automatic(band_hz=band, tolerance=1e-3, damping_floor=0.0).reduce(problem)
+            AutoReducer(band_hz=band, tolerance=1e-3, damping_floor=0.0).reduce(problem)
 
 
 def test_a_shift_on_a_resonance_gives_finite_columns() -> None:
