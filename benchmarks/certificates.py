@@ -22,7 +22,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from morembs.certificate.certify import Certificate, body_terms, certify
+from morembs.certificate.certify import Certificate, certify
+from morembs.certificate.limits import body_terms
 from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes

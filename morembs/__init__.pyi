@@ -2,7 +2,8 @@
 from .body import ElasticBody, elastic_body, make_part
 from .body.file import read_body, write_body
 from .body.stress_shapes import stress_recovery
-from .certificate.certify import Certificate, ErrorLimits, certify, error_limits
+from .certificate.certify import Certificate, certify
+from .certificate.limits import ErrorLimits, error_limits
 from .certificate.response import full_response, reduced_response
 from .diagnostics import examined
 from .errors import InputError, MorembsError

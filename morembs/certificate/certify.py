@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.certificate.limits import ErrorLimits, body_terms, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
-from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.krylov_space import static_response
-from morembs.responses.measures import MEASURES, SHARPNESS, Layout, Limit, checked_measure, compare
-from morembs.responses.pencils import terms_of
-from morembs.responses.rational import Terms
+from morembs.responses.measures import SHARPNESS, Layout, Limit, checked_measure
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -28,22 +26,7 @@ Complexes = NDArray[np.complex128]
 MISSING = 0.5
 # Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
 HELD = 0.02
-# Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
-ALIKE, STORED = 0.05, 5000
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorLimits:
-    """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
-    block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
-    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders."""
-
-    limits: dict[str, Limit]
-    block_limit: Floats
-    cells_hz: Floats
-    cell_limit: Floats
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,103 +121,9 @@ def certify(
         if bound:
             known = error_limits(reference, reduced, sharpness=sharpness)
         else:
-            known = _sampled(len(problem.coupling.columns))
+            known = sampled(len(problem.coupling.columns))
         made.append(_certificate(reference, reduced, hz, H, known, measure, bound))
     return tuple(made)
-
-
-def checked_sharpness(sharpness: float) -> None:
-    """Refuse what is no factor.
-
-    Raises:
-        InputError: as said.
-    """
-    if not 1.01 <= sharpness <= 2:
-        raise InputError(f"sharpness = {sharpness:g} was given; expected a factor from 1.01 to 2")
-
-
-def body_terms(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Terms:
-    """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
-    scale = reference.problem.motion_scale
-    return terms_of(
-        reduced.M, reduced.D, reduced.K, reduced.B * scale, scale[:, None] * reduced.C, layout,
-        structural=reduced.structural + 2 * reference.floor, highest=2 * np.pi * reference.band_hz[1],
-        rigid=reduced.rigid_count, symmetric=reduced.symmetric,
-    )  # fmt: skip
-
-
-def error_limits(
-    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS
-) -> ErrorLimits:
-    """Limits of the error of any body on every frequency of the band of ``reference``; it may be read from a file.
-
-    Raises:
-        InputError: inputs that are not those of the problem.
-    """
-    problem = reference.problem
-    if reduced.B.shape[1] != problem.B.shape[1]:
-        raise InputError(
-            f"{reduced.name} has {reduced.B.shape[1]} inputs and the problem {problem.B.shape[1]}; "
-            "give the problem the interfaces of the body"
-        )
-    low, high = (2 * np.pi * f for f in reference.band_hz)
-    standard = reference.standard(reduced.symmetric)
-    body = body_terms(reference, reduced, standard.layout)
-    sharp = _undamped_pole(standard.H, body, low, high)
-    if sharp is not None:
-        at_hz, n = sharp / (2 * np.pi), len(problem.coupling.columns)
-        return ErrorLimits(
-            limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
-            block_limit=np.full((n, n), np.inf), cells_hz=np.array([reference.band_hz]),
-            cell_limit=np.full((1, 3), np.inf),
-            notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, where a transfer error has none; "
-                   "give damping, or a damping_floor such as 0.01",),
-        )  # fmt: skip
-    limits, blocks, cells = compare(standard, body, low, high, sharpness)
-    hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
-    # The ends as they were given.
-    hz[0, 0], hz[-1, 1] = reference.band_hz
-    notes = [
-        f"{name}: the upper limit is {one.upper / one.lower:.2f} times the lower one, as round-off or the error of the "
-        f"full response itself limits it at {one.at_hz:,.6g} Hz"
-        for name, one in limits.items() if one.lower > 0 and 2 * sharpness * one.lower < one.upper < np.inf
-    ]  # fmt: skip
-    return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=tuple(notes))
-
-
-def _undamped_pole(H: Terms, body: Terms, low: float, high: float) -> float | None:
-    """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
-    z = np.concatenate([H.z.ravel(), body.z.ravel()])
-    z = z[np.isfinite(z)]
-    on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]
-    return float(on.min()) if len(on) else None
-
-
-def _merged(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Neighbouring cells (nc, 2) with limits (nc, 3) that are alike as one, with the larger limits."""
-    alike = ALIKE
-    while True:
-        kept, limits = [cells[0].copy()], [upper[0].copy()]
-        least = upper[0].copy()
-        for cell, limit in zip(cells[1:], upper[1:], strict=True):
-            both, lowest = np.maximum(limits[-1], limit), np.minimum(least, limit)
-            if (both <= (1 + alike) * lowest).all():
-                kept[-1][1], limits[-1], least = cell[1], both, lowest
-            else:
-                kept.append(cell.copy())
-                limits.append(limit.copy())
-                least = limit.copy()
-        if len(kept) <= STORED:
-            return np.array(kept), np.array(limits)
-        alike *= 2
-
-
-def _sampled(blocks: int) -> ErrorLimits:
-    """No limits."""
-    return ErrorLimits(
-        limits={name: Limit(lower=0.0, upper=np.inf, at_hz=np.nan) for name in MEASURES},
-        block_limit=np.full((blocks, blocks), np.inf), cells_hz=np.zeros((0, 2)), cell_limit=np.zeros((0, 3)),
-    )  # fmt: skip
 
 
 def _certificate(

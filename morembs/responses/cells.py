@@ -49,13 +49,13 @@ class Cells:
 
 def search(
     bounds: Callable[[Floats, Floats], Bounds], resolved: Callable[[Floats, Floats], Flags], edges: Floats,
-    done: Callable[[Floats, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
+    done: Callable[[Bounds, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
 ) -> Cells:  # fmt: skip
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
-    ``done(upper, lower)`` (nc, t) from limits of cells and the largest lower values (t,). It ends early where a lower
-    value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell.
+    ``done(found, lower)`` (nc, t) from the bounds of cells and the largest lower values (t,). It ends early where a
+    lower value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell.
     """
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
@@ -73,7 +73,7 @@ def search(
             reached = found.lower.max(axis=0)
             at = np.where(reached > best, np.take_along_axis(found.at, here[None], axis=0)[0], at)
             best = np.maximum(best, reached)
-            closed = (found.final | done(found.upper, best)).all(axis=1) | narrow
+            closed = (found.final | done(found, best)).all(axis=1) | narrow
             decided = allowed is None or not bool((best > allowed).any())
             if not decided or count + 2 * len(low) + unready.shape[1] > MOST:
                 closed[:] = True

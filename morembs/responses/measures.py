@@ -35,6 +35,8 @@ from morembs.responses.rational import (
 Floats = NDArray[np.float64]
 MEASURES = ("envelope", "peak", "pointwise")
 SHARPNESS = 1.05
+# A limit of a cell is at most this times a value that is reached in it.
+LOCAL = 2.0
 # Part of its limit that interpolation may cost in a cell that is not halved any more.
 FINE = 0.4
 EPS = float(np.finfo(float).eps)
@@ -269,9 +271,11 @@ def compare(
     # Two limits make that of the peak.
     factor = np.full(comparison.quantities, sharpness)
     factor[[1, 3]] = np.sqrt(sharpness)
+    other = np.arange(comparison.quantities) >= len(MEASURES)
     cells = search(
         comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
-        lambda upper, lower: upper <= factor * lower, quantities=comparison.quantities,
+        lambda found, lower: (found.upper <= factor * lower) & ((found.upper <= LOCAL * found.lower) | other),
+        quantities=comparison.quantities,
         per_cell=_numbers(comparison),
     )  # fmt: skip
     upper, lower = cells.upper.max(axis=0), cells.lower
@@ -305,7 +309,7 @@ def decide(standard: Standard, body: Terms, low: float, high: float, measure: st
         allowed[number] = tolerance
     cells = search(
         comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
-        lambda upper, _: upper <= allowed, quantities=comparison.quantities, allowed=allowed,
+        lambda found, _: found.upper <= allowed, quantities=comparison.quantities, allowed=allowed,
         per_cell=_numbers(comparison),
     )  # fmt: skip
     if cells.decided and (cells.upper[:, number] <= allowed[number]).all():

@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from benchmarks import certificates as campaign
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.certificate.certify import certify, error_limits
+from morembs.certificate.certify import certify
+from morembs.certificate.limits import error_limits
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.jobs.job import load_job
