@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from morembs.linalg.orthogonal import dot
+from morembs.linalg.columns import dot
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.pencils import modes_of
