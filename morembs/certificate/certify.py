@@ -176,6 +176,8 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     problem, damping = reference.problem, reference.problem.damping
     if problem.D is not None:
         found.append("the error of the full response, with the model's own damping, is an estimate")
+    elif not reference.proven:
+        found.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
     if damping.is_modal:
         found.append(f"modal damping acts on the {len(reference.values)} computed modes of the full model")
     # Where the frequency of a body is off, the table may give its mode another ratio.
