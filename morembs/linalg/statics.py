@@ -34,8 +34,8 @@ Ints = NDArray[np.int64]
 # Error of unit interface motions that is refused, and the one before any refinement, beyond which the condensed
 # stiffness has lost too much; the error that is not refined any more, and the number of steps.
 IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
-# Part of the energy of a soft motion that the condensed stiffness may miss.
-ENERGY = 1e-5
+# Part of the energy of a soft motion that the condensed stiffness may miss, and that is not refined even once.
+ENERGY, SURE = 1e-5, 1e-8
 # Beside a Sturm count: columns of length n, and bytes for buffers of the libraries.
 COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
@@ -159,7 +159,8 @@ class Restricted:
         self._meet_motions(U, lam)
         for step in range(REFINED):
             off, lost = self._missed(U), self._lost(self._energy(U, lam), lam)
-            if (off <= IMPOSED and lost <= ENERGY) or step == REFINED - 1:
+            # Equilibrium, of which rigid motion needs more digits than elastic motion does, takes a step of its own.
+            if (off <= IMPOSED and lost <= (ENERGY if step else SURE)) or step == REFINED - 1:
                 break
             self._refine(U, lam)
         if not off <= IMPOSED:

@@ -247,12 +247,16 @@ class Problem:
         return modes
 
     def uncertainty(self, modes: Modes) -> Floats:
-        """How far round-off in K moves the eigenvalues (k,) of ``modes`` at most, in (rad/s)2: eps |phi|' |K| |phi|.
+        """How far round-off in K moves the eigenvalues (k,) of ``modes`` at most, in (rad/s)2."""
+        return self.rounding(modes.vectors)
+
+    def rounding(self, V: Floats) -> Floats:
+        """What round-off in K makes of the energies of the columns of ``V`` (Nc, k) at most: eps |v|' |K| |v|.
 
         Row sums of |K| stand for its products, so that no copy of K is made.
         """
         weights = self.shared("row sums of |K|", lambda: scaled_row_sums(self.K))
-        return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, modes.vectors, modes.vectors))
+        return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V))
 
     def _refuse_lost_supports(self, statics: Statics) -> None:
         """Refuse a factor that does not give back the rigid motions that K holds from their own forces.

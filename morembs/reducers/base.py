@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, SolverError
-from morembs.linalg.congruence import magnitudes
 from morembs.linalg.eigen import graded_modes, signed
 from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
@@ -199,19 +198,21 @@ class Reducer(ABC):
                 "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
                 "simulation program"
             )
-        _refuse_wrong_stiffness(self.method, basis, problem)
+        if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.left is not None and basis.left.shape != basis.V.shape):
+            raise SolverError(
+                f'method "{self.method}" gave a basis of {basis.V.shape[1]} columns and a stiffness {basis.K.shape}'
+            )
         V, budget = basis.V, problem.budget
         outputs = _interface_motions(basis, problem)
         if basis.left is None:
             M = projected(V, problem.M, budget)
             K = 0.5 * (basis.K + basis.K.T)
             B = outputs.T
-            if basis.holds_interfaces:
-                _refuse_lost_modes(K, M, basis.rigid.shape[1])
         else:
             moved = V if basis.inertial is None else basis.inertial
             M, K = projected(moved, problem.M, budget, basis.left), basis.K
             B = np.asarray((problem.B.T @ basis.left).T)
+        _refuse_wrong_stiffness(self.method, basis, M, problem)
         # Velocities see the stiffness through their own basis.
         slow = K if basis.inertial is None else projected(basis.inertial, problem.K, budget, basis.left)
         D = problem.damping.matrix(M, slow, basis.rigid, basis.left is None)
@@ -227,51 +228,45 @@ class Reducer(ABC):
         )  # fmt: skip
 
 
-def _refuse_wrong_stiffness(method: str, basis: Basis, problem: Problem) -> None:
-    """Compare ``basis.K`` with W' K V for one combination of the columns.
+def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:
+    """Compare ``basis.K`` with W' K V for one combination of its modes, and its round-off with each of them.
 
-    Coordinates count alike, each at the scale of its stiffness, or of the round-off in it where that is larger.
+    Modes count alike, each at the scale of its stiffness, rigid motion at that of the lowest mode. Where W is not V,
+    and where K does not couple them, coordinates stand for modes.
 
     Raises:
-        SolverError: they differ.
+        SolverError: they differ, or K in double precision does not hold a mode or a rigid motion.
     """
-    V, W, K = basis.V, basis.V if basis.left is None else basis.left, problem.K
-    n = len(basis.K)
-    if basis.K.shape != (V.shape[1], V.shape[1]) or W.shape != V.shape:
-        raise SolverError(f'method "{method}" gave a basis of {V.shape[1]} columns and a stiffness {basis.K.shape}')
-    weights = problem.shared("row sums of |K|", lambda: magnitudes(K, np.ones((K.shape[1], 1)))[:, 0])
-    noise = np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V) / STIFFNESS_ERROR
-    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.abs(np.diag(basis.K)), noise), np.finfo(float).tiny))
+    V, W, K = basis.V, basis.V if basis.left is None else basis.left, basis.K
+    n, r, eps = len(K), basis.rigid.shape[1], float(np.finfo(float).eps)
+    coupled = basis.left is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
+    values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
+    # Round-off in K V y, at most: the norms of columns add up.
+    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR
+    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, values[r]), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
-    x = scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0)
-    one = dot(W, K @ combine(V, x[:, None], np.empty((len(V), 1)), problem.budget), problem.budget)[:, 0]
-    given = basis.K @ x
-    off = float(np.linalg.norm(scale * (one - given)))
-    if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * given), np.sqrt(n)):
+    x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
+    Vx = combine(V, x[:, None], np.empty((len(V), 1)), problem.budget)
+    given = K @ x
+    true = dot(W, problem.K @ Vx, problem.budget)[:, 0]
+    off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
+    if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
             f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
-
-
-def _refuse_lost_modes(K: Floats, M: Floats, rigid: int) -> None:
-    """Refuse a stiffness (n, n) that as delivered, in double precision, does not hold its modes or its rigid motions.
-
-    Raises:
-        SolverError: as said.
-    """
-    values, Y = graded_modes(K, M)
-    least = LOW**2 * values[rigid] if len(values) > rigid else 0.0
-    Y = np.abs(Y)
-    off = AS_A_RULE * float(np.finfo(float).eps) * np.einsum("ij,ij->j", Y, np.abs(K) @ Y)
+    if not coupled:
+        return
+    lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
-    off[:rigid] = np.maximum(off[:rigid], np.abs(values[:rigid]))
-    if len(values) > rigid and not (off <= LOST * np.maximum(values, least)).all():
-        k = int(np.argmax(off / np.maximum(values, least)))
-        what = f"its mode {k - rigid + 1}" if k >= rigid else f"its rigid motion at {LOW:g} of its lowest frequency"
+    lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
+    size = np.maximum(values, LOW**2 * values[r])
+    if not (lost <= LOST * size).all():
+        k = int(np.argmax(lost / size))
+        what = f"its mode {k - r + 1}" if k >= r else f"its rigid motion at {LOW:g} of its lowest frequency"
         raise SolverError(
-            f"round-off in the stiffness between the interfaces hides {what}: it takes {off[k]:.1e} (rad/s)2 of "
-            f"{max(values[k], least):.1e} (allowed {LOST:.0e} of it); {SOFTER}"
+            f"round-off in the reduced stiffness hides {what}: it takes {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
+            f"(allowed {LOST:.0e} of it); {SOFTER}"
         )
 
 
