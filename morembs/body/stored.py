@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body.stored_check import refuse_not_finite
-from morembs.body.stored_frame import read_frame, read_ranking
+from morembs.body.tables import BODY, FILE, INTERFACE
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.table import read_rows
+from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
     from morembs.interface import CouplingKind
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 T = TypeVar("T")
-MATRICES = ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix")
 
 
 class ByName(dict[str, T], Generic[T]):
@@ -77,11 +75,11 @@ class StoredBody:
     frequencies_hz: Floats
     mode_kind: tuple[str, ...]
     rigid_count: int
-    full_frequencies_hz: Floats | None
     recipe: dict[str, Any]
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
     read_switching: Callable[[str], Switching]
+    full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
     has_recovery: bool = False
@@ -143,26 +141,14 @@ def stored_bodies(
     file: Any, read_basis: Callable[[str, slice], Floats], read_switching: Callable[[str], Switching],
 ) -> StoredBodies:  # fmt: skip
     """Everything but the bases and the static modes of an open body file, which ``check_file`` has seen."""
-    names, interfaces = _strings(file["body_names"]), _strings(file["interface_names"])
-    kinds = _strings(file["mode_kinds"])
+    values = read_rows(file, FILE)
+    names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
+    found = {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
+    outside = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
     return StoredBodies(
-        format_version=int(file["format_version"][()]),
-        mass=float(file["mass_properties/mass"][()]),
-        center_of_mass=file["mass_properties/center_of_mass"][()],
-        inertia=file["mass_properties/inertia"][()],
-        node_ids=file["nodes/ids"][()],
-        coordinates=file["nodes/coordinates"][()],
-        interfaces=ByName("interface", {name: _interface(file[f"interfaces/{name}"]) for name in interfaces}),
-        input_interface=file["inputs/interface_index"][()],
-        input_component=file["inputs/component"][()],
-        input_node_id=file["inputs/node_id"][()],
-        bodies=ByName(
-            "body", {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
-        ),
-        recipe=json.loads(file["recipe"][()]),
-        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
-        warnings=tuple(_strings(file["check/warnings"])) if "check/warnings" in file else (),
-    )
+        interfaces=ByName("interface", outside), bodies=ByName("body", found),
+        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP}, **values,
+    )  # fmt: skip
 
 
 def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
@@ -195,48 +181,15 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     return block
 
 
-def refuse_missing(path: Path, file: Any, wanted: Iterable[str]) -> None:
-    """Name the datasets that a body file needs and this one lacks.
-
-    Raises:
-        InputError: there are some.
-    """
-    missing = [f"/{name}" for name in wanted if not hasattr(file.get(name), "shape")]
-    if missing:
-        raise InputError(f"{path} is an incomplete body file; missing: {', '.join(missing)}; write it again")
-
-
-def _interface(group: Any) -> StoredInterface:
-    return StoredInterface(
-        coupling=group["coupling"][()].decode(),
-        components=tuple(group["components"][()].tolist()),
-        **{name: group[name][()] for name in ("point", "axes", "node_ids", "weights")},
-    )
-
-
 def _body(
-    name: str, group: Any, kinds: list[str], read_basis: Callable[[str, slice], Floats],
+    name: str, group: Any, kinds: Sequence[str], read_basis: Callable[[str, slice], Floats],
     read_switching: Callable[[str], Switching],
 ) -> StoredBody:  # fmt: skip
-    full, output = group.get("full_frequencies_hz"), group.get("output_matrix")
+    values = read_rows(group, BODY)
+    values.setdefault("output_matrix", values["input_matrix"].T)
+    values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
     return StoredBody(
-        name=name,
-        frequencies_hz=group["frequencies_hz"][()],
-        mode_kind=tuple(kinds[code] for code in group["mode_kind"][()]),
-        rigid_count=int(group["rigid_count"][()]),
-        full_frequencies_hz=None if full is None else full[()],
-        recipe=json.loads(group["recipe"][()]),
-        output_matrix=group["input_matrix"][()].T if output is None else output[()],
+        name=name, read_basis=read_basis, read_switching=read_switching, has_recovery="recovery" in group,
         certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
-        read_basis=read_basis,
-        read_switching=read_switching,
-        floating=read_frame(group["floating_frame"]) if "floating_frame" in group else None,
-        ranking=read_ranking(group["ranking"]) if "ranking" in group else (),
-        has_recovery="recovery" in group,
-        has_switching="switching" in group,
-        **{matrix: group[matrix][()] for matrix in MATRICES},
-    )
-
-
-def _strings(data: Any) -> list[str]:
-    return [text.decode() for text in data[()].tolist()]
+        has_switching="switching" in group, **values,
+    )  # fmt: skip

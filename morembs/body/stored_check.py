@@ -1,88 +1,23 @@
-"""Is a body file what docs/schema.md says? Shapes, kinds and values, before anything is made of them.
-
-The tables name each dataset below some group, what it holds and its shape. A letter in a shape is a size that the
-first dataset with it gives and all others share.
-"""
+"""Is a body file what docs/schema.md says? Its tables, and values, before anything is made of them."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.body.tables import BODY, FILE, INTERFACE
 from morembs.errors import InputError
 from morembs.floating.frame import FRAMES
 from morembs.interface import COUPLINGS
 from morembs.model.elements import FACES, TYPES
+from morembs.storage.table_check import TableCheck, refuse_not_finite
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# dataset -> what it holds, shape. "real" numbers are finite, "any" may be NaN or infinite, "later" are looked at when
-# they are read; "whole", "text" and "json" say so. A name with ? may be absent, one with * stands for all in the group.
-Table = Mapping[str, tuple[str, str]]
-_FILE: Table = {
-    "body_names": ("text", "bodies"), "interface_names": ("text", "interfaces"), "mode_kinds": ("text", "kinds"),
-    "recipe": ("json", ""), "unit_system": ("text", ""), "check/warnings?": ("text", "any"),
-    "nodes/ids": ("whole", "N"), "nodes/coordinates": ("real", "N 3"),
-    "inputs/interface_index": ("whole", "m"), "inputs/component": ("whole", "m"), "inputs/node_id": ("whole", "m"),
-    "mass_properties/mass": ("real", ""), "mass_properties/center_of_mass": ("real", "3"),
-    "mass_properties/inertia": ("real", "3 3"),
-}  # fmt: skip
-_INTERFACE: Table = {
-    "coupling": ("text", ""), "components": ("whole", "any"), "point": ("real", "3"), "axes": ("real", "3 3"),
-    "node_ids": ("whole", "nodes"), "weights": ("real", "nodes"),
-}  # fmt: skip
-_BODY: Table = {
-    "mode_kind": ("whole", "n"), "mass_matrix": ("real", "n n"), "stiffness_matrix": ("real", "n n"),
-    "damping_matrix": ("real", "n n"), "input_matrix": ("real", "n m"), "output_matrix?": ("real", "m n"),
-    "basis": ("later", "3N n"), "frequencies_hz": ("any", "n"), "full_frequencies_hz?": ("any", "any"),
-    "rigid_count": ("whole", ""), "recipe": ("json", ""),
-}  # fmt: skip
-# What a body may have: group -> its table.
-_PARTS: Mapping[str, Table] = {
-    "ranking": {"terms": ("text", "terms"), "equations": ("text", "terms"), "share": ("any", "terms")},
-    "recovery": {
-        "points": ("whole", "points"), "coordinates": ("later", "points 3"), "material": ("whole", "points"),
-        "deformation": ("real", "n n"), "stress": ("later", "6points n"), "correction?": ("later", "6points m"),
-        "displacement?": ("later", "3N m"), "markers/*": ("real", "6 m"),
-        "jump_point?": ("whole", "jumps"), "jump_element?": ("whole", "jumps"), "jump?": ("later", "6jumps n"),
-        "jump_correction?": ("later", "6jumps m"),
-    },
-    "certificate": {
-        **{one: ("any", "lines") for one in ("frequencies_hz", "error", "bound", "full?", "reduced?",
-                                            "reference_error?")},
-        **{f"{one}?": ("any", "") for one in ("static_error", "absolute_error", "verified_below_hz")},
-        **{f"mode_{one}?": ("any", "modes") for one in ("frequencies_hz", "deviation", "mac")},
-        "bound_kind": ("text", ""), "notes?": ("text", ""),
-        "block_error?": ("any", "blocks blocks"), "held_error?": ("any", "blocks lines"),
-    },
-    "switching": {
-        **{one: ("later", "any any") for one in ("modes", "stiffness", "mass", "coupling", "weight", "static_weight",
-                                                 "xyz", "direction")},
-        **{one: ("whole", "any") for one in ("node_ids", "node", "turns", "stress_first?")},
-        **{one: ("later", "any 6 any") for one in ("stress?", "static_stress?")},
-        "kind": ("text", ""), "notes": ("text", ""),
-    },
-}  # fmt: skip
-_FRAME: Table = {
-    "kind": ("text", ""), "interfaces?": ("text", "any"), "origin": ("real", "3"), "elastic": ("real", "n e"),
-    "rigid": ("real", "n 6"), "Ke": ("real", "e e"), "De": ("real", "e e"), "notes": ("text", ""),
-    "integrals/mass": ("real", ""), "integrals/first": ("real", "3"), "integrals/inertia": ("real", "3 3"),
-    "integrals/second": ("real", "3 3"), "integrals/Ct": ("real", "e 3"), "integrals/Cr": ("real", "e 3"),
-    "integrals/Me": ("real", "e e"), "integrals/x_phi": ("real", "3 3 e"), "integrals/phi_phi": ("real", "3 3 e e"),
-}  # fmt: skip
-_STIFFENING: Table = {
-    "acceleration": ("real", "3 e e"), "angular_acceleration": ("real", "3 e e"), "rotation": ("real", "6 e e"),
-    "wrench/*": ("real", "6 e e"), "least_share": ("real", ""), "terms?": ("text", "loads"),
-    "share?": ("any", "loads"), "load?": ("any", "loads"), "dropped?": ("text", "any"),
-}  # fmt: skip
-_MARKER: Table = {"point": ("real", "3"), "motion": ("real", "6 e")}
-_KINDS = {"real": "iuf", "any": "iuf", "later": "f", "whole": "iu", "text": "SO", "json": "SO"}
-_WORDS = {"whole": "integers", "text": "text", "json": "text"}
 # By how much axes may miss a rotation.
 ORTHONORMAL = 1e-6
 
@@ -93,9 +28,8 @@ def check_file(path: Path, file: Any) -> None:
     Raises:
         InputError: a dataset is missing, or is not what it should be; its name is in the message.
     """
-    check = _Check(path, file)
-    sizes: dict[str, tuple[int, str]] = {}
-    check.table("", _FILE, sizes)
+    check, sizes = _Check(path, file, "body file"), dict[str, tuple[int, str]]()
+    check.table("", FILE, sizes)
     check.one_of("unit_system", ("SI",))
     bodies, interfaces = check.names("body_names"), check.names("interface_names")
     for name in interfaces:
@@ -104,83 +38,15 @@ def check_file(path: Path, file: Any) -> None:
     check.within("inputs/component", 0, 5)
     check.positive("mass_properties/mass")
     for name in bodies:
-        at, mine = f"bodies/{name}/", dict(sizes)
-        check.table(at, _BODY, mine)
+        at = f"bodies/{name}/"
+        check.table(at, BODY, dict(sizes))
         check.within(f"{at}mode_kind", 0, len(file["mode_kinds"]) - 1, ", places in /mode_kinds")
         check.within(f"{at}rigid_count", 0, len(file[f"{at}mode_kind"]))
-        for part, table in _PARTS.items():
-            if part in file[at]:
-                check.table(f"{at}{part}/", table, mine)
         if "floating_frame" in file[at]:
-            check.frame(f"{at}floating_frame/", mine, interfaces)
+            check.frame(f"{at}floating_frame/", interfaces)
 
 
-class _Check:
-    def __init__(self, path: Path, file: Any) -> None:
-        self.path, self.file = path, file
-
-    def refuse(self, name: str, what: str, wanted: str) -> InputError:
-        return InputError(f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, write it again")
-
-    def table(self, at: str, table: Table, sizes: dict[str, tuple[int, str]]) -> None:
-        """All datasets of a table below ``at``; ``sizes`` are those of the letters so far, and who gave them."""
-        missing = []
-        for name, (kind, shape) in table.items():
-            place = at + name.rstrip("?*")
-            if name.endswith("*"):
-                for inner, item in self.file[place.rstrip("/")].items() if place.rstrip("/") in self.file else ():
-                    self.dataset(place + inner, item, kind, shape, sizes)
-                continue
-            item = self.file.get(place)
-            if hasattr(item, "shape"):
-                self.dataset(place, item, kind, shape, sizes)
-            elif not name.endswith("?"):
-                missing.append(f"/{place}")
-            elif item is not None:
-                raise self.refuse(place, "is a group", "a dataset")
-        if missing:
-            raise InputError(f"{self.path} is an incomplete body file; missing: {', '.join(missing)}; write it again")
-
-    def dataset(self, name: str, item: Any, kind: str, shape: str, sizes: dict[str, tuple[int, str]]) -> None:
-        """One dataset: its shape, kind, and what it holds."""
-        if item.shape is None or item.dtype.kind not in _KINDS[kind]:
-            held = "nothing" if item.shape is None else f"values of type {item.dtype}"
-            raise self.refuse(name, f"holds {held}", _WORDS.get(kind, "real numbers"))
-        self.shape(name, item, shape.split(), sizes)
-        if not item.dtype.hasobject and not item.id.get_create_plist().get_nfilters():
-            held, announced = item.id.get_storage_size(), item.size * item.dtype.itemsize
-            if held < announced:
-                raise self.refuse(name, f"announces {announced} bytes, of which the file holds {held}", "all of them")
-        if kind == "real":
-            refuse_not_finite(self.path, name, item[()])
-        if kind in ("text", "json"):
-            self.text(name, item, kind)
-
-    def shape(self, name: str, item: Any, wanted: Sequence[str], sizes: dict[str, tuple[int, str]]) -> None:
-        bad, words, givers = len(item.shape) != len(wanted), [], []
-        for given, one in zip(item.shape, wanted, strict=False):
-            letter = one.lstrip("0123456789")
-            factor = int(one.removesuffix(letter) or 1)
-            if letter and letter != "any":
-                size, giver = sizes.setdefault(letter, (given // factor, name))
-                factor *= size
-                if giver != name:
-                    givers.append(f"/{giver}")
-            words.append("any" if letter == "any" else str(factor))
-            bad = bad or (letter != "any" and given != factor)
-        if bad:
-            words += wanted[len(words) :]
-            by = f" by {' and '.join(dict.fromkeys(givers))}" if givers else ""
-            raise self.refuse(name, f"has the shape {item.shape}", f"({', '.join(words)}){by}")
-
-    def text(self, name: str, item: Any, kind: str) -> None:
-        try:
-            lines = [line.decode() for line in np.ravel(item[()]).tolist()]
-            if kind == "json" and not isinstance(json.loads(lines[0]), dict):
-                raise ValueError("not a mapping")
-        except (AttributeError, ValueError) as error:
-            raise self.refuse(name, f"cannot be read ({error})", "JSON" if kind == "json" else "text") from error
-
+class _Check(TableCheck):
     def names(self, name: str) -> list[str]:
         """Names of groups."""
         return [line.decode() for line in self.file[name][()].tolist()]
@@ -204,7 +70,7 @@ class _Check:
                 raise self.refuse(name, f"is {line.decode()!r}", f"one of {', '.join(known) or 'none'}")
 
     def interface(self, at: str) -> None:
-        self.table(at, _INTERFACE, {})
+        self.table(at, INTERFACE, {})
         self.one_of(f"{at}coupling", list(COUPLINGS))
         self.within(f"{at}components", 0, 5)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
@@ -213,9 +79,8 @@ class _Check:
         if not off < ORTHONORMAL or np.linalg.det(axes) < 0:
             raise self.refuse(f"{at}axes", f"is no rotation (A A' - I = {off:.1e})", "orthonormal rows, right-handed")
 
-    def frame(self, at: str, sizes: dict[str, tuple[int, str]], interfaces: Sequence[str]) -> None:
+    def frame(self, at: str, interfaces: Sequence[str]) -> None:
         """A floating frame and what belongs to it."""
-        self.table(at, _FRAME, sizes)
         self.one_of(f"{at}kind", list(FRAMES))
         self.positive(f"{at}integrals/mass")
         if "interfaces" in self.file[at]:
@@ -224,31 +89,6 @@ class _Check:
             for name in self.file[at].get(group, ()):
                 if name not in interfaces:
                     raise self.refuse(f"{at}{group}", f"has {name!r}", f"interfaces of /interface_names: {interfaces}")
-        for name in self.file[at].get("markers", ()):
-            self.table(f"{at}markers/{name}/", _MARKER, sizes)
-        if "stiffening" in self.file[at]:
-            self.table(f"{at}stiffening/", _STIFFENING, sizes)
-
-
-def refuse_not_finite(path: Path | str, name: str, values: NDArray[Any]) -> None:
-    """Refuse numbers of the dataset ``name`` that are NaN or infinite.
-
-    Raises:
-        InputError: there are some; the place of the first one is in the message.
-    """
-    if values.ndim == 2:
-        # A mask of a whole matrix would take much memory.
-        bad = next((j for j in range(values.shape[1]) if not np.isfinite(values[:, j]).all()), None)
-        if bad is not None:
-            refuse_not_finite(path, f"{name}[:, {bad}]", values[:, bad])
-        return
-    finite = np.isfinite(values)
-    if not finite.all():
-        at = tuple(int(i) for i in np.unravel_index(int(np.argmin(finite)), values.shape)) if values.ndim else ()
-        where = f" at {list(at)}" if at else ""
-        raise InputError(
-            f"{path}: /{name} holds {values[at]}{where}; expected finite numbers; the file is damaged, write it again"
-        )
 
 
 def check_grid(path: Path, nodes: int, points: Floats, connectivity: Ints, offsets: Ints, types: NDArray[Any]) -> None:

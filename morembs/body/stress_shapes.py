@@ -8,7 +8,7 @@ momentum, so the mean axes of the body do not move with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -17,20 +17,21 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.body.tables import RECOVERY
 from morembs.certificate.residual import static_response
-from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.model.stress_operator import StressOperator, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
+from morembs.storage.table import Table, read_rows
+from morembs.storage.writer import Columns
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Ints = NDArray[np.int64]
 # Columns of length N that one block of shapes costs, beside the gradients at the points.
 _COPIES = 6
-CHUNK_ROWS = 2**28
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,85 +198,35 @@ def _deformation(problem: Problem, reduced: ReducedModel) -> Floats:
     return np.asarray(np.eye(reduced.order) - Z @ np.linalg.solve(ZM @ Z, ZM))
 
 
-_PARTS = {
-    "points": ("labels of the nodes; a node where materials meet comes once for each", ""),
-    "coordinates": ("positions of the points", "m"),
-    "material": ("index of the material of each point", ""),
-    "deformation": ("takes the rigid motion out of reduced coordinates, before stress is applied", ""),
-    "stress": ("row 6 i + c: component c (xx, yy, zz, xy, yz, zx) of point i per unit of each coordinate", "Pa"),
-    "correction": ("mode acceleration: what stress lacks, per unit of each interface load; rows as stress", "Pa"),
-    "displacement": ("mode acceleration: what basis lacks, per unit of each interface load; rows as basis", "m"),
-    "jump_point": ("where among the points a stress of a single element is, ascending", ""),
-    "jump_element": ("and the number of that element, through all blocks of the mesh", ""),
-    "jump": ("as stress, of a single element less the average at the point; row 6 i + c of jump_point[i]", "Pa"),
-    "jump_correction": ("what jump lacks, per unit of each interface load; rows as jump", "Pa"),
-}
-_JUMPS = ("jump_point", "jump_element", "jump", "jump_correction")
 _AT_POINTS = ("points", "coordinates", "material", "stress", "correction")
-_OPTIONAL = ("correction", "displacement", *_JUMPS)
+_JUMPS = ("jump_point", "jump_element", "jump", "jump_correction")
 
 
-def write_recovery(
-    group: Any, its: Recovery, check: Callable[[], None] = lambda: None, at_nodes: sp.csr_array | None = None,
-) -> None:  # fmt: skip
-    """Datasets of ``its`` in the HDF5 ``group``; ``check`` is called after each and raises what went wrong.
+def recovery_parts(recovery: Recovery, at_nodes: sp.csr_array | None = None) -> dict[str, Any]:
+    """Values for the rows of ``tables.RECOVERY``.
 
-    ``at_nodes`` (3 N, Nc) gives the displacements of the nodes of the file; without it these are left out.
+    ``at_nodes`` (3 N, Nc) gives the displacements of the nodes of the file; without it these are as they are.
     """
-
-    def marked(name: str, data: Any, about: str, units: str) -> None:
-        for key, words in (("description", about), ("units", units)):
-            if words:
-                data.attrs[key] = np.bytes_(words)
-        check()
-
-    for name, (about, units) in _PARTS.items():
-        value, taken = getattr(its, name), None
-        if name == "displacement" and at_nodes is not None:
-            value, taken = its.missing, at_nodes
-        if value is None:
-            continue
-        rows = len(value) if taken is None else taken.shape[0]
-        if value.ndim == 2 and name not in ("coordinates", "deformation") and value.size and rows:
-            shape, chunks = (rows, value.shape[1]), (min(rows, CHUNK_ROWS), 1)
-            data = group.create_dataset(name, shape, value.dtype, chunks=chunks)
-            for column in range(value.shape[1]):
-                data[:, column] = value[:, column] if taken is None else taken @ value[:, column]
-                check()
-        else:
-            data = group.create_dataset(name, data=value)
-        marked(name, data, about, units)
-    for name, value in its.markers.items():
-        data = group.create_dataset(f"markers/{name}", data=value)
-        marked(name, data, "displacement and small rotation of the interface in displacement", "")
+    values, missing = dict(vars(recovery)), recovery.missing
+    if at_nodes is not None:
+        values["displacement"] = missing if missing is None else Columns(
+            (at_nodes.shape[0], missing.shape[1]), missing.dtype, (at_nodes @ column[:, None] for column in missing.T)
+        )  # fmt: skip
+    return values
 
 
 def read_recovery(group: Any, *, stress: bool = True) -> Recovery:
-    """What ``write_recovery`` wrote, whole in memory; without ``stress`` it has no points.
+    """The recovery in an open HDF5 ``group``, whole in memory; without ``stress`` it has no points.
 
     Raises:
         InputError: a dataset is missing.
     """
-    missing = [name for name in _PARTS if name not in _OPTIONAL and not hasattr(group.get(name), "shape")]
-    if missing:
-        raise InputError(f"the stress recovery lacks {', '.join(missing)}; write the body file again")
-    markers = {name: item[()] for name, item in group.get("markers", {}).items()}
-    left_out = () if stress else (*_AT_POINTS, *_JUMPS)
-    found = {name: _columns(group[name]) for name in _PARTS if name in group and name not in left_out}
-    for name in () if stress else _AT_POINTS:
-        if name in group:
-            found[name] = np.empty((0, *group[name].shape[1:]), group[name].dtype)
-    return Recovery(**found, markers=markers)
-
-
-def _columns(data: Any) -> Any:
-    """The whole dataset; a matrix in pieces of columns comes column by column, as it lies on the disk."""
-    if data.chunks is None or data.ndim != 2:
-        return data[()]
-    found = np.empty(data.shape, data.dtype, order="F")
-    for column in range(data.shape[1]):
-        found[:, column] = data[:, column]
-    return found
+    if stress:
+        return Recovery(**read_rows(group, RECOVERY, "the stress recovery lacks"))
+    present = {name: group[name] for name in _AT_POINTS if name in group}
+    empty: dict[str, Any] = {name: np.empty((0, *item.shape[1:]), item.dtype) for name, item in present.items()}
+    rows = tuple(row for row in RECOVERY if row.name not in (*_AT_POINTS, *_JUMPS))
+    return Recovery(**read_rows(group, Table(rows), "the stress recovery lacks"), **empty)
 
 
 def stress_shapes(

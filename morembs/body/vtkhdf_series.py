@@ -20,7 +20,8 @@ from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading
-from morembs.storage.safefile import replacing
+from morembs.storage.storable import text
+from morembs.storage.writer import writing
 
 Floats = NDArray[np.float64]
 # Temporal data came with 2.0.
@@ -93,26 +94,25 @@ def write_series(
         OutputError: the file cannot be written (folder missing or read-only, disk full).
     """
     target, n, nt = Path(path), len(grid.points), len(times)
-    with replacing(target) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
-        safe.doing = "the mesh"
-        group = file.create_group("VTKHDF")
+    with writing(target, sealed=False) as out:
+        out.doing("the mesh")
+        group = out.file.create_group("VTKHDF")
         _write_grid(group, grid)
         _write_steps(group, times, fields, n)
         data = {}
         for name, width in fields.items():
             shape, chunk = ((nt * n,), (n,)) if width == 1 else ((nt * n, width), (n, width))
             data[name] = group.create_dataset(f"PointData/{name}", shape, np.float32, chunks=chunk)
-        safe.check()
+        out.check()
         for number, step in enumerate(steps):
-            safe.doing = f"step {number + 1} of {nt}"
+            out.doing(f"step {number + 1} of {nt}")
             for name, values in step.items():
                 one = np.asarray(values, dtype=np.float32)
                 data[name][number * n : (number + 1) * n] = one.reshape(data[name].chunks)
-                safe.check()
+                out.check()
             progress.update(f"{number + 1} of {nt} steps written")
         if lines := notes():
-            file.create_dataset("notes", data=np.array([line.encode() for line in lines]))
-        safe.check()
+            out.put("notes", text(*lines))
     return target
 
 

@@ -1,9 +1,6 @@
 """Static equilibria of a component that is being tabulated, in a file, so that a run that was ended can go on.
 
-The file is replaced as a whole, never changed in place. Datasets: ``signature`` of the component, ``options`` of the
-run (JSON), ``reach`` (rad, 0 while it is not known), ``notes`` (JSON), and per equilibrium a row of ``keys`` (n, 4),
-``X`` (n, N), ``W`` (n,), ``moments`` (n, 2), ``modes`` (n, N, 2). A key holds two fractions, numerator and
-denominator: the place of t1 and t2 among Chebyshev points, t = reach sin(pi fraction).
+The file is replaced as a whole, never changed in place.
 """
 
 from __future__ import annotations
@@ -13,19 +10,30 @@ import time
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.storage.checksums import Checksums, seal
+from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading, refuse_newer
-from morembs.storage.safefile import check_writable, replacing
+from morembs.storage.safefile import check_writable
+from morembs.storage.table import Row, Table, read_rows
+from morembs.storage.table_check import TableCheck
+from morembs.storage.writer import writing
 
 Floats = NDArray[np.float64]
 Key = tuple[int, int, int, int]
 # The attribute ``kind`` is this and the version.
 _KIND, _VERSION = "morembs equilibria", 1
+_EQUILIBRIA = Table((
+    Row("signature", "real", "any", doc="of the component"),
+    Row("options", "text", doc="of the run, as JSON"),
+    Row("reach", "real", units="rad", doc="0 while it is not known"),
+    Row("notes", "text", doc="as JSON"),
+    Row("keys", "whole", "n 4", doc="two fractions, numerator and denominator: the place of t1 and t2 among Chebyshev "
+        "points, t = reach sin(pi fraction)"),
+    Row("X", "real", "n N"), Row("W", "real", "n"), Row("moments", "real", "n 2"), Row("modes", "real", "n N 2"),
+))  # fmt: skip
 _NAMES = ("X", "W", "moments", "modes")
 # Time between two files per time that one takes; relative difference of signatures of one component.
 _SELDOM, _SAME = 10.0, 1e-8
@@ -62,19 +70,10 @@ class Checkpoint:
             if kind != _KIND or not version.isdecimal():
                 raise KeyError("kind")
             refuse_newer(self.path, int(version), _VERSION, f"install a newer one, or {cure}")
-            signature, options = file["signature"][()], str(file["options"].asstr()[()])
-            values = {name: file[name][()] for name in ("keys", *_NAMES)}
-            reach, notes = float(file["reach"][()]), json.loads(file["notes"].asstr()[()])
-            n, N = len(values["keys"]), values["X"].shape[-1] if values["X"].ndim else 0
-            expected = {"keys": (n, 4), "X": (n, N), "W": (n,), "moments": (n, 2), "modes": (n, N, 2)}
-            for name, shape in expected.items() if n else ():
-                if values[name].shape != shape:
-                    raise ValueError(f"{name} has the shape {values[name].shape}, expected {shape}")
-            if values["keys"].dtype.kind not in "iu":
-                raise ValueError("keys are no integers")
-            for name in _NAMES:
-                if values[name].dtype.kind != "f" or not np.isfinite(values[name]).all():
-                    raise ValueError(f"{name} holds what is no finite number")
+            if len(file["keys"]):
+                TableCheck(self.path, file, "file of equilibria", cure).table("", _EQUILIBRIA, {})
+            values = read_rows(file, _EQUILIBRIA)
+            signature, options, notes = values["signature"], values["options"], json.loads(values["notes"])
             if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
                 raise ValueError("notes")
             Checksums(self.path, file).verify()
@@ -84,7 +83,7 @@ class Checkpoint:
             raise InputError(
                 f"{self.path} holds equilibria {what}; give the name of a new file, or remove this one to begin anew"
             )
-        self.reach, self.notes = reach, tuple(notes)
+        self.reach, self.notes = values["reach"], tuple(notes)
         for row, key in enumerate(values["keys"]):
             a, b, c, d = (int(number) for number in key)
             self.found[a, b, c, d] = {name: values[name][row] for name in _NAMES}
@@ -110,21 +109,19 @@ class Checkpoint:
         if not self._unsaved:
             return
         begin = time.monotonic()
-        with replacing(self.path) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
+        with writing(self.path) as out:
+            file = out.file
             file.attrs["kind"] = f"{_KIND} {_VERSION}"
             file["signature"], file["options"] = self.signature, self.options
             file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
             file["keys"] = np.array(list(self.found), dtype=np.int64).reshape(-1, 4)
             first = next(iter(self.found.values()), None)
             for name in _NAMES:
-                safe.doing = name
+                out.doing(name)
                 shape = np.shape(first[name]) if first is not None else (0,)
                 data = file.create_dataset(name, (len(self.found), *shape), dtype=np.float64)
                 for row, values in enumerate(self.found.values()):
                     data[row] = values[name]
-                safe.check()
-            safe.doing = "the checksums"
-            seal(file)
-            safe.check()
+                out.check()
         self._last, self._unsaved = time.monotonic(), False
         self._took = self._last - begin

@@ -6,27 +6,21 @@ The reader of the file itself is ``morembs.importers.native``.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import h5py
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.importers.native import FORMAT, FORMAT_VERSION, import_native
+from morembs.importers.native import FORMAT, FORMAT_VERSION, MODEL, import_native
 from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import RigidElement
 from morembs.progress import SILENT, Progress
-from morembs.storage.checksums import seal
-from morembs.storage.hdf5 import reading
-from morembs.storage.safefile import SafeFile, replacing
-from morembs.storage.storable import storable, text
+from morembs.storage.hdf5 import is_format, reading
+from morembs.storage.writer import writing
 
 Ints = NDArray[np.int64]
 _BLOCK = 1 << 24
@@ -50,40 +44,22 @@ def write_model(
     target = Path(path)
     progress.stage(f"writing {target.name}")
     sums = [sha256(file) for file in files]
-    # The oldest layout: every reader knows it, and its groups carry no time stamps.
-    with replacing(target) as safe, h5py.File(safe, "w", libver=("earliest", "v108")) as file:
-        out = _Writer(file, safe)
-        out.put("format", FORMAT)
-        out.put("format_version", FORMAT_VERSION)
-        out.put("unit_system", "SI")
-        out.put("source/name", model.source)
-        out.put("source/files", text(*(file.name for file in files)), "names of the files, in the order of sha256")
-        out.put("source/sha256", text(*sums))
-        out.put("source/format", importer or "none")
-        out.put("source/units", units or "m-kg-s", "length, mass and time of the files; everything here is SI")
-        out.put("source/notes", text(*model.notes))
-        out.put("source/warnings", text(*model.warnings), "in what the model differs from its source")
-        out.put("source/findings", text(*findings), "what the examination found at the import")
-        for name, matrix, unit in (("K", model.K, "N/m"), ("M", model.M, "kg"), ("D", model.D, "N s/m")):
-            if matrix is not None:
-                out.matrix(f"matrices/{name}", matrix, unit)
-        out.put("nodes/ids", model.nodes.ids, "labels of the nodes in the source")
-        out.put("nodes/coordinates", model.nodes.xyz, units="m")
-        out.sets("node_sets", model.nodes.sets)
-        out.put("dofs/node", model.dofs.node, "row of /nodes, from 0, of each row of the matrices")
-        out.put("dofs/component", model.dofs.component, "0..2 displacements along x, y, z; 3..5 rotations about them")
-        if model.mesh is not None:
-            _write_mesh(out, model.mesh)
-        if model.materials:
-            out.put("materials/sets", text(*(one.set for one in model.materials)))
-            stiffness = np.stack([one.stiffness for one in model.materials])
-            out.put("materials/stiffness", stiffness, "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa")
-            out.put("materials/density", np.array([one.density for one in model.materials]), units="kg/m3")
-        if model.couplings:
-            _write_couplings(out, model)
-        safe.doing = "the checksums"
-        seal(file)
-        safe.check()
+    with writing(target) as out:
+        out.rows("", MODEL, {
+            "format": FORMAT, "format_version": FORMAT_VERSION, "unit_system": "SI",
+            "source": {
+                "name": model.source, "files": [file.name for file in files], "sha256": sums,
+                "format": importer or "none", "units": units or "m-kg-s", "notes": model.notes,
+                "warnings": model.warnings, "findings": list(findings),
+            },
+            "K": model.K, "M": model.M, "D": model.D,
+            "ids": model.nodes.ids, "xyz": model.nodes.xyz, "node_sets": model.nodes.sets,
+            "node": model.dofs.node, "component": model.dofs.component,
+            "elements": model.mesh and _elements(model.mesh), "element_sets": model.mesh and _element_sets(model.mesh),
+            "materials": model.materials or None, "couplings": _couplings(model) if model.couplings else None,
+        })  # fmt: skip
+        for matrix in out.file.get("matrices", {}).values():
+            matrix.attrs["format"] = np.bytes_("csr")
     return target
 
 
@@ -104,8 +80,7 @@ def is_body_file(path: Path) -> bool:
     """Whether a file says that it holds reduced bodies."""
     try:
         with reading(path, "a model file") as file:
-            found = file.get("format")
-            return isinstance(found, h5py.Dataset) and found.shape == () and found[()] == b"morembs-body"
+            return is_format(file, "morembs-body")
     except InputError:
         # Reading it as a model says what is wrong.
         return False
@@ -127,72 +102,28 @@ def sha256(path: Path) -> str:
     return total.hexdigest()
 
 
-@dataclass(frozen=True)
-class _Writer:
-    file: Any
-    safe: SafeFile
-
-    def put(self, name: str, value: object, about: str = "", units: str = "") -> None:
-        """Store one dataset with what it is and its units, then look whether that went well."""
-        self.safe.doing = name
-        item = self.file.create_dataset(name, data=storable(value))
-        for key, words in (("description", about), ("units", units)):
-            if words:
-                item.attrs[key] = np.bytes_(words)
-        self.safe.check()
-
-    def matrix(self, name: str, matrix: sp.csr_array, units: str) -> None:
-        """A CSR matrix as scipy keeps it; indices keep their width, imaginary parts have a dataset of their own."""
-        if not matrix.has_canonical_format:
-            matrix = matrix.copy()
-            matrix.sum_duplicates()
-        data = matrix.data
-        self.put(f"{name}/data", np.ascontiguousarray(data.real), units=units)
-        if data.dtype.kind == "c":
-            self.put(f"{name}/data_imag", np.ascontiguousarray(data.imag), units=units)
-        for part in ("indices", "indptr"):
-            self.safe.doing = f"{name}/{part}"
-            self.file.create_dataset(f"{name}/{part}", data=getattr(matrix, part))
-            self.safe.check()
-        self.put(f"{name}/shape", np.array(matrix.shape, dtype=np.int64))
-        self.file[name].attrs["format"] = np.bytes_("csr")
-
-    def sets(self, name: str, sets: Mapping[str, Ints]) -> None:
-        """Named rows: those of set i are rows[offsets[i]:offsets[i + 1]]."""
-        parts = [np.asarray(rows, dtype=np.int64) for rows in sets.values()]
-        self.put(f"{name}/names", text(*sets))
-        self.put(f"{name}/offsets", np.cumsum([0, *map(len, parts)]))
-        self.put(f"{name}/rows", np.concatenate([np.empty(0, dtype=np.int64), *parts]), "from 0")
+def _elements(mesh: Mesh) -> dict[str, object]:
+    """Elements in VTK order."""
+    types = [block.type for block in mesh.blocks]
+    return {"types": types, "node_count": len(mesh.nodes), "source": mesh.source, "blocks": mesh.blocks}
 
 
-def _write_mesh(out: _Writer, mesh: Mesh) -> None:
-    """Elements in VTK order; element sets count elements through all blocks."""
-    out.put("elements/types", text(*(block.type for block in mesh.blocks)), "of block_0, block_1, ...")
-    out.put("elements/node_count", len(mesh.nodes), "the first nodes are those of the elements")
-    out.put("elements/source", mesh.source)
-    for number, block in enumerate(mesh.blocks):
-        out.put(f"elements/block_{number}/nodes", block.nodes, "rows of /nodes, from 0, in VTK order")
-        out.put(f"elements/block_{number}/ids", block.ids, "labels of the elements in the source")
+def _element_sets(mesh: Mesh) -> dict[str, Ints]:
+    """Elements of each set, counted through all blocks."""
     starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in mesh.blocks])])
-    joined = {
+    return {
         name: np.concatenate([np.asarray(rows) + starts[b] for b, rows in enumerate(parts)]).astype(np.int64)
         for name, parts in mesh.element_sets.items()
     }
-    out.sets("element_sets", joined)
 
 
-def _write_couplings(out: _Writer, model: FEModel) -> None:
-    elements = model.couplings.values()
-    out.put("couplings/names", text(*(one.name for one in elements)), "of coupling_0, coupling_1, ...")
-    for number, one in enumerate(elements):
-        group = f"couplings/coupling_{number}"
-        rigid = isinstance(one, RigidElement)
+def _couplings(model: FEModel) -> dict[str, object]:
+    couplings: list[dict[str, object]] = []
+    for one in model.couplings.values():
         reference, nodes = (one.master, one.slaves) if isinstance(one, RigidElement) else (one.reference, one.nodes)
-        out.put(f"{group}/kind", "rigid" if rigid else "average")
-        out.put(f"{group}/reference", reference, "row of /nodes: the master, or the node of the mean motion")
-        out.put(f"{group}/nodes", nodes, "rows of /nodes that follow, or whose mean is taken")
-        components = np.array(one.components, dtype=np.int64)
-        out.put(f"{group}/components", components, "0..5: those of the nodes that follow, or of the reference")
-        out.put(f"{group}/point", model.nodes.xyz[reference].copy(), units="m")
-        if isinstance(one, AverageElement):
-            out.put(f"{group}/weights", one.weights)
+        couplings.append({
+            "kind": "rigid" if isinstance(one, RigidElement) else "average", "reference": reference, "nodes": nodes,
+            "components": one.components, "point": model.nodes.xyz[reference],
+            "weights": getattr(one, "weights", None),
+        })  # fmt: skip
+    return {"names": [one.name for one in model.couplings.values()], "couplings": couplings}

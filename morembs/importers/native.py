@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -21,12 +19,118 @@ from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
-from morembs.storage.hdf5 import reading, refuse_newer, stored
+from morembs.storage.hdf5 import reading_format
+from morembs.storage.table import Row, Table, read_rows
+from morembs.storage.table_check import TableCheck
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FORMAT = "morembs-model"
 FORMAT_VERSION = 1
+CURE = "import the model again"
+
+
+def _matrix(units: str) -> Table:
+    """A CSR matrix as SciPy keeps it; imaginary parts have a dataset of their own."""
+    return Table((
+        Row("data", "later", "any", units=units, doc="values, their real parts"),
+        Row("data_imag", "later", "any", units=units, doc="their imaginary parts", when="of complex matrices"),
+        Row("indices", "index", "any", doc="columns of the values"),
+        Row("indptr", "index", "any", doc="where each row begins"),
+        Row("shape", "whole", "2", doc="rows and columns"),
+    ), parts=_matrix_parts)  # fmt: skip
+
+
+def _matrix_parts(matrix: sp.csr_array) -> Mapping[str, object]:
+    if not matrix.has_canonical_format:
+        matrix = matrix.copy()
+        matrix.sum_duplicates()
+    imaginary = np.ascontiguousarray(matrix.data.imag) if matrix.data.dtype.kind == "c" else None
+    data = np.ascontiguousarray(matrix.data.real)
+    return {"data": data, "data_imag": imaginary, "indices": matrix.indices, "indptr": matrix.indptr,
+            "shape": matrix.shape}  # fmt: skip
+
+
+def _sets(names: tuple[str, ...], offsets: Ints, rows: Ints) -> dict[str, Ints]:
+    if len(offsets) != len(names) + 1 or offsets[0] != 0 or offsets[-1] != len(rows) or (np.diff(offsets) < 0).any():
+        raise ValueError("sets do not fit their names")
+    return {name: rows[offsets[i] : offsets[i + 1]] for i, name in enumerate(names)}
+
+
+def _sets_parts(sets: Mapping[str, Ints]) -> Mapping[str, object]:
+    rows = np.concatenate([np.empty(0, dtype=np.int64), *sets.values()])
+    return {"names": list(sets), "offsets": np.cumsum([0, *map(len, sets.values())]), "rows": rows}
+
+
+def _materials(sets: tuple[str, ...], stiffness: Any, density: Any) -> tuple[Material, ...]:
+    rows = zip(sets, stiffness, density.tolist(), strict=True)
+    return tuple(Material(set=name, stiffness=C, density=rho) for name, C, rho in rows)
+
+
+def _materials_parts(materials: Iterable[Material]) -> Mapping[str, object]:
+    sets, stiffness, density = zip(*((one.set, one.stiffness, one.density) for one in materials), strict=True)
+    return {"sets": sets, "stiffness": np.stack(stiffness), "density": density}
+
+
+_SOURCE = Table((
+    Row("name", "words", doc="of the model"),
+    Row("files", "words", "files", "names of the files, in the order of sha256"),
+    Row("sha256", "words", "files", doc="checksums of the files"),
+    Row("format", "words", doc="what they were read as"),
+    Row("units", "words", "", "length, mass and time of the files; everything here is SI"),
+    Row("notes", "words", "any", doc="what was said at the import"),
+    Row("warnings", "words", "any", "in what the model differs from its source", when="files of 0.1 may lack it"),
+    Row("findings", "words", "any", "what the examination found at the import", when="files of 0.1 may lack it"),
+))  # fmt: skip
+_SETS = Table((
+    Row("names", "words", "sets", doc="of the sets"),
+    Row("offsets", "whole", "any", doc="set i holds `rows[offsets[i]:offsets[i+1]]`"),
+    Row("rows", "whole", "any", "from 0"),
+), build=_sets, parts=_sets_parts)  # fmt: skip
+_BLOCK = Table((
+    Row("nodes", "whole", "elements corners", "rows of /nodes, from 0, in VTK order"),
+    Row("ids", "whole", "elements", "labels of the elements in the source"),
+))  # fmt: skip
+_ELEMENTS = Table((
+    Row("types", "words", "blocks", "of block_0, block_1, ..."),
+    Row("node_count", "whole", "", "the first nodes are those of the elements"),
+    Row("source", "words", doc="of the mesh"),
+    Row("block_#", _BLOCK, field="blocks"),
+))  # fmt: skip
+_MATERIALS = Table((
+    Row("sets", "words", "materials", doc="sets of elements"),
+    Row("stiffness", "real", "materials 6 6", "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa"),
+    Row("density", "real", "materials", units="kg/m3", doc="density"),
+), build=_materials, parts=_materials_parts)  # fmt: skip
+_COUPLING = Table((
+    Row("kind", "words", doc="`rigid` or `average`"),
+    Row("reference", "whole", "", "row of /nodes: the master, or the node of the mean motion"),
+    Row("nodes", "whole", "followers", "rows of /nodes that follow, or whose mean is taken"),
+    Row("components", "few", "any", "0..5: those of the nodes that follow, or of the reference"),
+    Row("point", "real", "3", units="m", doc="where the reference is", read=False),
+    Row("weights", "real", "followers", when="of average ones", doc="of the nodes"),
+))  # fmt: skip
+_COUPLINGS = Table((
+    Row("names", "words", "couplings", "of coupling_0, coupling_1, ..."),
+    Row("coupling_#", _COUPLING, field="couplings"),
+))  # fmt: skip
+MODEL = Table((
+    Row("format", "text", doc="`morembs-model`", read=False),
+    Row("format_version", "whole", doc="1", read=False),
+    Row("unit_system", "text", doc="`SI`", read=False),
+    Row("source", _SOURCE),
+    Row("matrices/K", _matrix("N/m"), when="if", read=False),
+    Row("matrices/M", _matrix("kg"), when="if", read=False, doc="as K, kg; each of the three may be absent"),
+    Row("matrices/D", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m"),
+    Row("nodes/ids", "whole", "N", "labels of the nodes in the source"),
+    Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
+    Row("node_sets", _SETS),
+    Row("dofs/node", "whole", "dofs", "row of /nodes, from 0, of each row of the matrices"),
+    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them"),
+    Row("elements", _ELEMENTS, when="if"),
+    Row("element_sets", _SETS, when="if", doc="as `node_sets`; elements are counted through all blocks"),
+    Row("materials", _MATERIALS, when="if"),
+    Row("couplings", _COUPLINGS, when="if"),
+))  # fmt: skip
 
 
 def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
@@ -35,123 +139,62 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
     """
-    path = Path(path)
-    with opened(path) as file:
-        size = int(file["dofs/node"].shape[0])
-        K, M, D = (_matrix(path, file, name, size, budget) for name in ("K", "M", "D"))
-        nodes = Nodes(
-            ids=_whole(path, file["nodes/ids"]),
-            xyz=_numbers(path, file["nodes/coordinates"], (None, 3)),
-            sets=_sets(path, file, "node_sets"),
-        )
+    path, hint = Path(path), "; see morembs import"
+    with reading_format(path, "a model file", FORMAT, FORMAT_VERSION, cure=CURE, hint=hint) as file:
+        TableCheck(path, file, "model file", CURE).table("", MODEL, {})
+        values = read_rows(file, MODEL)
+        dofs, source = DofMap(node=values["node"], component=values["component"]), values["source"]
+        K, M, D = (_read_matrix(path, file, name, len(dofs.node), budget) for name in ("K", "M", "D"))
+        nodes = Nodes(ids=values["ids"], xyz=values["xyz"], sets=values["node_sets"])
         for name, rows in nodes.sets.items():
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
-        dofs = DofMap(node=_whole(path, file["dofs/node"]), component=_whole(path, file["dofs/component"]))
-        rigid, average = _couplings(path, file, len(nodes))
-        found = Imported(
-            source=_words(file["source/name"])[0], K=K, M=M, D=D, nodes=nodes, dofs=dofs,
-            mesh=_mesh(path, file, nodes), materials=_materials(path, file), rigid=rigid, average=average,
-            notes=tuple(_words(file["source/notes"])),
-            warnings=tuple(_words(file["source/warnings"])) if "source/warnings" in file else (),
-        )  # fmt: skip
+        rigid, average = _couplings(path, values.get("couplings", {"names": (), "couplings": ()}), len(nodes))
+        mesh = _mesh(path, values["elements"], values["element_sets"], nodes) if "elements" in values else None
         Checksums(path, file).verify()
-        return found
+    return Imported(
+        source=source["name"], K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh,
+        materials=values.get("materials", ()), rigid=rigid, average=average, notes=source["notes"],
+        warnings=source.get("warnings", ()),
+    )  # fmt: skip
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """The HDF5 file, open for reading, once it is known to be a model file of a known version."""
-    with reading(path, "a model file", "import the model again") as file:
-        found = file.get("format")
-        if not isinstance(found, h5py.Dataset) or found.shape != () or found[()] != FORMAT.encode():
-            raise InputError(f"{path} is not a model file of morembs (no /format {FORMAT!r}); see morembs import")
-        cure = "install a newer one, or import the model again"
-        refuse_newer(path, int(file["format_version"][()]), FORMAT_VERSION, cure)
-        yield file
-
-
-def _matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
-    if f"matrices/{name}" not in file:
+def _read_matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
+    group = file.get(f"matrices/{name}")
+    if group is None:
         return None
-    group = file[f"matrices/{name}"]
     parts = []
     for part in ("data", "indices", "indptr"):
-        if group[part].dtype.kind not in ("f" if part == "data" else "iu"):
-            raise InputError(f"{path}: {group[part].name} does not hold numbers of its kind; import the model again")
         array = budget.empty(group[part].shape, group[part].dtype)
         if len(array):
             group[part].read_direct(array)
         parts.append(array)
     data, indices, indptr = parts
     if "data_imag" in group:
-        data = data + 1j * _numbers(path, group["data_imag"], data.shape)
-    shape = tuple(_whole(path, group["shape"]).tolist())
+        data = data + 1j * group["data_imag"][()]
+    shape = tuple(group["shape"][()].tolist())
     if shape != (size, size):
-        raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; import the model again")
+        raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; {CURE}")
     return checked_csr(f"{path}: {name}", data, indices, indptr, (size, size))
-
-
-def _whole(path: Path, item: Any, *, sides: int = 1) -> Ints:
-    """Integers of an array with so many ``sides``."""
-    values = stored(item)
-    if values.dtype.kind not in "iu" or values.ndim != sides:
-        raise InputError(f"{path}: {item.name} does not hold integers in its shape; import the model again")
-    return values.astype(np.int64, copy=False)
-
-
-def _numbers(path: Path, item: Any, shape: tuple[int | None, ...]) -> Floats:
-    """Numbers of an array of this ``shape``, None where it may be anything."""
-    values = stored(item)
-    fits = len(shape) == values.ndim and all(a in (None, b) for a, b in zip(shape, values.shape, strict=True))
-    if values.dtype.kind not in "fiu" or not fits:
-        raise InputError(f"{path}: {item.name} does not hold numbers in its shape; import the model again")
-    return values.astype(np.float64, copy=False)
-
-
-def _words(item: Any) -> list[str]:
-    """Text of a dataset."""
-    return [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(stored(item))]
-
-
-def _sets(path: Path, file: Any, group: str) -> dict[str, Ints]:
-    offsets, rows = _whole(path, file[f"{group}/offsets"]), _whole(path, file[f"{group}/rows"])
-    names = _words(file[f"{group}/names"])
-    if (
-        offsets.ndim != 1
-        or rows.ndim != 1
-        or len(offsets) != len(names) + 1
-        or offsets[0] != 0
-        or (offsets[-1] != len(rows) or (np.diff(offsets) < 0).any())
-    ):
-        raise InputError(f"{path}: the sets of {group} do not fit their names; import the model again")
-    return {name: rows[offsets[i] : offsets[i + 1]] for i, name in enumerate(names)}
 
 
 def _refuse_outside(path: Path, rows: Ints, count: int, what: str) -> None:
     if len(rows) and not (rows.min() >= 0 and rows.max() < count):
-        raise InputError(f"{path}: {what} names rows that do not exist; import the model again")
+        raise InputError(f"{path}: {what} names rows that do not exist; {CURE}")
 
 
-def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
-    if "elements" not in file:
-        return None
-    group = file["elements"]
-    count = int(_whole(path, group["node_count"], sides=0))
+def _mesh(path: Path, group: Mapping[str, Any], element_sets: Mapping[str, Ints], nodes: Nodes) -> Mesh:
+    count = group["node_count"]
     if not 0 <= count <= len(nodes):
-        raise InputError(f"{path}: elements take {count} nodes of {len(nodes)}; import the model again")
+        raise InputError(f"{path}: elements take {count} nodes of {len(nodes)}; {CURE}")
     blocks = []
-    for number, kind in enumerate(_words(group["types"])):
-        connectivity = _whole(path, group[f"block_{number}/nodes"], sides=2)
-        if kind not in TYPES or connectivity.shape[1] != TYPES[kind].n_nodes:
-            raise InputError(f"{path}: elements of type {kind!r} are damaged; import the model again")
-        _refuse_outside(path, connectivity.ravel(), count, f"an element of type {kind}")
-        ids = _whole(path, group[f"block_{number}/ids"])
-        if ids.shape != (len(connectivity),):
-            raise InputError(f"{path}: elements of type {kind!r} do not fit their labels; import the model again")
-        blocks.append(ElementBlock(type=kind, nodes=connectivity, ids=ids))
+    for kind, block in zip(group["types"], group["blocks"], strict=True):
+        if kind not in TYPES or block["nodes"].shape[1] != TYPES[kind].n_nodes:
+            raise InputError(f"{path}: elements of type {kind!r} are damaged; {CURE}")
+        _refuse_outside(path, block["nodes"].ravel(), count, f"an element of type {kind}")
+        blocks.append(ElementBlock(type=kind, **block))
     starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in blocks])])
     sets = {}
-    for name, rows in _sets(path, file, "element_sets").items():
+    for name, rows in element_sets.items():
         _refuse_outside(path, rows, int(starts[-1]), f"element set {name!r}")
         block = np.searchsorted(starts, rows, side="right") - 1
         sets[name] = tuple(rows[block == b] - starts[b] for b in range(len(blocks)))
@@ -161,39 +204,20 @@ def _mesh(path: Path, file: Any, nodes: Nodes) -> Mesh | None:
         own = Nodes(
             ids=nodes.ids[:count], xyz=nodes.xyz[:count], sets={name: rows for name, rows in kept.items() if len(rows)}
         )
-    return Mesh(nodes=own, blocks=tuple(blocks), element_sets=sets, source=_words(group["source"])[0])
+    return Mesh(nodes=own, blocks=tuple(blocks), element_sets=sets, source=group["source"])
 
 
-def _materials(path: Path, file: Any) -> tuple[Material, ...]:
-    if "materials" not in file:
-        return ()
-    names = _words(file["materials/sets"])
-    stiffness = _numbers(path, file["materials/stiffness"], (len(names), 6, 6))
-    density = _numbers(path, file["materials/density"], (len(names),))
-    return tuple(
-        Material(set=n, stiffness=C, density=float(d)) for n, C, d in zip(names, stiffness, density, strict=True)
-    )
-
-
-def _couplings(path: Path, file: Any, count: int) -> tuple[tuple[RigidElement, ...], tuple[AverageElement, ...]]:
+def _couplings(
+    path: Path, group: Mapping[str, Any], count: int
+) -> tuple[tuple[RigidElement, ...], tuple[AverageElement, ...]]:
     rigid, average = [], []
-    for number, name in enumerate(_words(file["couplings/names"]) if "couplings" in file else []):
-        group = file[f"couplings/coupling_{number}"]
-        reference, nodes = int(_whole(path, group["reference"], sides=0)), _whole(path, group["nodes"])
-        components = tuple(_whole(path, group["components"]).tolist())
+    for name, one in zip(group["names"], group["couplings"], strict=True):
+        reference, nodes, components = one["reference"], one["nodes"], one["components"]
         _refuse_outside(path, np.append(nodes, reference), count, f"coupling {name!r}")
         if not set(components) <= set(range(6)):
             raise InputError(f"{path}: coupling {name!r} has components {components}; expected some of 0 to 5")
-        if _words(group["kind"])[0] == "rigid":
+        if one.pop("kind") == "rigid":
             rigid.append(RigidElement(name=name, master=reference, slaves=nodes, components=components))
         else:
-            average.append(
-                AverageElement(
-                    name=name,
-                    reference=reference,
-                    nodes=nodes,
-                    weights=_numbers(path, group["weights"], nodes.shape),
-                    components=components,
-                )
-            )
+            average.append(AverageElement(name=name, **one))
     return tuple(rigid), tuple(average)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.body.stored_check import check_grid, refuse_not_finite
+from morembs.body.stored_check import check_grid
 from morembs.body.stress_shapes import Recovery
 from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
 from morembs.errors import InputError, nearest
@@ -21,6 +21,7 @@ from morembs.progress import SILENT, Progress
 from morembs.recovery.expansion import Expander, expand, is_reduced, reduced_coordinates
 from morembs.recovery.trajectory import Trajectory, read_trajectory
 from morembs.storage.safefile import check_writable
+from morembs.storage.table_check import refuse_not_finite
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

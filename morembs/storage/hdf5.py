@@ -57,6 +57,33 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
         raise InputError(f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}") from error
 
 
+@contextmanager
+def reading_format(
+    path: Path, expected: str, name: str, known: int, *, cure: str = "write it again", hint: str = ""
+) -> Iterator[Any]:
+    """A file of ours, open as by ``reading`` once it is known to have the /format ``name`` and a ``known`` version.
+
+    Args:
+        hint: what to say besides where it is another file.
+
+    Raises:
+        InputError: as ``reading``, another kind of file, or one of a newer version.
+    """
+    with reading(path, expected, cure) as file:
+        if not is_format(file, name):
+            raise InputError(f"{path} is an HDF5 file but not {expected} of morembs (no /format {name!r}){hint}")
+        if not isinstance(file.get("format_version"), h5py.Dataset):
+            raise InputError(f"{path} is an incomplete {expected.removeprefix('a ')}; missing: /format_version; {cure}")
+        refuse_newer(path, int(file["format_version"][()]), known, f"install a newer one, or {cure}")
+        yield file
+
+
+def is_format(file: Any, name: str) -> bool:
+    """Whether an open HDF5 file says that it has the format ``name``."""
+    found = file.get("format")
+    return isinstance(found, h5py.Dataset) and found.shape == () and bool(found[()] == name.encode())
+
+
 def refuse_unsafe_file(path: Path) -> None:
     """Look at a file that another reader will open; what is no HDF5 file, or damaged, is left to that reader.
 

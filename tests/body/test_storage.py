@@ -24,6 +24,7 @@ from morembs.problem import Problem
 from morembs.progress import Stage
 from morembs.reducers import CraigBampton, Modal, ReducedModel
 from morembs.storage.safefile import SafeFile
+from scripts.schema import stale
 from tests.support.meshes import box, steel, where
 
 ROOT = Path(__file__).parents[2]
@@ -549,6 +550,7 @@ def snippets(language):
 
 
 def test_the_schema_page_lists_what_is_in_the_file(bar, stored):
+    assert not stale(), "run scripts/schema.py"
     text = SCHEMA.read_text(encoding="utf-8")
     names = set()
     with h5py.File(stored) as file:

@@ -10,7 +10,8 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from morembs.body.stress_shapes import read_recovery, stress_recovery, stress_shapes, write_recovery
+from morembs.body.stress_shapes import read_recovery, recovery_parts, stress_recovery, stress_shapes
+from morembs.body.tables import RECOVERY
 from morembs.budget import Budget
 from morembs.certificate.residual import static_response
 from morembs.errors import InputError
@@ -24,6 +25,7 @@ from morembs.model.material import isotropic, orthotropic
 from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
+from morembs.storage.writer import Writer
 from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, steel, where
 
@@ -307,8 +309,8 @@ def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_pat
     for single, correction in ((True, True), (False, False)):
         its, check = stress_recovery(problem, reduced, single=single, correction=correction), Mock()
         with h5py.File(tmp_path / "r.h5", "w") as file:
-            write_recovery(file.create_group("r"), its, check)
-            assert check.call_count >= reduced.order
+            Writer(file, check).rows("r/", RECOVERY, recovery_parts(its))
+            assert check.check.call_count >= reduced.order
             back = read_recovery(file["r"])
             del file["r/stress"]
             with pytest.raises(InputError, match="lacks stress"):

@@ -331,7 +331,7 @@ def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
         value = file[name][()]
         del file[name]
         file[name] = value[..., None]
-    with pytest.raises(InputError, match=rf"{name} has the shape .*; if it is damaged, give the name of another"):
+    with pytest.raises(InputError, match=rf"{name} has the shape .*; the file is damaged, give the name of another"):
         made(points_per_angle=3, reach=0.3, checkpoint=path)
 
 

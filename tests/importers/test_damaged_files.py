@@ -144,15 +144,15 @@ def test_damaged_exudyn_files(tmp_path: Path, model: FEModel, name: str, value: 
     [
         ("matrices/K/data", hollow, "announces"), ("nodes/coordinates", hollow, "announces"),
         ("node_sets/offsets", put(np.array([0, 9])), "do not fit their names"),
-        ("dofs/node", put(np.array([0.5] * 36)), "does not hold integers"),
-        ("matrices/M/data", put(np.array([1 + 1j] * 9)), "does not hold numbers of its kind"),
-        ("elements/block_0/nodes", put(np.zeros((0, 8), dtype=int)), "do not fit their labels"),
+        ("dofs/node", put(np.array([0.5] * 36)), "expected integers"),
+        ("matrices/M/data", put(np.array([1 + 1j] * 9)), "M/data holds values of type complex128"),
+        ("elements/block_0/nodes", put(np.zeros((0, 8), dtype=int)), "expected (0) by /elements/block_0/nodes"),
         ("elements/node_count", put(5), "names rows that do not exist"),
         ("elements/node_count", put(50), "elements take 50 nodes of 12"),
-        ("elements/block_0/nodes", put(np.full((2, 8), 1.5)), "does not hold integers"),
-        ("dofs/component", put(1), "does not hold integers in its shape"),
-        ("nodes/coordinates", put(np.ones((12, 2))), "does not hold numbers in its shape"),
-        ("materials/density", put(np.ones((3, 1))), "does not hold numbers in its shape"),
+        ("elements/block_0/nodes", put(np.full((2, 8), 1.5)), "expected integers"),
+        ("dofs/component", put(1), "/dofs/component has the shape (); expected"),
+        ("nodes/coordinates", put(np.ones((12, 2))), "/nodes/coordinates has the shape (12, 2)"),
+        ("materials/density", put(np.ones((3, 1))), "/materials/density has the shape (3, 1)"),
     ],
 )  # fmt: skip
 def test_damaged_model_files(

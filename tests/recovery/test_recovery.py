@@ -17,7 +17,8 @@ from vtk.util.numpy_support import vtk_to_numpy
 from morembs import memory
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.body.stress_shapes import stress_recovery, write_recovery
+from morembs.body.stress_shapes import recovery_parts, stress_recovery
+from morembs.body.tables import RECOVERY
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.errors import InputError, OutputError
 from morembs.floating.frame import floating_frame
@@ -32,6 +33,7 @@ from morembs.problem import Problem
 from morembs.recovery import expansion as module
 from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
+from morembs.storage.writer import Writer
 from tests.support.meshes import STEEL, box, steel, where
 
 ROOT = Path(__file__).parents[2]
@@ -50,7 +52,7 @@ def bar(tmp_path_factory):
         )
         its = stress_recovery(problem, cb, single=False)
     with h5py.File(path, "r+") as file:
-        write_recovery(file.create_group("bodies/cb/recovery"), its, at_nodes=part.transformation)
+        Writer(file).rows("bodies/cb/recovery/", RECOVERY, recovery_parts(its, part.transformation))
     rng = np.random.default_rng(3)
     given = Trajectory(
         times=np.array([0.0, 0.1, 0.25]), coordinates=1e-4 * rng.standard_normal((3, cb.order)),
@@ -368,7 +370,7 @@ def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
         path = write_body(tmp_path / "two.h5", [elastic_body(problem, reduced, make_part(problem, "skin"))])
         its = stress_recovery(problem, reduced, nodes="all")
     with h5py.File(path, "r+") as file:
-        write_recovery(file.create_group(f"bodies/{reduced.name}/recovery"), its)
+        Writer(file).rows(f"bodies/{reduced.name}/recovery/", RECOVERY, recovery_parts(its))
     assert stored_recovery(path, reduced.name).stress.dtype == np.float32
     q = np.zeros((1, 12))
     q[0, [6, 10]] = 1e-4, 1e-3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.body.stored_switching import read_switching, write_switching
+from morembs.body.tables import SWITCHING
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
@@ -14,7 +14,8 @@ from morembs.problem import Problem
 from morembs.reducers import REDUCERS, StaticModesSwitching, static_modes_switching
 from morembs.reducers import candidates as candidate_module
 from morembs.reducers.switching_tables import active_set
-from morembs.storage.storable import storable
+from morembs.storage.table import read_rows
+from morembs.storage.writer import Writer
 from tests.support.meshes import box, steel, where
 from tests.support.sliding import hermite_beam
 
@@ -221,15 +222,15 @@ def test_round_trip_through_a_file(tmp_path):
         )
         its = reducer.switching(problem, reducer.reduce(problem))
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        write_switching(lambda name, value, *_: file.create_dataset(name, data=storable(value)), "switching", its)
-        back = read_switching(file["switching"])
+        Writer(file).rows("switching/", SWITCHING, its)
+        back = read_rows(file["switching"], SWITCHING, "the switching data lack")
         for name, value in vars(its).items():
             if isinstance(value, np.ndarray):
                 assert np.array_equal(getattr(back, name), value), name
         assert back.kind == its.kind and dict(back.notes) == dict(its.notes)
         del file["switching/stiffness"]
         with pytest.raises(InputError, match="lack stiffness"):
-            read_switching(file["switching"])
+            read_rows(file["switching"], SWITCHING, "the switching data lack")
 
 
 def test_bad_input_is_named():

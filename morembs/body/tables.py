@@ -1,0 +1,266 @@
+"""What a body file holds, a row for each dataset: its writer, reader and check go by these, and docs/schema.md too.
+
+Sizes: n coordinates of a body, ne elastic ones, m inputs, N nodes, s nodes of an interface, np points with stress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from morembs.floating.frame import FloatingFrame, Marker
+from morembs.floating.integrals import ShapeIntegrals
+from morembs.floating.ranking import RankedTerm
+from morembs.floating.stiffening import Stiffening
+from morembs.storage.table import Row, Table
+
+if TYPE_CHECKING:
+    from morembs.reducers.switching_tables import Switching
+
+
+def _stiffening(terms: tuple[str, ...] = (), share: Any = (), load: Any = (), **values: Any) -> Stiffening:
+    share, load = (dict(zip(terms, np.asarray(one).tolist(), strict=True)) for one in (share, load))
+    return Stiffening(share=share, load=load, **values)
+
+
+def _stiffening_parts(stiffening: Stiffening) -> Mapping[str, object]:
+    share, load = stiffening.share, [stiffening.load.get(name, 1.0) for name in stiffening.share]
+    rows = {"terms": list(share), "share": list(share.values()), "load": load, "dropped": stiffening.dropped}
+    return vars(stiffening) | {name: row or None for name, row in rows.items()}
+
+
+def _frame(interfaces: tuple[str, ...] = (), **values: Any) -> FloatingFrame:
+    return FloatingFrame(interfaces=interfaces, **values)
+
+
+def _frame_parts(frame: FloatingFrame) -> Mapping[str, object]:
+    return vars(frame) | {"interfaces": frame.interfaces or None}
+
+
+def _ranking(terms: tuple[str, ...], equations: tuple[str, ...], share: Any) -> tuple[RankedTerm, ...]:
+    rows = zip(terms, equations, share.tolist(), strict=True)
+    return tuple(RankedTerm(name=name, equation=equation, share=part) for name, equation, part in rows)
+
+
+def _ranking_parts(terms: Sequence[RankedTerm]) -> Mapping[str, object]:
+    names, equations, share = zip(*((term.name, term.equation, term.share) for term in terms), strict=True)
+    return {"terms": names, "equations": equations, "share": share}
+
+
+def _switching(**values: Any) -> Switching:
+    # Not at the top: files are shown without what reduces.
+    from morembs.reducers.switching_tables import Switching
+
+    return Switching(**values)
+
+
+_OLD = "files of earlier versions lack it"
+_MAYBE = "may be absent"
+_JUMPS = "only where jumps are wanted"
+
+CERTIFICATE = Table((
+    Row("frequencies_hz", "any", "nf", "where the errors were taken", "Hz"),
+    Row("full", "any", "nf", "size of the transfer matrix of the full model", "m/N", when=_MAYBE),
+    Row("reduced", "any", "nf", "size of that of the body", "m/N", when=_MAYBE),
+    Row("error", "any", "nf", "size of the difference, relative to the full model"),
+    Row("bound", "any", "nf", "upper bound of the error, or an estimate: see bound_kind",
+        doc="upper bound of `error`; not a number where there is none"),
+    Row("bound_kind", "text", doc="`bound` (proven in exact arithmetic), `estimate` or `none`"),
+    Row("block_error", "any", "ni ni", "largest error of motion of interface i to load on interface j", when=_MAYBE),
+    Row("held_error", "any", "ni nf", "error of what is left when interface i is held still", when=_MAYBE,
+        doc="error of what is left when interface i is held still; not a number at low frequencies"),
+    Row("static_error", "any", "", "error at 0 Hz", when=_MAYBE),
+    Row("absolute_error", "any", "", "largest difference over the largest size in the band", when=_MAYBE),
+    Row("reference_error", "any", "nf", "estimated error of the full response itself", when=_MAYBE,
+        doc="estimated error of the full response itself, round-off included: below it `error` says nothing"),
+    Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_MAYBE,
+        doc="free-free modes of the full model in the band"),
+    Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_MAYBE,
+        doc="relative deviation of the body's frequencies; no number for a mode without a partner"),
+    Row("mode_mac", "any", "nm", "mass-weighted modal assurance criterion", when=_MAYBE,
+        doc="mass-weighted MAC, of the whole cluster where modes are close; near 0 for a mode that the body lacks"),
+    Row("verified_below_hz", "any", "", "a Sturm count found no mode missing", "Hz", when=_MAYBE,
+        doc="a Sturm count proved that no mode below is missing"),
+    Row("notes", "notes", doc="what there is to say about them", when=_MAYBE),
+))  # fmt: skip
+
+INTEGRALS = Table((
+    Row("mass", "real", "", units="kg", doc="mass"),
+    Row("first", "real", "3", "int x dm; x from the origin, phi the shapes", "kg m"),
+    Row("inertia", "real", "3 3", "about the origin", "kg m2"),
+    Row("second", "real", "3 3", "int x x' dm", "kg m2"),
+    Row("Ct", "real", "ne 3", "int phi dm"),
+    Row("Cr", "real", "ne 3", "int x cross phi dm"),
+    Row("Me", "real", "ne ne", "int phi . phi dm"),
+    Row("x_phi", "real", "3 3 ne", "[a, b, l]: int x_a phi_b,l dm"),
+    Row("phi_phi", "real", "3 3 ne ne", "[a, b, k, l]: int phi_a,k phi_b,l dm"),
+    *(
+        Row(name, "later", shape, about, doc=doc, when="follows from those above", read=False)
+        for name, shape, about, doc in (
+            ("C4", "ne 3 3", "int x~ phi~ dm", ""),
+            ("C6", "ne ne 3 3", "int phi_k~ phi_l~ dm", ""),
+            ("Cr1", "ne ne 3", "[l, k, a]: Cr per coordinate k", ""),
+            ("J1", "ne 3 3", "inertia per coordinate", ""),
+            ("Gr", "ne 3 3", "gyroscopic moments", "gyroscopic moments, -2 C4"),
+            ("Ge", "ne ne 3", "gyroscopic forces", ""),
+            ("Oe", "ne 6", "centrifugal forces, w_a w_b in the order xx, yy, zz, xy, yz, zx", ""),
+            ("Oe1", "ne 6 ne", "[i, ab, l]: Oe per coordinate l", ""),
+        )
+    ),
+), build=ShapeIntegrals)  # fmt: skip
+
+MARKER = Table((
+    Row("point", "real", "3", "undeformed, from the origin", "m"),
+    Row("motion", "real", "6 ne", "displacement and small rotation per coordinate"),
+), build=Marker)  # fmt: skip
+
+STIFFENING = Table((
+    Row("acceleration", "real", "3 ne ne", "geometric stiffness per acceleration of the frame", "s2/m"),
+    Row("angular_acceleration", "real", "3 ne ne", "the same per angular acceleration", "s2"),
+    Row("rotation", "real", "6 ne ne", "per w_a w_b in the order xx, yy, zz, xy, yz, zx", "s2"),
+    Row("wrench/*", "real", "6 ne ne", "per force (3) and moment (3) of the interface, axes of the body"),
+    Row("least_share", "real", "", "terms below this part of Ke were left out"),
+    Row("terms", "text", "loads", "names of the terms", when="where there are any"),
+    Row("share", "any", "loads", "of each term beside Ke, at its load", when="where there are any"),
+    Row("load", "any", "loads", "of each term: its largest value in use, or one", when="where there are any"),
+    Row("dropped", "text", "any", "terms that were left out", when="where there are any",
+        doc="terms that were left out, which are zero"),
+), build=_stiffening, parts=_stiffening_parts)  # fmt: skip
+
+FRAME = Table((
+    Row("kind", "text", "", "conditions that the frame follows",
+        doc="`mean-axes`, `center-of-mass`, `tangent` or `chord`: how the body frame follows the body"),
+    Row("interfaces", "text", "any", "that it follows", doc="interfaces that it follows", when="where it follows any"),
+    Row("origin", "real", "3", "of the frame, in coordinates of the model", "m",
+        doc="of the frame, in coordinates of the model; its axes are those of the model"),
+    Row("elastic", "real", "n ne", "reduced coordinates of the elastic ones"),
+    Row("rigid", "real", "n 6", "reduced coordinates of unit translations and rotations about the origin"),
+    Row("Ke", "real", "ne ne", "stiffness of the elastic coordinates"),
+    Row("De", "real", "ne ne", "damping of the elastic coordinates"),
+    Row("integrals", INTEGRALS),
+    Row("markers/*", MARKER),
+    Row("notes", "notes", doc="what is not exact"),
+    Row("stiffening", STIFFENING, doc="geometric stiffening, if that was asked for: see below", when="if"),
+), build=_frame, parts=_frame_parts)  # fmt: skip
+
+RANKING = Table((
+    Row("terms", "text", "terms", "inertia terms, those that matter most first"),
+    Row("equations", "text", "terms", "where the term is largest", doc="`force`, `moment` or `elastic`: where the "
+        "term is largest"),
+    Row("share", "any", "terms", "in all magnitudes of that equation", doc="of the term in the magnitudes of that "
+        "equation, an upper estimate"),
+), build=_ranking, parts=_ranking_parts)  # fmt: skip
+
+RECOVERY = Table((
+    Row("points", "whole", "np", "labels of the nodes; a node where materials meet comes once for each"),
+    Row("coordinates", "later", "np 3", "positions of the points", "m"),
+    Row("material", "whole", "np", "index of the material of each point"),
+    Row("deformation", "real", "n n", "takes the rigid motion out of reduced coordinates, before stress is applied"),
+    Row("stress", "later", "6np n",
+        "row 6 i + c: component c (xx, yy, zz, xy, yz, zx) of point i per unit of each coordinate", "Pa", columns=True),
+    Row("correction", "later", "6np m", "mode acceleration: what stress lacks, per unit of each interface load; rows "
+        "as stress", "Pa", columns=True, when="where there are loads and it is wanted"),
+    Row("displacement", "later", "3N m", "mode acceleration: what basis lacks, per unit of each interface load; rows "
+        "as basis", "m", columns=True, when="with `correction`; files from before it have stresses corrected only"),
+    Row("jump_point", "whole", "nj", "where among the points a stress of a single element is, ascending", when=_JUMPS),
+    Row("jump_element", "whole", "nj", "and the number of that element, through all blocks of the mesh", when=_JUMPS),
+    Row("jump", "later", "6nj n", "as stress, of a single element less the average at the point; row 6 i + c of "
+        "jump_point[i]", "Pa", columns=True, when=_JUMPS),
+    Row("jump_correction", "later", "6nj m", "what jump lacks, per unit of each interface load; rows as jump", "Pa",
+        columns=True, when=_JUMPS),
+    Row("markers/*", "real", "6 m", "displacement and small rotation of the interface in displacement"),
+))  # fmt: skip
+
+SWITCHING = Table((
+    Row("kind", "text", "", "path: loads slide from node to node; surface: any of them may be loaded"),
+    Row("node_ids", "whole", "nc", "labels of the candidate nodes, in the order of the path"),
+    Row("xyz", "later", "nc 3", "positions of these nodes in the model", "m"),
+    Row("node", "whole", "c", "per candidate: place of its node in node_ids, ascending"),
+    Row("direction", "later", "c 3", "per candidate: unit vector of the load"),
+    Row("modes", "later", "c n", "row i: displacement along candidate i per unit of each coordinate"),
+    Row("stiffness", "later", "w c",
+        "band of R = Psi' K Psi: entry [k, j] of candidates j - k and j; displacements per load", "m/N"),
+    Row("mass", "later", "w c", "band of Q = Psi' M Psi, as stiffness", "kg m2/N2"),
+    Row("coupling", "later", "n c", "V' M Psi; zero where eigenmodes span the basis"),
+    Row("weight", "later", "n 3", "load on the coordinates under unit gravity along x, y, z"),
+    Row("static_weight", "later", "c 3", "the same on the static modes"),
+    Row("turns", "flag", "c", "per candidate: 1 for a moment and rotation, 0 for a force"),
+    Row("stress", "later", "nc 6 n", "[p, c, l]: stress c (xx, yy, zz, xy, yz, zx) at node p per unit of "
+        "coordinate l", "Pa", when="where stress is wanted"),
+    Row("static_stress", "later", "nc 6 b", "[p, c, k]: the same per unit load of candidate stress_first[p] + k",
+        "Pa/N", when="where stress is wanted"),
+    Row("stress_first", "whole", "nc", "first candidate in static_stress, per node", when="where stress is wanted"),
+    Row("notes", "json", "", "what was found on the way, as JSON"),
+), build=_switching)  # fmt: skip
+
+BODY = Table((
+    Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
+    Row("stiffness_matrix", "real", "n n", "reduced matrix, symmetric", doc="K, symmetric"),
+    Row("damping_matrix", "real", "n n", "reduced matrix, symmetric",
+        doc="D, symmetric; structural damping is not in it but in the recipe"),
+    Row("input_matrix", "real", "n m", "forces on the coordinates; the transpose gives the motions", doc="B"),
+    Row("frequencies_hz", "any", "n", "eigenfrequencies, undamped, ascending", "Hz",
+        doc="undamped eigenfrequencies of K, M, ascending; rigid ones 0"),
+    Row("full_frequencies_hz", "any", "any", "those of the full model as far as computed", "Hz",
+        doc="those of the full coupled model as far as computed", when="absent if none were"),
+    Row("mode_kind", "code", "n", "kind of each coordinate, code of /mode_kinds"),
+    Row("rigid_count", "whole", "", "number of rigid-body motions",
+        doc="number of rigid-body motions the coordinates span"),
+    Row("recipe", "json", "", "options of the reduction, as JSON",
+        doc="options of the reduction, as JSON with sorted keys"),
+    Row("output_matrix", "real", "m n", "interface degrees of freedom; not the transpose of input_matrix", doc="C",
+        when="only where it is not B', and then the format version is 2"),
+    Row("certificate", CERTIFICATE, when="if", read=False,
+        doc="how wrong the body is, if that was asked for: see below"),
+    Row("floating_frame", FRAME, when="free bodies with symmetric matrices", field="floating"),
+    Row("ranking", RANKING, when="where the job has an envelope"),
+    Row("switching", SWITCHING, when="if", read=False, doc="static modes of candidate loads, if the method was "
+        "`static-modes-switching`: see [switching](switching.md#in-the-body-file)"),
+    Row("recovery", RECOVERY, doc="stress shapes, if they were asked for: see below", when="if", read=False),
+    Row("basis", "later", "3N n", "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
+        doc="Phi: displacements of the nodes, see below", columns=True, read=False),
+))  # fmt: skip
+# What is said of matrices that are not symmetric.
+UNSYMMETRIC = Table(tuple(
+    replace(row, about=row.about.replace("matrix, symmetric", "matrix, not symmetric").partition("; the transpose")[0])
+    for row in BODY
+))  # fmt: skip
+
+INTERFACE = Table((
+    Row("coupling", "text", doc="`rigid`, `average` or `direct`"),
+    Row("components", "few", "any", "exposed degrees of freedom 0..5",
+        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them"),
+    Row("point", "real", "3", "origin of the frame", "m"),
+    Row("axes", "real", "3 3", "axes of the frame as rows", doc="axes of the frame as rows, in the coordinates of the "
+        "model"),
+    Row("node_ids", "whole", "s", "labels of the nodes", doc="labels of the nodes that follow the frame"),
+    Row("weights", "real", "s", "share of each node (area in m2, or 1)", doc="share of each node: area in m² of the "
+        "whole faces between the nodes, 0 for nodes on none; 1 for all if there are no whole faces"),
+))  # fmt: skip
+
+FILE = Table((
+    Row("format", "text", doc="`morembs-body`", read=False),
+    Row("format_version", "whole", doc="1 or 2, see above"),
+    Row("unit_system", "text", doc="`SI`", read=False),
+    Row("body_names", "text", "bodies", "groups of /bodies in their order",
+        doc="groups of `/bodies`, in the order they were written"),
+    Row("interface_names", "text", "interfaces", "groups of /interfaces in their order",
+        doc="groups of `/interfaces`, in the order of the inputs"),
+    Row("mode_kinds", "text", "kinds", "names of the codes in mode_kind, from 0"),
+    Row("recipe", "json", "", "what was asked for, as JSON"),
+    Row("check/warnings", "text", "any", "what to know before the bodies are used, a sentence each", when=_OLD),
+    Row("mass_properties/mass", "real", units="kg", doc="mass"),
+    Row("mass_properties/center_of_mass", "real", "3", units="m", doc="in the coordinates of the model"),
+    Row("mass_properties/inertia", "real", "3 3", "about the centre of mass, axes of the model", "kg m2"),
+    Row("nodes/ids", "whole", "N", "labels of the nodes in the source", field="node_ids"),
+    Row("nodes/coordinates", "real", "N 3", units="m", doc="of the nodes"),
+    Row("inputs/interface_index", "whole", "m", "per column of input_matrix: place in /interface_names from 0",
+        field="input_interface"),
+    Row("inputs/component", "whole", "m", "degree of freedom: 0..2 along x, y, z; 3..5 about them",
+        field="input_component"),
+    Row("inputs/node_id", "whole", "m", "label of the node of a direct interface, -1 for a frame",
+        field="input_node_id"),
+))  # fmt: skip

@@ -1,0 +1,129 @@
+"""HDF5 files of morembs: written whole or not at all, sealed with checksums, every dataset with what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.storage.checksums import seal
+from morembs.storage.safefile import SafeFile, replacing
+from morembs.storage.storable import plain, storable
+from morembs.storage.table import KINDS, Table
+
+# Largest chunk HDF5 allows is 4 GiB.
+CHUNK_ROWS = 2**28
+
+
+@contextmanager
+def writing(path: Path, *, apart: Sequence[str] = (), sealed: bool = True) -> Iterator[Writer]:
+    """An HDF5 file that takes the place of ``path`` when the ``with`` ends well; else ``path`` stays as it was.
+
+    Args:
+        apart: groups with checksums of their own.
+        sealed: whether there are any.
+
+    Raises:
+        OutputError: the file cannot be written, whatever the library made of that.
+    """
+    # The oldest layout: every reader knows it, and its groups carry no time stamps. Without a chunk cache parts of
+    # chunks are read without the rest.
+    with replacing(path) as safe, h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file:
+        yield Writer(file, safe)
+        if sealed:
+            safe.doing = "the checksums"
+            for name in apart:
+                seal(file[name])
+            seal(file, apart=apart)
+        safe.check()
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A matrix of this ``shape`` that comes in ``blocks`` of columns, so that it is never in memory as a whole."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+    blocks: Iterable[NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Writer:
+    """Stores datasets in an open HDF5 group; ``safe`` is told which, and asked after each whether that went well."""
+
+    file: Any
+    safe: SafeFile | None = None
+
+    def doing(self, what: str) -> None:
+        """Name what is written next, for the message should that fail."""
+        if self.safe is not None:
+            self.safe.doing = what
+
+    def check(self) -> None:
+        """Raise what went wrong, if anything did."""
+        if self.safe is not None:
+            self.safe.check()
+
+    def put(self, name: str, value: object, about: str = "", units: str = "") -> None:
+        """Store one dataset with what it is and its units."""
+        self._store(name, storable(value), about, units)
+
+    def _store(self, name: str, data: Any, about: str, units: str) -> None:
+        self.doing(name)
+        self._mark(self.file.create_dataset(name, data=data), about, units)
+
+    def columns(self, name: str, value: NDArray[Any] | Columns, about: str = "", units: str = "") -> None:
+        """Store a matrix, each column in one piece."""
+        self.doing(name)
+        matrix = value if isinstance(value, Columns) else Columns(value.shape, value.dtype, (value,))
+        chunks = (min(matrix.shape[0], CHUNK_ROWS), 1) if min(matrix.shape) else None
+        data, column = self.file.create_dataset(name, matrix.shape, matrix.dtype, chunks=chunks), 0
+        self._mark(data, about, units)
+        for block in matrix.blocks:
+            for values in block.T:
+                data[:, column] = values
+                column += 1
+                self.check()
+            del block, values
+
+    def _mark(self, item: Any, about: str, units: str) -> None:
+        """Attributes for people; no number is kept in them."""
+        for key, words in (("description", about), ("units", units)):
+            if words:
+                item.attrs[key] = np.bytes_(words)
+        self.check()
+
+    def rows(self, at: str, table: Table, whole: object) -> None:
+        """Store ``whole`` by its ``table`` in the group ``at``, a path with a slash behind it."""
+        source = table.parts(whole)
+        for row in table:
+            value: Any = source.get(row.key) if isinstance(source, Mapping) else getattr(source, row.key)
+            if row.when and value is None:
+                continue
+            for name, one in row.parts(value):
+                if isinstance(row.kind, Table):
+                    self.rows(f"{at}{name}/", row.kind, one)
+                elif row.columns:
+                    self.columns(at + name, one, row.about, row.units)
+                else:
+                    self._store(at + name, KINDS[row.kind].encode(one), row.about, row.units)
+
+    def tree(self, name: str, value: object) -> None:
+        """Store nested mappings as groups; None is left out, rows of equal keys become columns."""
+        value = plain(value)
+        if isinstance(value, list | tuple) and value:
+            rows = [plain(row) for row in value]
+            if all(isinstance(row, Mapping) and row.keys() == rows[0].keys() for row in rows):
+                value = {key: [row[key] for row in rows] for key in rows[0]}
+        if isinstance(value, Mapping):
+            self.file.require_group(name)
+            for key, inner in value.items():
+                self.tree(f"{name}/{str(key).replace('/', '_').strip('.') or '_'}", inner)
+        elif value is not None:
+            self.put(name, value)

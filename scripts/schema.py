@@ -1,0 +1,93 @@
+"""Writes the tables of docs from those that writers, readers and checks of files go by.
+
+A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
+--check nothing is written, and the exit code is 1 where a page is stale.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from morembs.body import tables
+from morembs.gmp.stored import MEMBER
+from morembs.importers.native import MODEL
+from morembs.storage.table import KINDS, Row, Table
+
+ROOT = Path(__file__).resolve().parents[1]
+# Name of a table on a page -> paths of its groups as they are shown, and their tables.
+SHOWN = {
+    "body file": [("/", tables.FILE), ("/interfaces/NAME/", tables.INTERFACE), ("/bodies/NAME/", tables.BODY)],
+    "certificate": [("", tables.CERTIFICATE)],
+    "stiffening": [("", tables.STIFFENING)],
+    "recovery": [("", tables.RECOVERY)],
+    "switching": [("", tables.SWITCHING)],
+    "member": [("", MEMBER)],
+    "model file": [("", MODEL)],
+}
+
+
+def lines(at: str, table: Table) -> Iterator[str]:
+    """Rows of a table in Markdown; a group with a sentence of its own has its table elsewhere."""
+    for row in table:
+        path = at + row.name.replace("*", "NAME").replace("#", "i")
+        if not isinstance(row.kind, Table):
+            yield f"| `{path}` | {shape(row)} | {stored(row)} | {units(row)} | {meaning(row)} |"
+        elif row.doc:
+            yield f"| `{path}/...` | | | | {row.doc} |"
+        else:
+            yield from lines(f"{path}/", row.kind)
+
+
+def shape(row: Row) -> str:
+    """(3 N, n) of ``3N n``."""
+    return f"({', '.join(re.sub(r'(?<=[0-9])(?=[A-Za-z])', ' ', size) for size in row.shape.split())})"
+
+
+def stored(row: Row) -> str:
+    """Type in the file."""
+    return "f4 or f8" if row.columns and row.name != "basis" else KINDS[str(row.kind)].stored
+
+
+def units(row: Row) -> str:
+    """With raised exponents."""
+    return row.units.translate({ord("2"): "²", ord("3"): "³"})
+
+
+def meaning(row: Row) -> str:
+    """What it is, and when it is there."""
+    return "; ".join(words for words in (row.doc or row.about, row.when) if words)
+
+
+def renewed(text: str) -> str:
+    """A page with its tables as they are now."""
+
+    def table(match: re.Match[str]) -> str:
+        rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
+        head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+        return "\n".join([f"<!-- table: {match[1]} -->", *head, *rows, "<!-- end -->"])
+
+    return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
+
+
+def stale() -> dict[Path, str]:
+    """Pages that are not as they should be, and how they should be."""
+    pages = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").glob("*.md"))}
+    return {page: new for page, text in pages.items() if (new := renewed(text)) != text}
+
+
+def main() -> int:
+    """Write the pages, or with --check say which are stale."""
+    check = "--check" in sys.argv[1:]
+    for page, text in stale().items():
+        if check:
+            print(f"{page.relative_to(ROOT)} is stale; run scripts/schema.py")
+        else:
+            page.write_text(text, encoding="utf-8")
+    return int(check and bool(stale()))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
