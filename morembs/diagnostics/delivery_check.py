@@ -200,11 +200,13 @@ def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
         return ways
     C, R = given.C[reference], given.frame[reference] if given.frame is not None else np.eye(6)
     if given.symmetric:
-        # Least energy under the six motions; both blocks scaled to one.
+        # Least energy under the six motions; both blocks scaled to one. The stiffness of a body of rigid-body motion
+        # alone is round-off, which must not decide: the six motions give it all.
+        K = given.K if given.rigid_count < len(given.K) else given.M
         # Coordinates without stiffness are measured by their mass: whether they turn or move, in large or small units.
-        softest = ROUND_OFF * float((np.abs(np.diag(given.K)) / np.diag(given.M)).max())
-        s = 1 / _scale(given.K + softest * np.diag(np.diag(given.M)))
-        A, G = s[:, None] * given.K * s, C * s
+        softest = ROUND_OFF * float((np.abs(np.diag(K)) / np.diag(given.M)).max())
+        s = 1 / _scale(K + softest * np.diag(np.diag(given.M)))
+        A, G = s[:, None] * K * s, C * s
         g = np.abs(G).max(axis=1, keepdims=True)
         border = np.block([[A, (G / g).T], [G / g, np.zeros((6, 6))]])
         rhs = np.vstack([np.zeros((len(A), 6)), R / g])

@@ -13,14 +13,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import ahead, integers, numbers, opened, table, text_blocks
+from morembs.importers.text_matrices import integers, numbers, opened, parallel_map, table, text_blocks
 from morembs.importers.triplets import (
     SAME,
     Numbering,
     Place,
     Renumbered,
-    Spool,
     Triplets,
+    TripletStore,
     assembled,
     asymmetry,
     completed,
@@ -75,22 +75,22 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
         InputError: not such a file, or one that is cut off within a line.
     """
     path = Path(path)
-    with Spool(path.name) as spool:
-        columns, keywords = _spooled(path, spool)
+    with TripletStore(path.name) as store:
+        columns, keywords = _stored(path, store)
         if columns == 3:
-            size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in spool)
-            if size > _SPARSEST * (1 + spool.count):
+            size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in store)
+            if size > _SPARSEST * (1 + store.count):
                 raise InputError(
-                    f"{path.name} names row or column {size} but has only {spool.count} entries; it is damaged"
+                    f"{path.name} names row or column {size} but has only {store.count} entries; it is damaged"
                 )
-            half, matrix = _matrix(spool, size, path.name, keywords)
+            half, matrix = _matrix(store, size, path.name, keywords)
             node = dof = None
         else:
-            codes = unique(spool)
+            codes = unique(store)
             node, dof = codes // _DOFS, codes % _DOFS
             order = np.lexsort((dof, np.abs(node), node < 0))
             places = Numbering(codes, order)
-            placed = Renumbered(spool=spool, rows=places, columns=places)
+            placed = Renumbered(triplets=store, rows=places, columns=places)
             node, dof = node[order], dof[order]
             half, matrix = _matrix(placed, len(codes), path.name, keywords, partial(_place, node, dof))
     symmetric = asymmetry(matrix) <= SAME
@@ -101,19 +101,19 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
 
 
 def _matrix(
-    spool: Iterable[Triplets], size: int, name: str, keywords: str, place: Place = row_and_column
+    store: Iterable[Triplets], size: int, name: str, keywords: str, place: Place = row_and_column
 ) -> tuple[bool, sp.csr_array]:
     if "TYPE=UNSYMMETRIC" in keywords:
-        return False, assembled(spool, (size, size), mirror=False, name=name, place=place)
-    return completed(spool, size, name, place)
+        return False, assembled(store, (size, size), mirror=False, name=name, place=place)
+    return completed(store, size, name, place)
 
 
 def _place(node: Ints, dof: Ints, row: int, column: int) -> str:
     return f"the row of node {node[row]}, dof {dof[row]}, the column of node {node[column]}, dof {dof[column]}"
 
 
-def _spooled(path: Path, spool: Spool) -> tuple[int, str]:
-    """Fill ``spool``; number of columns (3 or 5) and keywords in capitals without blanks."""
+def _stored(path: Path, store: TripletStore) -> tuple[int, str]:
+    """Fill ``store``; number of columns (3 or 5) and keywords in capitals without blanks."""
     columns, keywords = 0, ""
 
     def entries() -> Iterator[bytes]:
@@ -127,8 +127,8 @@ def _spooled(path: Path, spool: Spool) -> tuple[int, str]:
             if columns:
                 yield text
 
-    for triplets in ahead(lambda text: _triplets(path.name, table(text, columns, path.name)), entries()):
-        spool.add(*triplets)
+    for triplets in parallel_map(lambda text: _triplets(path.name, table(text, columns, path.name)), entries()):
+        store.add(*triplets)
     if not columns:
         raise InputError(f"{path.name} has no matrix entries; expected a file of *MATRIX OUTPUT")
     return columns, keywords

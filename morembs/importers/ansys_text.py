@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +21,12 @@ from morembs.errors import InputError
 from morembs.importers.ansys_hb import read_harwell_boeing
 from morembs.importers.ansys_nodes import COMPONENTS, joined
 from morembs.importers.imported import Imported
-from morembs.importers.text_matrices import integers, numbers, opened, table, text_blocks
-from morembs.importers.triplets import Spool, assembled
+from morembs.importers.matrix_market import BANNER, read_matrix_market
+from morembs.importers.text_matrices import integers, opened, text_blocks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_BANNER = b"%%MatrixMarket"
 _MAPPING_LINE = re.compile(r"\s*(\d{1,10})[\s,]+(\d{1,10})[\s,]+([A-Za-z]+|\d)\s*$")
 
 
@@ -80,7 +78,7 @@ def read_ansys_matrix(path: str | Path) -> sp.csr_array:
     """
     path = Path(path)
     with opened(path) as file:
-        market = file.read(len(_BANNER)).lower() == _BANNER.lower()
+        market = file.read(len(BANNER)).lower() == BANNER
     if not market:
         return read_harwell_boeing(path)
     found = _market(path)
@@ -91,72 +89,20 @@ def read_ansys_matrix(path: str | Path) -> sp.csr_array:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Head:
-    """First lines of a Matrix Market file."""
-
-    sparse: bool
-    symmetric: bool
-    size: tuple[int, ...]
-
-
 def _market(path: Path) -> sp.csr_array | Floats:
     """Sparse matrix, or the column (n,) of an array file."""
-    blocks = text_blocks(path)
-    head, first = _head(next(blocks), path.name)
-    rest = (block for part in ((first,), blocks) for block in part)
-    if not head.sparse:
-        parts = [numbers(block, path.name) for block in rest]
-        values = np.concatenate(parts)
-        if len(head.size) != 2 or head.size[1] != 1 or len(values) != head.size[0]:
-            raise InputError(f"{path.name} announces {head.size} numbers and holds {len(values)}; expected one column")
-        return values
-    if len(head.size) != 3 or max(head.size[:2]) >= 2**31 or (head.symmetric and head.size[0] != head.size[1]):
-        raise InputError(f"{path.name} announces the size {head.size}, which cannot be; it is damaged")
-    if max(head.size) > path.stat().st_size:
-        raise InputError(f"{path.name} announces the size {head.size}, more than it can hold; it is damaged or cut off")
-    count = 0
-    with Spool(path.name) as spool:
-        for block in rest:
-            entries = table(block, 3, path.name)
-            at = integers(entries[:, :2], "a row or column number", path.name) - 1
-            if head.symmetric and (at[:, 0] < at[:, 1]).any() and (at[:, 0] > at[:, 1]).any():
-                raise InputError(f"{path.name} says that it is symmetric but has entries in both triangles")
-            count += len(entries)
-            spool.add(at[:, 0], at[:, 1], entries[:, 2])
-        if count != head.size[2]:
-            raise InputError(
-                f"{path.name} announces {head.size[2]} entries and holds {count}; it is cut off or damaged"
-            )
-        return assembled(spool, (head.size[0], head.size[1]), mirror=head.symmetric, name=path.name)
-
-
-def _head(block: bytes, name: str) -> tuple[_Head, bytes]:
-    lines = iter(block.splitlines(keepends=True))
-    words = next(lines).decode("latin-1").lower().split()
-    used = 0
-    size: list[bytes] = []
-    for line in block.splitlines(keepends=True):
-        used += len(line)
-        if not line.startswith(b"%") and line.strip():
-            size = line.split()
-            break
-    if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
-        raise InputError(
-            f"{name} starts with {' '.join(words)[:60]!r}; expected '%%MatrixMarket matrix coordinate real ...'"
-        )
-    if words[3] not in ("real", "integer", "double") or words[4] not in ("general", "symmetric"):
-        raise InputError(f"{name} is {words[3]} {words[4]}, which is not read; expected real, general or symmetric")
-    if not size or not all(word.isdigit() and len(word) < 16 for word in size):
-        raise InputError(f"{name} has no line with its size; it is damaged")
-    head = _Head(sparse=words[2] == "coordinate", symmetric=words[4] == "symmetric", size=tuple(map(int, size)))
-    return head, block[used:]
+    found = read_matrix_market(path, plain=True)
+    if isinstance(found, np.ndarray):
+        if found.shape[1] != 1:
+            raise InputError(f"{path.name} is an array of the shape {found.shape}; expected one column")
+        return found[:, 0]
+    return found
 
 
 def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, bool]:
     """Node and component (N,) of each row, and whether their order is certain."""
     with opened(mapping) as file:
-        market = file.read(len(_BANNER)).lower() == _BANNER.lower()
+        market = file.read(len(BANNER)).lower() == BANNER
     if not market:
         return (*_mapping_lines(mapping, size), True)
     labels = _market(mapping)

@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.text_matrices import ahead, integers, table, text_blocks
-from morembs.importers.triplets import Spool, assembled
+from morembs.importers.text_matrices import integers, parallel_map, table, text_blocks
+from morembs.importers.triplets import TripletStore, assembled
 
 Ints = NDArray[np.int64]
 
@@ -70,8 +70,8 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
     """Symmetric matrix of a file with one triangle, every diagonal entry in it."""
     diagonal = np.zeros(size, dtype=bool)
     above = below = False
-    with Spool(path.name) as spool:
-        for rows in ahead(lambda block: table(block, 3, path.name), text_blocks(path)):
+    with TripletStore(path.name) as store:
+        for rows in parallel_map(lambda block: table(block, 3, path.name), text_blocks(path)):
             at = integers(rows[:, :2], "a row or column number", path.name) - 1
             if len(at) and (at.min() < 0 or at.max() >= size):
                 bad = at[(at < 0) | (at >= size)][0] + 1
@@ -79,7 +79,7 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
                     f"{path.name} has an entry in row or column {bad}; expected 1 to {size}, as many as the .dof file "
                     "has lines; take the three files of one job"
                 )
-            spool.add(at[:, 0], at[:, 1], rows[:, 2])
+            store.add(at[:, 0], at[:, 1], rows[:, 2])
             above, below = above or bool((at[:, 0] < at[:, 1]).any()), below or bool((at[:, 0] > at[:, 1]).any())
             diagonal[at[at[:, 0] == at[:, 1], 0]] = True
         if above and below:
@@ -89,4 +89,4 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
                 f"{path.name} has no diagonal entry for row {np.flatnonzero(~diagonal)[0] + 1} of {size}; it is cut "
                 "off or does not belong to the .dof file"
             )
-        return assembled(spool, (size, size), mirror=True, name=path.name)
+        return assembled(store, (size, size), mirror=True, name=path.name)

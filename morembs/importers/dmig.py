@@ -1,8 +1,7 @@
 """Nastran DMIG entries of bulk data: matrices by name, with grid and component of each row and column.
 
 Grammar: MSC Nastran Quick Reference Guide, DMIG; small field (8 characters), large field (16) and free field.
-A file may hold other entries, which are passed over. Large-field text, as Nastran punches it, is read by arrays;
-the other two line by line, at a few MB/s.
+A file may hold other cards, which are passed over, and include files.
 """
 
 from __future__ import annotations
@@ -16,8 +15,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.dmig_cards import Column, columns_of, dmig_blocks
-from morembs.importers.triplets import Numbering, Renumbered, Spool, assembled, completed
+from morembs.importers.dmig_cards import Column, columns_of
+from morembs.importers.nastran_cards import Cards
+from morembs.importers.nastran_text import BulkText
+from morembs.importers.triplets import Numbering, Renumbered, TripletStore, assembled, completed
 
 Ints = NDArray[np.int64]
 
@@ -46,37 +47,37 @@ class _Named:
     """What is known of one matrix while the file is read."""
 
     header: tuple[int, int, bool, int]
-    real: Spool
-    imaginary: Spool
+    real: TripletStore
+    imaginary: TripletStore
     entries: int = 0
     labels: list[Ints] = field(default_factory=list)
 
 
-def read_dmig(path: str | Path) -> dict[str, DmigMatrix]:
-    """DMIG matrices of a file by name, in its order.
+def read_dmig(path: str | Path | BulkText) -> dict[str, DmigMatrix]:
+    """DMIG matrices of a file (or its text) by name, in its order.
 
     Memory is that of the matrices (CSR) and blocks of text.
 
     Raises:
-        InputError: no DMIG entries, or entries that are cut off, given twice, or contradict their header.
+        InputError: no bulk data, no DMIG entries, or entries that are cut off, given twice, or contradict their header.
     """
-    path = Path(path)
+    text = path if isinstance(path, BulkText) else BulkText(Path(path))
     with ExitStack() as stack:
         named: dict[str, _Named] = {}
-        for block in dmig_blocks(path):
-            for column in columns_of(block, path.name):
-                _take(path.name, named, column, stack)
+        for piece in text:
+            for column in columns_of(Cards(piece, text)):
+                _take(piece.file, named, column, stack)
         if not named:
-            raise InputError(f"{path.name} has no DMIG entries; expected Nastran bulk data with DMIG")
-        return {name: _matrix(path.name, name, one) for name, one in named.items()}
+            raise InputError(f"{text.file} has no DMIG entries; expected Nastran bulk data with DMIG")
+        return {name: _matrix(text.file, name, one) for name, one in named.items()}
 
 
 def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack) -> None:
     if column.header is not None:
         if column.name in named:
             raise InputError(f"{file} has two headers of the DMIG {column.name}; expected one")
-        spools = [stack.enter_context(Spool(file)) for _ in range(2)]
-        named[column.name] = _Named(_header(file, column), spools[0], spools[1])
+        stores = [stack.enter_context(TripletStore(file)) for _ in range(2)]
+        named[column.name] = _Named(_header(file, column), stores[0], stores[1])
         return
     if column.name not in named:
         raise InputError(f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)")
@@ -121,8 +122,8 @@ def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
     if form in RECTANGULAR:
         columns = Numbering(_column_codes(file, name, one, form, count))
     parts = []
-    for spool in (one.real, one.imaginary):
-        placed = Renumbered(spool=spool, rows=rows, columns=columns)
+    for store in (one.real, one.imaginary):
+        placed = Renumbered(triplets=store, rows=rows, columns=columns)
         parts.append(_assembled(file, name, placed, (len(rows), len(columns)), form))
     matrix = sp.csr_array(parts[0] + 1j * parts[1]) if kind > 2 else parts[0]
     labels = [np.stack([c.codes // COMPONENTS, c.codes % COMPONENTS], axis=1) for c in (rows, columns)]
@@ -130,7 +131,7 @@ def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
 
 
 def _column_codes(file: str, name: str, one: _Named, form: int, count: int) -> Ints:
-    found = [np.unique(columns) for spool in (one.real, one.imaginary) for _, columns, _ in spool]
+    found = [np.unique(columns) for store in (one.real, one.imaginary) for _, columns, _ in store]
     codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
     if form == 9:
         largest = int(codes.max(initial=0)) // COMPONENTS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.imported import Imported
 from morembs.importers.named import matrices_by_name, square_csr
+from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes
 
@@ -41,14 +43,18 @@ def import_op4(path: Path, *, K: str | None = None, M: str | None = None, D: str
     return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
 
 
-def import_dmig(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+def import_dmig(
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None,
+    allow_includes_outside: bool = False,
+) -> Imported:  # fmt: skip
     """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
 
     Raises:
         InputError: not such a file, no matrix of a name, or scalar points.
     """
     path = Path(path)
-    found = {name: one for name, one in read_dmig(path).items() if one.matrix.shape[0] == one.matrix.shape[1]}
+    text = BulkText(path, outside=allow_includes_outside)
+    found = {name: one for name, one in read_dmig(text).items() if one.matrix.shape[0] == one.matrix.shape[1]}
     labels = np.unique(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(one.rows for one in found.values())]), axis=0
     )
@@ -59,7 +65,8 @@ def import_dmig(path: Path, *, K: str | None = None, M: str | None = None, D: st
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
-    return matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
+    whole = matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
+    return replace(whole, warnings=text.warnings)
 
 
 def _spread(one: DmigMatrix, labels: Ints) -> sp.csr_array:

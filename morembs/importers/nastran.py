@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.formulations import nastran_warnings
 from morembs.importers.imported import Imported
-from morembs.importers.includes import Includes
-from morembs.importers.nastran_cards import Unread, ends, head_of, real, tables
+from morembs.importers.nastran_cards import real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
+from morembs.importers.nastran_text import BulkText
 from morembs.model import ElementBlock, Mesh, Nodes
 
 Ints = NDArray[np.int64]
@@ -49,11 +49,8 @@ class _Bulk:
         self.rows: dict[str, Rows] = {name: [] for name in _READ}
         self.noted: dict[str, int] = {}
         refused: dict[str, int] = {}
-        head, start = head_of(path)
-        self.cut = start > 0 and not ends(path)
-        self.head = re.sub(rb"\$.*", b"", head.replace(b"\r", b"")).decode("latin-1")
-        self.unread = Unread()
-        for table in tables(path, start, Includes(path, outside), self.unread):
+        self.text = BulkText(path, outside=outside)
+        for table in tables(self.text):
             if table.name == "GRID":
                 self.grids.add(table)
             elif table.name in SOLIDS:
@@ -92,7 +89,7 @@ class _Bulk:
         Raises:
             InputError: it is given twice with different values.
         """
-        cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.head))]
+        cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.text.head))]
         given = {padded(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
         if len(given) > 1:
             raise InputError(f"{self.file} gives PARAM {name} as {' and as '.join(sorted(given))}; expected one value")
@@ -199,7 +196,7 @@ def _sets(
             found[f"SET1_{card[0]}"] = np.unique(rows[rows >= 0])
         else:
             notes.append(f"SET1 {padded(card, 1)[0]} holds no node of the model and was left out.")
-    for number, text in _SET.findall(bulk.head):
+    for number, text in _SET.findall(bulk.text.head):
         words = text.upper().replace(",", " ").split()
         name, what = f"SET_{int(number)}", f"{bulk.file}: SET {number}"
         if not words or not all(word == "THRU" or word.isdigit() for word in words):
@@ -237,15 +234,13 @@ def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:
         points = words[3].upper() in ("2", "TWO", "3", "THREE")
         full[words[0]] = words[5].upper() in ("1", "FULL") and points
     warnings = nastran_warnings(counts, full, consistent=bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF)
-    if bulk.cut:
-        warnings.append(f"{bulk.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there")
-    return replace(mesh, warnings=(*mesh.warnings, *warnings, *bulk.unread.warnings))
+    return replace(mesh, warnings=(*mesh.warnings, *warnings, *bulk.text.warnings))
 
 
 def _notes(bulk: _Bulk, scale: float) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
-    if bulk.head.strip():
+    if bulk.text.head.strip():
         notes.append("Executive and case control are not carried over, sets of labels excepted.")
     for name, count in bulk.noted.items():
         reason = "not applied; the body is free" if name in _RESTRAINTS else "not carried over"

@@ -9,35 +9,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.includes import Includes, open_text
+from morembs.importers.nastran_text import LINE, BulkText, Piece
 from morembs.importers.text_matrices import integers, numbers
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
-PIECE = 1 << 22
-_LONGEST_CARD = 1 << 26
-_TAIL = 1 << 16
 _LARGEST = 1e100
 _WIDTH = 24
-_LINE = 80
-_SHOWN = 24
 _SMALL, _LARGE, _FREE, _FREE_LARGE = 1, 2, 3, 4
-_BEGIN = re.compile(rb"^[ \t]*BEGIN[ \t,]+(BULK|SUPER)[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
-_END = re.compile(rb"^[ \t]*ENDDATA.*", re.MULTILINE | re.IGNORECASE | re.DOTALL)
-_INCLUDE = re.compile(
-    rb"^[ \t]*INCLUDE[ \t=]+(?:'([^']*)'|\"([^\"]*)\"|([^\s$]+))[^\n]*\n", re.MULTILINE | re.IGNORECASE
-)
-# How an included file begins: a card whose first field is a number, one of a few others, or a continuation.
-_FIRST = re.compile(
-    rb"(PARAM|INCLUDE|ENDDATA|BEGIN|GRDSET)\b|[A-Z]\w{0,7} *\*? *[ ,\t][ ,\t]*[-+.0-9]|[+*,]", re.IGNORECASE
-)
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
 
 
@@ -122,195 +107,128 @@ def whole(text: str, what: str) -> int:
     raise InputError(f"{what}: {text[:24]!r} was given; expected an integer")
 
 
-def head_of(path: Path) -> tuple[bytes, int]:
-    """What stands above BEGIN BULK (empty without one), and where bulk data begin."""
-    text, at = b"", 0
-    try:
-        with open_text(path) as file:
-            while chunk := file.read(PIECE):
-                text += chunk
-                if match := _BEGIN.search(text):
-                    return text[: match.start()], at + match.end()
-                # Case control is short; what does not fit here is bulk data.
-                keep = min(len(text), 1 << 12)
-                if at == 0 and len(text) <= PIECE:
-                    continue
-                at, text = at + len(text) - keep, text[-keep:]
-    except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
-    return b"", 0
+class Cards:
+    """Cards of a piece of text.
 
-
-def ends(path: Path) -> bool:
-    """Whether ENDDATA stands near the end of a file."""
-    with open_text(path) as file:
-        size = file.seek(0, 2)
-        file.seek(max(size - _TAIL, 0))
-        return _END.search(file.read()) is not None
-
-
-class Unread:
-    """Lines of files with text beyond the last column of fixed fields, which belongs to no field."""
-
-    def __init__(self) -> None:
-        self._first: dict[str, str] = {}
-        self._count: dict[str, int] = {}
-
-    def add(self, file: str, line: int, text: str) -> None:
-        """Such a ``text`` of the ``line`` of a file, counted from 1."""
-        short = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-        self._first.setdefault(file, f"line {line}: the text {short!r}")
-        self._count[file] = self._count.get(file, 0) + 1
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence for each file."""
-        return tuple(
-            f"{file}, {first} beyond column {_LINE}, where the fields of a card end, was not read"
-            + (f", nor that of {count - 1} further lines" if (count := self._count[file]) > 1 else "")
-            + "; check the columns of these cards"
-            for file, first in self._first.items()
-        )
-
-
-def tables(
-    path: Path, start: int, includes: Includes, unread: Unread, above: tuple[Path, ...] = ()
-) -> Iterator[Table]:  # fmt: skip
-    """The cards of bulk data from the byte ``start`` on, INCLUDE followed.
+    ``names`` (k,) in capitals, ``heads`` (k,) their first lines, ``size`` (k,) how many they have; ``form`` (n,) of
+    each line, ``owner`` (n,) its card. ``codes`` are all characters, ``starts`` and ``lengths`` (n,) place lines there.
 
     Raises:
-        InputError: a file is missing, binary, includes what it must not, or has a line that is no card.
+        InputError: a line is no card and continues none.
     """
-    above = (*above, path.resolve())
-    lines = _lines_above(path, start)
-    for piece in _pieces(path, start):
-        at = 0
-        for match in _INCLUDE.finditer(piece):
-            part = piece[at : match.start()]
-            yield from _tables(part, path.name, lines, unread)
-            lines += part.count(b"\n") + match.group().count(b"\n")
-            at = match.end()
-            name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
-            folders = (path.parent, includes.path.parent)
-            file = includes.take(name, f"{path.name}: INCLUDE", folders, above, _FIRST)
-            yield from tables(file, 0, includes, unread, above)
-        yield from _tables(piece[at:], path.name, lines, unread)
-        lines += piece[at:].count(b"\n")
+
+    def __init__(self, piece: Piece, text: BulkText) -> None:
+        self.file = piece.file
+        codes = self.codes = np.frombuffer(piece.text + b" " * (LINE + _WIDTH), dtype=np.uint8)
+        ends = np.flatnonzero(codes == 10)
+        starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else np.empty(0, dtype=np.int64)
+        lengths = ends - starts
+        lines = np.lib.stride_tricks.sliding_window_view(codes, LINE)[starts].copy()
+        lines[np.arange(LINE) >= lengths[:, None]] = 32
+        full = (lines != 32).any(axis=1)
+        for i in np.flatnonzero(lengths > LINE).tolist():
+            line = bytes(codes[starts[i] : ends[i]])
+            if line[LINE:].strip() and not (full[i] and b"," in line):
+                text.unread(piece.file, piece.above + i + 1, line[LINE:].decode("latin-1").strip())
+        lines, self.starts, self.lengths = lines[full], starts[full], lengths[full]
+        self.lines = lines
+        first = lines[:, 0]
+        begins = ((first & 0xDF) >= ord("A")) & ((first & 0xDF) <= ord("Z"))
+        odd = np.flatnonzero(~begins & ~np.isin(first, np.frombuffer(b"+* ,", dtype=np.uint8)))
+        if len(odd) or (len(lines) and not begins[0]):
+            words = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
+            raise InputError(f"{self.file}: the line {words[:60]!r} is neither a card nor the continuation of one")
+        commas = codes == 44
+        self.commas = np.flatnonzero(commas)
+        self.commas_before = np.concatenate([[0], np.cumsum(commas)])
+        free = self.commas_before[self.starts + self.lengths] > self.commas_before[self.starts]
+        self.form = np.where((lines[:, :8] == ord("*")).any(axis=1), _LARGE, _SMALL)
+        self.form[free] = np.where(_star_in_first(lines[free]), _FREE_LARGE, _FREE)
+        _check_marks(lines, begins, self.form, self.file)
+        self.owner, self.heads = np.cumsum(begins) - 1, np.flatnonzero(begins)
+        self.names = _names(lines[self.heads])
+        self.size = np.diff(np.append(self.heads, len(lines)))
+
+    def tables(self) -> Iterator[Table]:
+        """The cards in the order of the file, as far as a name and the kind of its lines change."""
+        unique, kind = np.unique(self.names, return_inverse=True)
+        below = np.minimum(np.arange(len(self.lines)) - self.heads[self.owner], 20).astype(np.int64)
+        layout = np.bincount(self.owner, weights=(self.form * 5**below).astype(np.float64)).astype(np.int64)
+        layout[self.size > 20] = -self.heads[self.size > 20] - 1
+        key = np.unique(np.stack([kind, layout, self.size]), axis=1, return_inverse=True)[1].ravel()
+        order = np.argsort(key, kind="stable")
+        for cards in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+            if len(cards):
+                parts = [self._fields(self.heads[cards] + k) for k in range(int(self.size[cards[0]]))]
+                name = unique[kind[cards[0]]].decode("latin-1")
+                yield Table(name, np.concatenate(parts, axis=1), self.file)
+
+    def fours(self, name: bytes) -> tuple[Table, Ints]:
+        """Fields of all cards of a name, in the order of the file and in groups of four, and the card of each group."""
+        lines = np.flatnonzero((self.names == name)[self.owner])
+        count = np.where(np.isin(self.form[lines], (_SMALL, _FREE)), 2, 1)
+        first, fields = np.cumsum(count) - count, np.empty((int(count.sum()), 4, _WIDTH), dtype=np.uint8)
+        for form in np.unique(self.form[lines]).tolist():
+            chosen = self.form[lines] == form
+            groups = self._fields(lines[chosen]).reshape(int(chosen.sum()), -1, 4, _WIDTH)
+            for k in range(groups.shape[1]):
+                fields[first[chosen] + k] = groups[:, k]
+        return Table(name.decode(), fields, self.file), np.repeat(self.owner[lines], count)
+
+    def _fields(self, rows: Ints) -> Bytes:
+        """Data fields (rows, 8 or 4, 24) of lines of one form.
+
+        Raises:
+            InputError: more fields than a line has, or longer ones.
+        """
+        lines, form = self.lines[rows], int(self.form[rows[0]])
+        if form in (_SMALL, _LARGE):
+            width = 8 if form == _SMALL else 16
+            fixed = np.full((len(lines), 64 // width, _WIDTH), 32, dtype=np.uint8)
+            fixed[:, :, :width] = lines[:, 8:72].reshape(len(lines), -1, width)
+            return fixed
+        codes, total, starts = self.codes, self.commas_before, self.starts[rows]
+        stops = starts + self.lengths[rows]
+        count = 8 if form == _FREE else 4
+        first, found = total[starts], total[stops] - total[starts]
+        padded = np.append(self.commas, np.full(count + 2, len(codes)))
+        at = padded[first[:, None] + np.arange(count + 2)]
+        at = np.where(np.arange(count + 2) < found[:, None], at, stops[:, None])
+        begin, end = np.minimum(at[:, :count] + 1, at[:, 1 : count + 1]), at[:, 1 : count + 1]
+        # Blanks before a field do not count.
+        for _ in range(LINE):
+            move = (begin < end) & (codes[begin] == 32)
+            if not move.any():
+                break
+            begin = begin + move
+        index = begin[:, :, None] + np.arange(_WIDTH)
+        text = np.where(index < end[:, :, None], codes[np.minimum(index, len(codes) - 1)], 32).astype(np.uint8)
+        beyond = np.flatnonzero(found > count + 1)
+        tail = [i for i in beyond.tolist() if bytes(codes[at[i, count + 1] : stops[i]]).strip(b", ")]
+        long = ((end - begin > _WIDTH) & (codes[np.minimum(begin + _WIDTH, len(codes) - 1)] != 32)).any(axis=1)
+        for i in [*tail, *np.flatnonzero(long).tolist()][:1]:
+            line = bytes(codes[starts[i] : stops[i]]).decode("latin-1")
+            raise InputError(
+                f"{self.file}: the line {line[:60]!r} has too many or too long fields; expected {count} of them"
+            )
+        return text
 
 
-def _lines_above(path: Path, start: int) -> int:
-    """Ends of lines before the byte ``start`` of the text, where bulk data begin."""
-    try:
-        with open_text(path) as file:
-            return len(re.findall(rb"\r\n?|\n", file.read(start)))
-    except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+def tables(text: BulkText) -> Iterator[Table]:
+    """The cards of bulk data.
 
-
-def _pieces(path: Path, start: int) -> Iterator[bytes]:
-    """Pieces of whole cards without comments, up to ENDDATA."""
-    rest = b""
-    try:
-        with open_text(path) as file:
-            file.seek(start, 1)
-            while True:
-                chunk = file.read(PIECE)
-                if b"\0" in chunk:
-                    raise InputError(f"{path.name} holds binary data; expected bulk data, which are text")
-                text = rest + chunk
-                cut = _last_card(text) if chunk else len(text)
-                if chunk and not cut and len(text) > _LONGEST_CARD:
-                    raise InputError(f"{path.name} has no ends of lines; expected bulk data, which are text")
-                rest = text[cut:]
-                clean = _clean(text[:cut])
-                end = _END.search(clean)
-                if not chunk and not end and text.strip() and text[-1:] not in (b"\n", b"\r"):
-                    line = text[text.rfind(b"\n") + 1 :].decode("latin-1")
-                    raise InputError(
-                        f"{path.name} ends within the line {line[:40]!r} and without ENDDATA, so it may be cut off; "
-                        "write it again, or end the last line if the file is complete"
-                    )
-                yield clean[: end.start()] if end else clean
-                if end or not chunk:
-                    return
-    except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
-
-
-def _last_card(text: bytes) -> int:
-    """Where the last card begins; it may go on in the next piece."""
-    at = len(text)
-    while (at := text.rfind(b"\n", 0, at)) >= 0:
-        if text[at + 1 : at + 2].isalpha():
-            return at + 1
-    return 0
-
-
-def _clean(text: bytes) -> bytes:
-    if b"\r" in text:
-        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if b"$" in text:
-        text = re.sub(rb"\$.*", b"", text)
-    if b"\t" in text:
-        text = b"\n".join(line.expandtabs(8) for line in text.split(b"\n"))
-    return text if not text or text.endswith(b"\n") else text + b"\n"
-
-
-def _tables(piece: bytes, file: str, above: int, unread: Unread) -> Iterator[Table]:
-    """Tables of the cards of a piece, ``above`` which lines lie: one for each name and kind of lines."""
-    codes = np.frombuffer(piece + b" " * (_LINE + _WIDTH), dtype=np.uint8)
-    ends = np.flatnonzero(codes == 10)
-    starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else np.empty(0, dtype=np.int64)
-    lengths = ends - starts
-    lines = np.lib.stride_tricks.sliding_window_view(codes, _LINE)[starts].copy()
-    lines[np.arange(_LINE) >= lengths[:, None]] = 32
-    full = (lines != 32).any(axis=1)
-    for i in np.flatnonzero(lengths > _LINE).tolist():
-        text = bytes(codes[starts[i] : ends[i]])
-        if text[_LINE:].strip() and not (full[i] and b"," in text):
-            unread.add(file, above + i + 1, text[_LINE:].decode("latin-1").strip())
-    lines, starts, lengths = lines[full], starts[full], lengths[full]
-    if not len(lines):
-        return
-    first = lines[:, 0]
-    begins = ((first & 0xDF) >= ord("A")) & ((first & 0xDF) <= ord("Z"))
-    odd = np.flatnonzero(~begins & ~np.isin(first, np.frombuffer(b"+* ,", dtype=np.uint8)))
-    if len(odd) or not begins[0]:
-        line = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
-        raise InputError(f"{file}: the line {line[:60]!r} is neither a card nor the continuation of one")
-    commas = codes == 44
-    total = np.concatenate([[0], np.cumsum(commas)])
-    count = total[starts + lengths] - total[starts]
-    star = (lines[:, :8] == ord("*")).any(axis=1)
-    star_first = _star_in_first(lines)
-    form = np.where(count > 0, np.where(star_first, _FREE_LARGE, _FREE), np.where(star, _LARGE, _SMALL))
-    _check_marks(lines, begins, form, file)
-    owner = np.cumsum(begins) - 1
-    heads = np.flatnonzero(begins)
-    titles = _names(lines[heads])
-    size = np.diff(np.append(heads, len(lines)))
-    unique, kind = np.unique(titles, return_inverse=True)
-    digits = form * 5 ** np.minimum(np.arange(len(lines)) - heads[owner], 20).astype(np.int64)
-    layout = np.bincount(owner, weights=digits.astype(np.float64)).astype(np.int64)
-    layout[size > 20] = -heads[size > 20] - 1
-    position = np.flatnonzero(commas)
-    # In the order of the file, as far as a name and the kind of its lines change.
-    key = np.unique(np.stack([kind, layout, size]), axis=1, return_inverse=True)[1].ravel()
-    order = np.argsort(key, kind="stable")
-    for cards in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        name = unique[kind[cards[0]]].decode("latin-1")
-        parts = []
-        for k in range(int(size[cards[0]])):
-            at = heads[cards] + k
-            parts.append(_fields(lines[at], int(form[at[0]]), codes, starts[at], lengths[at], position, total, file))
-        yield Table(name, np.concatenate(parts, axis=1), file)
+    Raises:
+        InputError: what ``BulkText`` and ``Cards`` refuse.
+    """
+    for piece in text:
+        yield from Cards(piece, text).tables()
 
 
 def _star_in_first(lines: Bytes) -> NDArray[np.bool_]:
     """Whether there is a star before the first comma of the line."""
     star, comma = lines == ord("*"), lines == 44
     return np.asarray(
-        star.any(axis=1) & (star.argmax(axis=1) < np.where(comma.any(axis=1), comma.argmax(axis=1), _LINE))
+        star.any(axis=1) & (star.argmax(axis=1) < np.where(comma.any(axis=1), comma.argmax(axis=1), LINE))
     )
 
 
@@ -335,37 +253,3 @@ def _check_marks(lines: Bytes, begins: NDArray[np.bool_], form: Ints, file: str)
             f"{file}: the continuation {line[:60]!r} does not bear the mark of the line above it; sort the cards so "
             "that each is followed by its continuations"
         )
-
-
-def _fields(
-    lines: Bytes, form: int, codes: Bytes, starts: Ints, lengths: Ints, position: Ints, total: Ints, file: str
-) -> Bytes:
-    """Data fields (lines, 8 or 4, 24) of lines of one form."""
-    blank = np.full((len(lines), 8 if form in (_SMALL, _FREE) else 4, _WIDTH), 32, dtype=np.uint8)
-    if form == _SMALL:
-        blank[:, :, :8] = lines[:, 8:72].reshape(-1, 8, 8)
-        return blank
-    if form == _LARGE:
-        blank[:, :, :16] = lines[:, 8:72].reshape(-1, 4, 16)
-        return blank
-    count = blank.shape[1]
-    first, found = total[starts], total[starts + lengths] - total[starts]
-    padded = np.append(position, np.full(count + 2, len(codes)))
-    at = padded[first[:, None] + np.arange(count + 2)]
-    at = np.where(np.arange(count + 2) < found[:, None], at, (starts + lengths)[:, None])
-    begin, end = np.minimum(at[:, :count] + 1, at[:, 1 : count + 1]), at[:, 1 : count + 1]
-    # Blanks before a field do not count.
-    for _ in range(_LINE):
-        move = (begin < end) & (codes[begin] == 32)
-        if not move.any():
-            break
-        begin = begin + move
-    index = begin[:, :, None] + np.arange(_WIDTH)
-    text = np.where(index < end[:, :, None], codes[np.minimum(index, len(codes) - 1)], 32).astype(np.uint8)
-    beyond = np.flatnonzero(found > count + 1)
-    tail = [i for i in beyond.tolist() if bytes(codes[at[i, count + 1] : starts[i] + lengths[i]]).strip(b", ")]
-    long = ((end - begin > _WIDTH) & (codes[np.minimum(begin + _WIDTH, len(codes) - 1)] != 32)).any(axis=1)
-    for i in [*tail, *np.flatnonzero(long).tolist()][:1]:
-        line = bytes(codes[starts[i] : starts[i] + lengths[i]]).decode("latin-1")
-        raise InputError(f"{file}: the line {line[:60]!r} has too many or too long fields; expected {count} of them")
-    return text

@@ -94,7 +94,7 @@ def _chunks(file: io.BufferedReader, size: int, name: str) -> Iterator[bytes]:
         raise InputError(f"{name} cannot be read: it is cut off or not a gzip file ({error}); pack it again") from error
 
 
-def ahead(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iterator[Made]:
+def parallel_map(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iterator[Made]:
     """``work(block)`` for each block in order, done by threads before it is asked for.
 
     What reads numbers from text lets other threads run meanwhile. As many blocks as there are cores are in memory.

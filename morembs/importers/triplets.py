@@ -27,7 +27,7 @@ _LARGEST = 1e150
 _ROWS = 1 << 12
 
 
-class Spool:
+class TripletStore:
     """Triplets (row, column, value) in a temporary file, so that text is read once and memory holds a block.
 
     It takes 24 bytes per entry on the disk where temporary files go.
@@ -56,7 +56,7 @@ class Spool:
             rows, columns = (np.frombuffer(self._file.read(8 * length), dtype=np.int64) for _ in range(2))
             yield rows, columns, np.frombuffer(self._file.read(8 * length))
 
-    def __enter__(self) -> Spool:
+    def __enter__(self) -> TripletStore:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -69,11 +69,11 @@ def row_and_column(row: int, column: int) -> str:
 
 
 def assembled(
-    spool: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str, place: Place = row_and_column
+    triplets: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str, place: Place = row_and_column
 ) -> sp.csr_array:
     """Matrix of triplets counted from 0, each place given once.
 
-    Holds nothing but the result and a block, for which ``spool`` is read twice: to count and to fill. With
+    Holds nothing but the result and a block, for which ``triplets`` is read twice: to count and to fill. With
     ``mirror`` each entry off the diagonal stands for two. ``place`` are words for a row and a column of the file.
 
     Raises:
@@ -81,14 +81,14 @@ def assembled(
     """
     size = shape[0]
     counts = np.zeros(size + 1, dtype=np.int64)
-    for rows, _, _ in _both(spool, shape, mirror, name):
+    for rows, _, _ in _both(triplets, shape, mirror, name):
         counts[1:] += np.bincount(rows, minlength=size)
     indptr = np.cumsum(counts)
     total = int(indptr[-1])
     small = max(total, *shape) < 2**31
     indices, data = np.empty(total, dtype=np.int32 if small else np.int64), np.empty(total)
     free = indptr[:-1].copy()
-    for rows, columns, values in _both(spool, shape, mirror, name):
+    for rows, columns, values in _both(triplets, shape, mirror, name):
         order = np.argsort(rows, kind="stable")
         ascending = rows[order]
         first = np.flatnonzero(np.diff(ascending, prepend=-1))
@@ -133,31 +133,40 @@ def refuse_twice(matrix: sp.csr_array, name: str, place: Place = row_and_column,
     )
 
 
-def _both(spool: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name: str) -> Iterator[Triplets]:
+def refuse_outside(rows: Ints, columns: Ints, shape: tuple[int, int], name: str) -> None:
+    """Refuse entries in rows or columns that a matrix of this shape does not have.
+
+    Raises:
+        InputError: as said.
+    """
+    for places, size in zip((rows, columns), shape, strict=True):
+        outside = places[(places < 0) | (places >= size)]
+        if len(outside):
+            raise InputError(f"{name} has an entry in row or column {outside[0] + 1}; expected 1 to {size}")
+
+
+def _both(triplets: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name: str) -> Iterator[Triplets]:
     """The triplets, with their mirror images where only half was given."""
-    for rows, columns, values in spool:
-        for one, size in zip((rows, columns), shape, strict=True):
-            outside = one[(one < 0) | (one >= size)]
-            if len(outside):
-                raise InputError(f"{name} has an entry in row or column {outside[0] + 1}; expected 1 to {size}")
+    for rows, columns, values in triplets:
+        refuse_outside(rows, columns, shape, name)
         yield rows, columns, values
         if mirror:
             off = rows != columns
             yield columns[off], rows[off], values[off]
 
 
-def unique(spool: Iterable[Triplets]) -> Ints:
-    """All codes of rows and columns, ascending; ``spool`` is read twice."""
-    ends = [(int(part.min()), int(part.max())) for block in spool for part in block[:2] if len(part)]
+def unique(triplets: Iterable[Triplets]) -> Ints:
+    """All codes of rows and columns, ascending; ``triplets`` is read twice."""
+    ends = [(int(part.min()), int(part.max())) for block in triplets for part in block[:2] if len(part)]
     if not ends:
         return np.empty(0, dtype=np.int64)
     low, high = min(a for a, _ in ends), max(b for _, b in ends)
     if high - low < _LARGEST_TABLE:
         there = np.zeros(high - low + 1, dtype=bool)
-        for rows, columns, _ in spool:
+        for rows, columns, _ in triplets:
             there[rows - low], there[columns - low] = True, True
         return np.flatnonzero(there) + low
-    return _sorted_once([_sorted_once([rows, columns]) for rows, columns, _ in spool])
+    return _sorted_once([_sorted_once([rows, columns]) for rows, columns, _ in triplets])
 
 
 def _sorted_once(parts: list[Ints]) -> Ints:
@@ -192,17 +201,17 @@ class Numbering:
 class Renumbered:
     """Triplets with places instead of codes."""
 
-    spool: Iterable[Triplets]
+    triplets: Iterable[Triplets]
     rows: Numbering
     columns: Numbering
 
     def __iter__(self) -> Iterator[Triplets]:
-        for rows, columns, values in self.spool:
+        for rows, columns, values in self.triplets:
             yield self.rows(rows), self.columns(columns), values
 
 
 def completed(
-    spool: Iterable[Triplets], size: int, name: str, place: Place = row_and_column
+    triplets: Iterable[Triplets], size: int, name: str, place: Place = row_and_column
 ) -> tuple[bool, sp.csr_array]:
     """Whether the file holds one entry of each pair only, and the whole matrix.
 
@@ -210,11 +219,11 @@ def completed(
         InputError: as ``assembled``.
     """
     above = below = False
-    for rows, columns, _ in spool:
+    for rows, columns, _ in triplets:
         above, below = above or bool((rows < columns).any()), below or bool((rows > columns).any())
     if above != below:
-        return True, assembled(spool, (size, size), mirror=True, name=name, place=place)
-    matrix = assembled(spool, (size, size), mirror=False, name=name, place=place)
+        return True, assembled(triplets, (size, size), mirror=True, name=name, place=place)
+    matrix = assembled(triplets, (size, size), mirror=False, name=name, place=place)
     if asymmetry(matrix) > SAME:
         # Entries of a half may lie in both triangles, as the order of the equations is not that of the labels.
         pattern = sp.csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), matrix.shape)

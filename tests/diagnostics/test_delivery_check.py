@@ -101,6 +101,21 @@ def test_a_reduced_model_without_frame():
         check_delivery(body.reduced)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_round_off_as_stiffness_does_not_decide_on_rigid_motion(noise):
+    """A Guyan body of one interface has rigid-body motion alone; its stiffness is what round-off left."""
+    model = steel(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)))
+    end = make_interface(model, name="end", nodes=where(model, 0, 0.0))
+    with Problem(model, [end]) as problem:
+        reduced, part = Guyan().reduce(problem), make_part(problem)
+    K = np.diag([-3.5, 0.0, 0.0, 0.0, 1.3, 1.6])
+    K[0, 4:], K[2, 4], K[4, 5] = (1.4, 1.5), -0.7, -0.4
+    seen = check_delivery(replace(reduced, K=noise * np.maximum(K, K.T)), part)
+    assert grave(seen) <= {"frequencies"}, seen.text()
+    for mass in seen.facts["rigid_mass"].values():
+        assert mass == pytest.approx(seen.facts["rigid_mass"]["eigenvectors"], rel=1e-9, abs=1e-6)
+
+
 def test_grounding_energy_is_that_of_the_springs():
     """Springs of 1e7 N/m from the frame of one interface to the ground, known to no one."""
     body = body_of()

@@ -318,7 +318,7 @@ def test_solver_order_by_nod2solv(model, tmp_path):
     ("old", "new", "message"),
     [
         ("symmetric", "hermitian", "hermitian, which is not read"), ("coordinate", "pattern", "starts with"),
-        ("real", "complex", "complex symmetric"), ("\n36 36 ", "\n99999999 99999999 ", "more than it can hold"),
+        ("real", "complex", "complex symmetric"), ("\n36 36 ", "\n99999999 99999999 ", "99999999 rows but only"),
         ("\n2 1 ", "\n1 2 ", "entries in both triangles"), ("\n3 1 ", "\n37 1 ", "row or column 37; expected 1 to 36"),
     ],
 )  # fmt: skip

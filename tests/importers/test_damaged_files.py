@@ -59,8 +59,11 @@ def refused(path: Path, *arguments: object) -> str:
         (f"{BANNER}symmetric\n2 2 3\n1 1 1.0\n1 2 1.0\n2 1 1.0\n", "entries in both triangles"),
         (f"{BANNER}symmetric\n2 2 3\n1 1 1.0\n2 1 1.", "ends within a line"),
         (f"{BANNER}skew-symmetric\n2 2 2\n1 1 1.0\n2 1 1.0\n", "skew-symmetric, which its diagonal is not"),
-        (f"{BANNER}hermitian\n2 2 1\n1 1 1.0\n", "it is real hermitian"),
+        (f"{BANNER}hermitian\n2 2 1\n1 1 1.0\n", "is real hermitian, which is not read"),
         (f"{BANNER}general\n", "no line with its size"),
+        (f"{BANNER}general\n2 2 1\n1 3 0.0\n", "row or column 3; expected 1 to 2"),
+        (f"{BANNER}symmetric\n2 3 1\n1 1 1.0\n", "symmetric matrix of the shape (2, 3)"),
+        (f"{BANNER}general\n2 3 1\n1 1 1.0\n", "has the shape (2, 3); expected a square matrix"),
         ("%%MatrixMarket matrix array real general\n2 2\n1\n2\n3\n", "announces 4 numbers and holds 3"),
     ],
 )

@@ -1,5 +1,6 @@
 """DMIG entries in all ways to write fields, and reduced bodies that come back from them."""
 
+import gzip
 import itertools
 
 import numpy as np
@@ -12,7 +13,9 @@ from morembs.body.file import read_body, write_body
 from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.dmig import sixteen, write_dmig
+from morembs.importers import import_file
 from morembs.importers.dmig import DmigMatrix, read_dmig
+from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
@@ -101,6 +104,24 @@ def test_written_matrices_come_back_with_eleven_digits(tmp_path):
         assert np.array_equal(back[name].rows, one.rows) and np.array_equal(back[name].columns, one.columns)
 
 
+def test_matrices_in_included_and_packed_files_and_what_lies_beyond_their_fields(tmp_path):
+    matrix = text(LARGE, entries(np.tril(S)))
+    (tmp_path / "k.bdf").write_text(matrix.replace("\n", f"{'7.':>40}\n", 1))
+    head, mass = "SOL 103\nBEGIN BULK\nINCLUDE 'k.bdf'\n", matrix.replace("K   ", "MAAX")
+    (tmp_path / "m.bdf.gz").write_bytes(gzip.compress((head + mass).encode()))
+    whole = BulkText(tmp_path / "m.bdf.gz")
+    found = read_dmig(whole)
+    assert abs(found["K"].matrix - found["MAAX"].matrix).max() == 0
+    cut, beyond = whole.warnings
+    assert "no ENDDATA" in cut and "k.bdf, line 1" in beyond
+    line = f"DMIG{'K':>5}{1:>15}{1:>8}{1:>16}{1:>8}{'2.':>8}{'3.':>40}\n"
+    (tmp_path / "one.bdf").write_text(f"BEGIN BULK\nDMIG,K,0,6,2,0\n{line}")
+    assert ["one.bdf, line 3" in words for words in import_file(tmp_path / "one.bdf", "dmig").warnings] == [False, True]
+    (tmp_path / "m.bdf.gz").write_bytes(gzip.compress(matrix.encode())[:-9])
+    with pytest.raises(InputError, match="cut off or not a gzip file"):
+        read_dmig(tmp_path / "m.bdf.gz")
+
+
 def test_polar_values(tmp_path):
     (tmp_path / "a.bdf").write_text("DMIG,P,0,1,4,4,1\nDMIG,P,1,1,,1,1,2.,90.\n")
     assert read_dmig(tmp_path / "a.bdf")["P"].matrix.toarray()[0, 0] == pytest.approx(2j)
@@ -119,9 +140,13 @@ def test_polar_values(tmp_path):
         ("DMIG,K,0,6,2,0\nDMIG,K,1,9,,1,1,2.\n", "component beyond"),
         ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,NaN\n", "cannot be read as numbers"),
         ("DMIG,K,0,9,2,0,,,2\nDMIG,K,3,,,1,1,2.\n", "column 3"),
-        ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.5", "ends within a line"),
+        ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.5", "ends within the line"),
         ("DMIG*   K               0               6\n*       two\n", "numbers"),
         ("\0\1\n", "binary"),
+        ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.,,7.,8.\n", "too many or too long fields"),
+        ("DMIG    K       0       6       2       0                       1       +A\n+B      1\n", "mark of the line"),
+        ("DMIG,K,0,6,2,0\n1 1 2.\n", "neither a card"),
+        ("DMIG,K,0,6,2,0\nINCLUDE 'b.bdf'\n", "does not exist"),
     ],
 )
 def test_faults_have_one_message(tmp_path, content, message):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError
-from morembs.importers import nastran_cards
+from morembs.importers import nastran_text
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.nastran_cards import real
 from morembs.model.assembly import assemble
@@ -154,7 +154,7 @@ def test_everything_that_hangs_on_a_body(bulk):
 @pytest.mark.parametrize("size", [1, 9, 80, 700])
 def test_where_pieces_of_a_file_end_does_not_matter(size, bulk, monkeypatch):
     whole = bulk(FULL)
-    monkeypatch.setattr(nastran_cards, "PIECE", size)
+    monkeypatch.setattr(nastran_text, "PIECE", size)
     parts = bulk(FULL)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and sorted(whole.notes) == sorted(parts.notes)
     assert np.array_equal(whole.mesh.blocks[0].nodes, parts.mesh.blocks[0].nodes)
