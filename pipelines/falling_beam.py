@@ -7,28 +7,30 @@ and prints the impacts, the impulse and the balance of energy.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from both_simulators import HERE, OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, write_bar
+from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
 from morembs.floating.frame import FloatingFrame, floating_frame
-from morembs.importers import read_mesh
 from morembs.interface import make_interface
 from morembs.model import FEModel
 from morembs.model.assembly import assemble
+from morembs.model.grid import box_mesh
 from morembs.model.material import isotropic
-from morembs.multibody import FlexibleBody, System, ground
-from morembs.multibody.component import Marker
-from morembs.multibody.contact import Contact
-from morembs.multibody.contact.result import ContactResult
-from morembs.multibody.contact.run import simulate_contact
-from morembs.multibody.contact.surfaces import GridSurface
+from morembs.multibody import (
+    Contact,
+    ContactResult,
+    FlexibleBody,
+    GridSurface,
+    Marker,
+    System,
+    ground,
+    simulate_contact,
+)
 from morembs.problem import Problem
 from morembs.reducers import Modal
 
@@ -37,10 +39,10 @@ STOP = 0.2  # m from the left end
 DROP = 0.05  # m from the underside to the stop
 GRAVITY = (0.0, 0.0, -9.81)
 MODES, END, STEP, RHO = 14, 0.16, 2e-5, 0.95
-QUICK_END = 0.106
+QUICK_END, QUICK_STEP = 0.106, 1e-4
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Fall:
     """The run, its contact, and the markers of both ends."""
 
@@ -52,10 +54,7 @@ class Fall:
 
 def reduced_beam() -> tuple[FEModel, FloatingFrame, Floats]:
     """The beam from its mesh: model, floating frame, and shapes (nodes, 3, n) per elastic coordinate."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "beam.msh"
-        write_bar(path, SIZE, CELLS)
-        model = assemble(read_mesh(path), [isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)])
+    model = assemble(box_mesh(SIZE, CELLS), [isotropic(set="all", **STEEL)])
     x = model.nodes.xyz[:, 0]
     ends = [
         make_interface(model, name=name, nodes=np.flatnonzero(np.abs(x - at) < 1e-9), coupling="average")
@@ -71,19 +70,16 @@ def reduced_beam() -> tuple[FEModel, FloatingFrame, Floats]:
 
 def underside(model: FEModel) -> np.ndarray:
     """(n, 3) rows of nodes on the underside, in a grid along and across the beam."""
-    xyz = model.nodes.xyz
-    along, across = np.linspace(0, SIZE[0], CELLS[0] // 2 + 1), np.linspace(-1, 1, 3) * SIZE[1] / 2
-    low = np.flatnonzero(np.abs(xyz[:, 2] + SIZE[2] / 2) < 1e-9)
-    grid = np.stack(np.meshgrid(along, across, indexing="ij"), axis=-1)
-    apart = np.abs(grid[:, :, None] - xyz[low, :2]).max(axis=-1)
-    return low[apart.argmin(axis=2)]
+    along, across = np.linspace(0, SIZE[0], CELLS[0] // 2 + 1), np.linspace(0, SIZE[1], 3)
+    grid = np.stack(np.meshgrid(along, across, [0.0], indexing="ij"), axis=-1)[:, :, 0]
+    return np.abs(grid[:, :, None] - model.nodes.xyz).max(axis=-1).argmin(axis=2)
 
 
 def run(*, end: float = END, step: float = STEP) -> Fall:
     """The fall."""
     model, frame, shapes = reduced_beam()
     system = System(gravity=GRAVITY)
-    start = frame.origin + np.array([0, 0, DROP + SIZE[2] / 2])
+    start = frame.origin + np.array([0, -SIZE[1] / 2, DROP])
     beam = system.add(FlexibleBody(frame, position=start, name="beam"))
     rows = underside(model)
     local = model.nodes.xyz - frame.origin
@@ -92,7 +88,7 @@ def run(*, end: float = END, step: float = STEP) -> Fall:
     on = beam.marker_at(np.zeros(3), np.zeros((3, frame.count)))
     contact = Contact([ground.marker_at((STOP, 0, 0), name="stop")], skin, on=on, vertices=vertices, name="stop")
     result = simulate_contact(system, [contact], end=end, step=step, rho=RHO)
-    return Fall(result=result, contact=contact, ends=(beam.marker("left"), beam.marker("right")), frame=frame)
+    return Fall(result, contact, (beam.marker("left"), beam.marker("right")), frame)
 
 
 def picture(path: Path, fall: Fall) -> None:
@@ -102,43 +98,29 @@ def picture(path: Path, fall: Fall) -> None:
     gap, force, energy = 1e3 * result.gap(fall.contact)[:, 0], result.force(fall.contact)[:, 0], result.balance()
     first, last = (1e3 * result.impacts[k].time for k in (0, -1))
     shown = (t >= first - 0.5) & (t <= last + 2)
+    kept = energy.total - energy.potential[0]
     panels = [
-        Panel(
-            title="Height of the ends over the stop", x="time, ms", y="mm",
-            curves=[Curve(x=t, y=left, label="left end"), Curve(x=t, y=right, label="right end", color=THEIRS),
-                    Curve(x=t, y=gap, label="gap at the stop", color=THIRD)],
-        ),
-        Panel(
-            title="Force of the stop, after the first touch", x="time, ms", y="N",
-            curves=[Curve(x=t[shown] - first, y=force[shown], color=OURS)],
-        ),
-        Panel(
-            title="Energy", x="time, ms", y="J",
-            curves=[Curve(x=t, y=energy.total - energy.potential[0], label="kinetic and potential"),
-                    Curve(x=t, y=energy.total - energy.work - energy.potential[0], label="with losses of impacts",
-                          color=THEIRS, style="--")],
-        ),
+        Panel("Height of the ends over the stop", "time, ms", "mm", [
+            Curve(t, left, "left end"), Curve(t, right, "right end", THEIRS), Curve(t, gap, "gap at the stop", THIRD)]),
+        Panel("Force of the stop, after the first touch", "time, ms", "N", [Curve(t[shown] - first, force[shown])]),
+        Panel("Energy", "time, ms", "J", [
+            Curve(t, kept, "kinetic and potential"),
+            Curve(t, energy.total - energy.work - energy.potential[0], "with losses of impacts", THEIRS, "--")]),
     ]  # fmt: skip
     draw(path, "Flexible beam on a rigid stop", panels)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draws the picture, prints the figures. Returns the exit code."""
-    parser = argparse.ArgumentParser(description="A flexible beam falls on a rigid stop.")
-    parser.add_argument("--folder", type=Path, default=HERE, help="where falling_beam.png goes")
-    parser.add_argument("--quick", action="store_true", help="only the first touches")
-    options = parser.parse_args(arguments)
-    options.folder.mkdir(parents=True, exist_ok=True)
-    fall = run(end=QUICK_END if options.quick else END)
-    image = options.folder / "falling_beam.png"
-    picture(image, fall)
+    options = parse(arguments, "A flexible beam falls on a rigid stop.", __file__)
+    fall = run(end=QUICK_END, step=QUICK_STEP) if options.quick else run()
     result, energy = fall.result, fall.result.balance()
     lost = np.abs(energy.total - energy.work - energy.total[0]).max() / (energy.potential[0] - energy.potential.min())
     print(f"beam of {fall.frame.count} elastic coordinates, {len(result.time)} moments, {len(result.impacts)} impacts")
     print(f"first touch at t = {result.impacts[0].time:.6f} s (fall: {np.sqrt(2 * DROP / 9.81):.6f} s)")
     print(f"largest force {result.force(fall.contact).max():.4g} N between impacts")
     print(f"complementarity {result.complementarity:.2g}, balance of energy {lost:.2g} of the fall")
-    print(image)
+    picture(options.folder / "falling_beam.png", fall)
     return 0
 
 

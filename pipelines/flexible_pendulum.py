@@ -1,10 +1,9 @@
 #!/usr/bin/env python3
-"""A very flexible rod, pinned at one end, falls from the horizontal: full beam and reduced members.
+"""A very flexible rod, pinned at one end, falls from the horizontal: full beam and reduced member.
 
-Draws flexible_pendulum.png: the paths of the tip and its errors over time. Four reduced models: linear shapes in the
-frame of the chord, linear shapes with foreshortening of second order, and global modal parameterisation with the
-membrane strain of beams or with tangent stiffness matrices alone. The gain of the parameterisation is the one over
-foreshortened shapes, which need no nonlinear solves; linear shapes are no rival at such deflections.
+The member is reduced by global modal parameterisation to its end frames and three amplitudes. Draws
+flexible_pendulum.png: the paths of the tip and its errors over time. Other formulations, members and stiffnesses:
+python -m studies.flexible_pendulum
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from common import THEIRS, Curve, Floats, Panel, draw, parse
 
-from morembs.errors import MorembsError
 from morembs.gmp import Formulation, ReducedMember
 from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
@@ -25,9 +23,6 @@ LENGTH, A, I, DENSITY, GRAVITY = 0.304, 7.854e-5, 4.909e-10, 2770.0, (0.0, -9.81
 ELEMENTS, END, STEP, QUICK_END = 24, 0.5, 5e-4, 0.15
 # Ranges (rad) of the tables, at least 1.4 times what the full model does: per Young's modulus and number of members.
 REACH = {3e6: {1: 0.83, 2: 0.56}, 1.5e7: {1: 0.26, 2: 0.18}, 1e6: {1: 1.3, 2: 0.75}}
-NAMES: dict[Formulation, str] = {
-    "linear": "linear shapes", "foreshortened": "foreshortened", "tangent": "GMP, tangent", "membrane": "GMP, membrane",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,63 +94,24 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def table(end: float, moduli: Sequence[float]) -> dict[Case | float, Fall]:
-    """Runs and prints all cases; full models are under their Young's modulus."""
-    done: dict[Case | float, Fall] = {}
-    print("E, Pa    members, modes  model            tip error / length: rms, largest   drift    offline, online s")
-    for E in moduli:
-        reference = done[E] = full(E, end=end)
-        print(f"{E:<8.2g} {1:4d} {'':8} {'all coordinates':17} {'':33}{reference.drift:.1e} {reference.seconds:13.2f}")
-        for members, modes in ((1, 3), (2, 2)):
-            for formulation, name in NAMES.items():
-                case = Case(E=E, members=members, modes=modes, formulation=formulation)
-                line = f"{E:<8.2g} {members:4d} {modes:5d}    {name:17}"
-                try:
-                    one = reduced(case, end=end)
-                except MorembsError as problem:
-                    print(f"{line} fails: {problem}")
-                    continue
-                done[case] = one
-                gap = error(one, reference)
-                print(f"{line}       {rms(gap):8.5f} {gap.max():8.5f}         {one.drift:.1e} "
-                      f"{one.offline:6.2f} {one.seconds:6.2f}")  # fmt: skip
-                for warning in one.motion.warnings:
-                    print(f"         warning: {warning}")
-    return done
-
-
-def panels(done: dict[Case | float, Fall], E: float) -> list[Panel]:
-    """Paths of the tip and errors over time for one stiffness."""
-    looks: dict[tuple[int, Formulation], tuple[str, str]] = {
-        (1, "linear"): ("#9aa5b1", "-"), (1, "foreshortened"): (THIRD, "-"), (1, "membrane"): (OURS, "-"),
-        (2, "foreshortened"): (THIRD, "--"), (2, "membrane"): (OURS, "--"),
-    }  # fmt: skip
-    reference = done[E]
-    paths = [Curve(x=reference.tip[:, 0], y=reference.tip[:, 1], label="full model", color=THEIRS, width=3.5)]
-    errors = []
-    for case, one in done.items():
-        if isinstance(case, float) or E != case.E or (case.members, case.formulation) not in looks:
-            continue
-        color, style = looks[case.members, case.formulation]
-        label = f"{NAMES[case.formulation]}, {case.members} member{'s' * (case.members > 1)}"
-        if case.members == 1:
-            paths.append(Curve(x=one.tip[:, 0], y=one.tip[:, 1], label=label, color=color, width=1.2))
-        gap = np.maximum(error(one, reference), 1e-7)
-        errors.append(Curve(x=one.motion.times, y=gap, label=label, color=color, style=style, width=1.2))
-    return [
-        Panel(title=f"Path of the tip, E = {E:g} Pa", x="m", y="m", curves=paths),
-        Panel(title="Error of the tip", x="time, s", y="part of the length", curves=errors, logarithmic=True),
-    ]
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table and draws the picture. Returns the exit code."""
-    options = parse(arguments, "A very flexible pendulum: full beam and reduced members.")
-    done = table(QUICK_END if options.quick else END, (3e6,) if options.quick else tuple(REACH))
-    options.folder.mkdir(parents=True, exist_ok=True)
-    image = options.folder / "flexible_pendulum.png"
-    draw(image, "Very flexible pendulum", panels(done, 3e6))
-    print(image)
+    """Runs both, prints the figures and draws the picture. Returns the exit code."""
+    options = parse(arguments, "A very flexible pendulum: full beam and reduced member.", __file__)
+    end, case = QUICK_END if options.quick else END, Case(E=3e6, members=1, modes=3, formulation="membrane")
+    whole, member = full(case.E, end=end), reduced(case, end=end)
+    gap = error(member, whole)
+    print(f"tip at t = {end:g} s: ({member.tip[-1, 0]:.5f}, {member.tip[-1, 1]:.5f}) m, all coordinates "
+          f"({whole.tip[-1, 0]:.5f}, {whole.tip[-1, 1]:.5f}) m; error / length {rms(gap):.5f} rms, {gap.max():.5f} at "
+          f"most")  # fmt: skip
+    print(f"drift of the energy {member.drift:.1e}; {member.offline:.2f} s offline, {member.seconds:.2f} s online, "
+          f"all coordinates {whole.seconds:.2f} s")  # fmt: skip
+    paths = [Curve(whole.tip[:, 0], whole.tip[:, 1], "all coordinates", THEIRS, width=3.5),
+             Curve(member.tip[:, 0], member.tip[:, 1], "GMP, 3 modes", width=1.2)]  # fmt: skip
+    draw(options.folder / "flexible_pendulum.png", "Very flexible pendulum", [
+        Panel(f"Path of the tip, E = {case.E:g} Pa", "m", "m", paths),
+        Panel("Error of the tip", "time, s", "part of the length",
+              [Curve(member.motion.times, np.maximum(gap, 1e-7))], logarithmic=True),
+    ])  # fmt: skip
     return 0
 
 

@@ -13,21 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from both_simulators import (
-    OURS,
-    THEIRS,
-    Curve,
-    ExudynSystem,
-    Floats,
-    Made,
-    Panel,
-    difference,
-    draw,
-    exudyn_missing,
-    make_body,
-    parse,
-)
+from common import THEIRS, Curve, Floats, Panel, difference, draw, make_body, parse
 
+from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
 from morembs.multibody import FlexibleBody, RevoluteJoint, System, ground, simulate
 
 SIZE, CELLS = (1.0, 0.04, 0.008), (20, 1, 1)  # m: length, width, height
@@ -51,66 +39,59 @@ class Swing:
         return np.linalg.norm(self.ours - self.theirs, axis=1)
 
 
-def run_ours(made: Made, end: float, step: float) -> tuple[Floats, Floats, Floats]:
+def run_ours(strip: ExudynBody, end: float, step: float) -> tuple[Floats, Floats, Floats]:
     """Times, tip and its bending across the strip, in morembs.multibody."""
-    frame = made.body.floating
+    frame = strip.floating
     system = System(gravity=GRAVITY)
-    strip = system.add(FlexibleBody(frame, position=frame.origin, name="strip"))
-    system.add(RevoluteJoint(ground.marker_at(), strip.marker("hinge"), axis=(0, 1, 0)))
+    body = system.add(FlexibleBody(frame, position=frame.origin, name="strip"))
+    system.add(RevoluteJoint(ground.marker_at(), body.marker("hinge"), axis=(0, 1, 0)))
     result = simulate(system, end=end, step=step, rho=RHO)
-    return result.time, result.position(strip.marker("tip")), result.elastic(strip) @ frame.markers["tip"].motion[2]
+    return result.time, result.position(body.marker("tip")), result.elastic(body) @ frame.markers["tip"].motion[2]
 
 
-def run_theirs(made: Made, end: float, step: float) -> Floats:
+def run_theirs(strip: ExudynBody, end: float, step: float) -> Floats:
     """The tip in Exudyn."""
     system = ExudynSystem(gravity=GRAVITY)
-    strip = system.elastic(made, position=made.body.floating.origin)
-    system.joint(system.at_ground(), system.at_interface(strip, made, "hinge"), (1, 1, 1, 1, 0, 1))
-    system.watch(system.at_interface(strip, made, "tip"))
-    return system.solve(end=end, step=step, rho=RHO)[1][0]
+    body = system.elastic(strip, position=strip.floating.origin)
+    system.joint(system.at_ground(), system.at_interface(body, "hinge"), (1, 1, 1, 1, 0, 1))
+    return system.solve(end=end, step=step, rho=RHO, watch=[system.at_interface(body, "tip")])[1][0]
 
 
-def run(made: Made, *, end: float = END, step: float = STEP) -> Swing:
+def run(strip: ExudynBody, *, end: float = END, step: float = STEP) -> Swing:
     """Both simulators, with the same steps."""
-    time, ours, bending = run_ours(made, end, step)
-    theirs = None if exudyn_missing() else run_theirs(made, end, step)
+    time, ours, bending = run_ours(strip, end, step)
+    theirs = None if exudyn_missing() else run_theirs(strip, end, step)
     return Swing(time=time, ours=ours, theirs=theirs, bending=bending)
 
 
 def picture(path: Path, swing: Swing) -> None:
     """Path of the tip, its bending and the difference."""
-    height = [Curve(x=swing.time, y=swing.ours[:, 2], label="morembs")]
-    if swing.theirs is not None:
-        height.append(Curve(x=swing.time, y=swing.theirs[:, 2], label="Exudyn", color=THEIRS, style="--"))
+    height = [Curve(swing.time, swing.ours[:, 2], "morembs")]
     panels = [
-        Panel(title="Height of the tip", x="time, s", y="m", curves=height),
-        Panel(
-            title="Bending of the tip, seen from the hinge", x="time, s", y="mm",
-            curves=[Curve(x=swing.time, y=1e3 * swing.bending, color=OURS)],
-        ),
-    ]  # fmt: skip
+        Panel("Height of the tip", "time, s", "m", height),
+        Panel("Bending of the tip, seen from the hinge", "time, s", "mm", [Curve(swing.time, 1e3 * swing.bending)]),
+    ]
     if swing.theirs is not None:
+        height.append(Curve(swing.time, swing.theirs[:, 2], "Exudyn", THEIRS, "--"))
         panels.append(difference(swing.time, swing.gap, SIZE[0]))
     draw(path, "Flexible swing", panels)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes body and picture, prints the figures. Returns the exit code."""
-    options = parse(arguments, "A flexible swing in morembs.multibody and in Exudyn.")
-    made = make_body(options.folder, "flexible_swing", SIZE, CELLS)
-    swing = run(made, end=QUICK_END if options.quick else END)
-    image = options.folder / "flexible_swing.png"
-    picture(image, swing)
+    options = parse(arguments, "A flexible swing in morembs.multibody and in Exudyn.", __file__)
+    strip = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
+    swing = run(strip, end=QUICK_END if options.quick else END)
     x, _, z = swing.ours[-1]
-    print(f"swing of {made.body.floating.count} elastic coordinates, {len(swing.time) - 1} steps of {STEP:g} s")
+    print(f"swing of {strip.floating.count} elastic coordinates, {len(swing.time) - 1} steps of {STEP:g} s")
     print(f"tip at t = {swing.time[-1]:g} s: ({x:.7f}, {z:.7f}) m; largest bending {np.abs(swing.bending).max():.3g} m")
     if swing.theirs is not None:
         x, _, z = swing.theirs[-1]
         print(f"the same in Exudyn:  ({x:.7f}, {z:.7f}) m; largest difference "
               f"{swing.gap.max() / SIZE[0]:.2g} of the length")  # fmt: skip
     else:
-        print(exudyn_missing())
-    print(image)
+        print(f"{exudyn_missing()}. One simulator is shown alone.")
+    picture(options.folder / "flexible_swing.png", swing)
     return 0
 
 

@@ -17,24 +17,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from both_simulators import (
-    OURS,
-    THEIRS,
-    THIRD,
-    Curve,
-    ExudynSystem,
-    Floats,
-    Made,
-    Panel,
-    difference,
-    draw,
-    exudyn_missing,
-    make_body,
-    parse,
-)
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, difference, draw, make_body, parse
 
+from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
 from morembs.multibody import (
     DrivenAngle,
     FlexibleBody,
@@ -55,9 +43,15 @@ SLIDER_MASS, SLIDER_INERTIA = 0.05, (1e-5, 1e-5, 1e-5)
 LENGTH, AXIS = SIZE[0], (0.0, 0.0, 1.0)
 TURN = 2 * math.pi / SPEED
 STEP, RHO = TURN / 1600, 0.9
+FAR_END, POINTS = (CRANK + LENGTH, 0, 0), ("crank_pin", "middle", "wrist_pin")
+# How crank and rod start.
+SPIN: dict[str, Any] = {"angular_velocity": (0, 0, SPEED)}
+SWEEP: dict[str, Any] = {
+    "position": (CRANK, 0, 0), "velocity": (0, SPEED * CRANK, 0), "angular_velocity": (0, 0, -SPEED * CRANK / LENGTH),
+}  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Motions:
     """Times (s,) and positions (s, 3) m of crank pin, middle and wrist pin of the rod; the slider is at the last."""
 
@@ -84,62 +78,37 @@ class Motions:
         return np.max([np.linalg.norm(a - b, axis=1) for a, b in pairs], axis=0)
 
 
-def run_ours(made: Made, end: float, step: float, *, stiffening: bool = False) -> Motions:
+def run_ours(made: ExudynBody, end: float, step: float, *, stiffening: bool = False) -> Motions:
     """The mechanism in morembs.multibody."""
-    system = System()
-    crank = system.add(
-        RigidBody(
-            CRANK_MASS,
-            CRANK_INERTIA,
-            angular_velocity=(0, 0, SPEED),
-            name="crank",
-            markers={"axle": (0, 0, 0), "pin": (CRANK, 0, 0)},
-        )
-    )
-    rod = system.add(
-        FlexibleBody(
-            made.body.floating,
-            position=(CRANK, 0, 0),
-            velocity=(0, SPEED * CRANK, 0),
-            angular_velocity=(0, 0, -SPEED * CRANK / LENGTH),
-            stiffening=stiffening,
-            name="rod",
-        )
-    )
-    slider = system.add(
-        RigidBody(
-            SLIDER_MASS, SLIDER_INERTIA, position=(CRANK + LENGTH, 0, 0), name="slider", markers={"pin": (0, 0, 0)}
-        )
-    )
-    axle = ground.marker_at()
+    system, axle = System(), ground.marker_at()
+    crank = system.add(RigidBody(
+        CRANK_MASS, CRANK_INERTIA, name="crank", **SPIN, markers={"axle": (0, 0, 0), "pin": (CRANK, 0, 0)}))
+    rod = system.add(FlexibleBody(made.floating, stiffening=stiffening, name="rod", **SWEEP))
+    slider = system.add(RigidBody(
+        SLIDER_MASS, SLIDER_INERTIA, position=FAR_END, name="slider", markers={"pin": (0, 0, 0)}))  # fmt: skip
     system.add(RevoluteJoint(axle, crank.marker("axle"), axis=AXIS))
     system.add(DrivenAngle(axle, crank.marker("axle"), axis=AXIS, motion=Motion.steady(SPEED)))
     system.add(RevoluteJoint(crank.marker("pin"), rod.marker("crank_pin"), axis=AXIS))
     system.add(SphericalJoint(rod.marker("wrist_pin"), slider.marker("pin")))
-    system.add(PrismaticJoint(ground.marker_at((CRANK + LENGTH, 0, 0)), slider.marker("pin"), axis=(1, 0, 0)))
+    system.add(PrismaticJoint(ground.marker_at(FAR_END), slider.marker("pin"), axis=(1, 0, 0)))
     result = simulate(system, end=end, step=step, rho=RHO)
-    pin, middle, wrist = (result.position(rod.marker(name)) for name in ("crank_pin", "middle", "wrist_pin"))
-    return Motions(time=result.time, pin=pin, middle=middle, wrist=wrist)
+    return Motions(result.time, *(result.position(rod.marker(name)) for name in POINTS))
 
 
-def run_theirs(made: Made, end: float, step: float) -> Motions:
+def run_theirs(made: ExudynBody, end: float, step: float) -> Motions:
     """The mechanism in Exudyn."""
     system = ExudynSystem()
-    crank = system.rigid(CRANK_MASS, CRANK_INERTIA, position=(0, 0, 0), angular_velocity=(0, 0, SPEED))
-    rod = system.elastic(
-        made, position=(CRANK, 0, 0), velocity=(0, SPEED * CRANK, 0), angular_velocity=(0, 0, -SPEED * CRANK / LENGTH)
-    )
-    slider = system.rigid(SLIDER_MASS, SLIDER_INERTIA, position=(CRANK + LENGTH, 0, 0))
-    pin, middle, wrist = (system.at_interface(rod, made, name) for name in ("crank_pin", "middle", "wrist_pin"))
+    crank = system.rigid(CRANK_MASS, CRANK_INERTIA, position=(0, 0, 0), **SPIN)
+    rod = system.elastic(made, **SWEEP)
+    slider = system.rigid(SLIDER_MASS, SLIDER_INERTIA, position=FAR_END)
+    pin, middle, wrist = (system.at_interface(rod, name) for name in POINTS)
     system.joint(system.at_ground(), system.at_body(crank), (1, 1, 1, 1, 1, 0))
-    system.drive(crank["node"], axis=2, speed=SPEED)
+    system.drive(crank, axis=2, speed=SPEED)
     system.joint(system.at_body(crank, (CRANK, 0, 0)), pin, (1, 1, 1, 1, 1, 0))
     system.joint(wrist, system.at_body(slider), (1, 1, 1, 0, 0, 0))
-    system.joint(system.at_ground((CRANK + LENGTH, 0, 0)), system.at_body(slider), (0, 1, 1, 1, 1, 1))
-    for marker in (pin, middle, wrist):
-        system.watch(marker)
-    time, (first, second, third) = system.solve(end=end, step=step, rho=RHO)
-    return Motions(time=time, pin=first, middle=second, wrist=third)
+    system.joint(system.at_ground(FAR_END), system.at_body(slider), (0, 1, 1, 1, 1, 1))
+    time, places = system.solve(end=end, step=step, rho=RHO, watch=[pin, middle, wrist])
+    return Motions(time, *places)
 
 
 def picture(path: Path, ours: Motions, stiff: Motions, theirs: Motions | None) -> None:
@@ -148,14 +117,14 @@ def picture(path: Path, ours: Motions, stiff: Motions, theirs: Motions | None) -
     if theirs is not None:
         runs.append((theirs, "Exudyn", THEIRS, "--"))
     runs.append((stiff, "morembs with geometric stiffening", THIRD, ":"))
-    curves = [
-        [Curve(x=SPEED * run.time / (2 * math.pi), y=scale * getattr(run, value), label=label, color=color, style=style)
-         for run, label, color, style in runs]
+    turns = "turns of the crank"
+    shown = [
+        [Curve(SPEED * run.time / (2 * math.pi), scale * getattr(run, value), *look) for run, *look in runs]
         for value, scale in (("deflection", 1e3), ("lead", 1e6))
-    ]  # fmt: skip
+    ]
     panels = [
-        Panel(title="Middle of the rod off the line of its pins", x="turns of the crank", y="mm", curves=curves[0]),
-        Panel(title="Slider ahead of that of a rigid rod", x="turns of the crank", y="µm", curves=curves[1]),
+        Panel("Middle of the rod off the line of its pins", turns, "mm", shown[0]),
+        Panel("Slider ahead of that of a rigid rod", turns, "µm", shown[1]),
     ]
     if theirs is not None:
         panels.append(difference(ours.time, ours.gap(theirs), LENGTH))
@@ -164,25 +133,21 @@ def picture(path: Path, ours: Motions, stiff: Motions, theirs: Motions | None) -
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes body and picture, prints the figures. Returns the exit code."""
-    options = parse(arguments, "A slider-crank with a flexible rod in morembs.multibody and in Exudyn.")
-    made = make_body(options.folder, "slider_crank", SIZE, CELLS)
+    options = parse(arguments, "A slider-crank with a flexible rod in morembs.multibody and in Exudyn.", __file__)
+    made = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
     end = TURN / 4 if options.quick else 2 * TURN
     ours, stiff = (run_ours(made, end, STEP, stiffening=stiffening) for stiffening in (False, True))
     theirs = None if exudyn_missing() else run_theirs(made, end, STEP)
-    image = options.folder / "slider_crank.png"
-    picture(image, ours, stiff, theirs)
     largest = np.abs(ours.deflection).max()
-    print(f"rod of {made.body.floating.count} elastic coordinates, {len(ours.time) - 1} steps of {STEP:.3g} s")
+    print(f"rod of {made.floating.count} elastic coordinates, {len(ours.time) - 1} steps of {STEP:.3g} s")
     print(f"largest deflection {1e3 * largest:.4f} mm ({largest / LENGTH:.2%} of the length)")
     print(f"with geometric stiffening {1e3 * np.abs(stiff.deflection).max():.4f} mm")
     if theirs is not None:
-        print(
-            f"in Exudyn {1e3 * np.abs(theirs.deflection).max():.4f} mm; largest difference of pins and middle "
-            f"{ours.gap(theirs).max() / LENGTH:.2g} of the length"
-        )
+        print(f"in Exudyn {1e3 * np.abs(theirs.deflection).max():.4f} mm; largest difference of pins and middle "
+              f"{ours.gap(theirs).max() / LENGTH:.2g} of the length")  # fmt: skip
     else:
-        print(exudyn_missing())
-    print(image)
+        print(f"{exudyn_missing()}. One simulator is shown alone.")
+    picture(options.folder / "slider_crank.png", ours, stiff, theirs)
     return 0
 
 

@@ -1,6 +1,5 @@
-"""The pipelines with large deflections: figures that docs/gmp.md states, and each as a user runs it."""
+"""Pipelines and studies with large deflections: figures that docs/gmp.md states."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import pytest
 PIPELINES = Path(__file__).parents[2] / "pipelines"
 sys.path.insert(0, str(PIPELINES))
 
-import both_simulators  # noqa: E402
 import flexible_pendulum as pendulum  # noqa: E402
-import flexible_slider_crank as crank  # noqa: E402
-import two_link_manipulator as arm  # noqa: E402
+
+from morembs.exporters.exudyn_system import exudyn_missing  # noqa: E402
+from studies import flexible_slider_crank as crank  # noqa: E402
+from studies import two_link_manipulator as arm  # noqa: E402
 
 MESH = (8, 16)
 
@@ -53,7 +53,7 @@ def test_at_a_hundred_times_the_stiffness_all_agree():
         assert deflection < 5e-3 and slider < 5e-3
 
 
-@pytest.mark.skipif(bool(both_simulators.exudyn_missing()), reason="Exudyn is not installed")
+@pytest.mark.skipif(bool(exudyn_missing()), reason="Exudyn is not installed")
 def test_the_full_model_is_that_of_exudyn(bent):
     deflection, slider = crank.exudyn(elements=MESH).errors(bent)
     assert deflection < 5e-3 and slider < 1e-3
@@ -68,10 +68,3 @@ def test_two_modes_along_the_motion_are_enough_for_the_manipulator():
     assert arm.residual_frequency(reference) == pytest.approx(locked, rel=1e-2)
     assert arm.residual_frequency(arm.reduced(paths[2])) == pytest.approx(locked, rel=1e-2)
     assert errors[2] < 0.02 and np.abs(reference.deflection).max() > 0.05
-
-
-@pytest.mark.parametrize("name", ["flexible_pendulum", "flexible_slider_crank", "two_link_manipulator"])
-def test_pipelines_run(name, tmp_path):
-    command = [sys.executable, PIPELINES / f"{name}.py", "--folder", tmp_path, "--quick"]
-    done = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True)
-    assert f"{name}.png" in done.stdout and (tmp_path / f"{name}.png").stat().st_size > 20_000

@@ -1,5 +1,6 @@
-"""Every job in pipelines/ runs as a user runs it, and the numbers that matter hold."""
+"""Every job, pipeline and study runs as a user runs it, and the numbers that matter hold."""
 
+import importlib
 import json
 import re
 import subprocess
@@ -10,33 +11,114 @@ import numpy as np
 import pytest
 
 from morembs.body.file import read_body
+from morembs.exporters.exudyn_system import exudyn_missing
 
 ROOT = Path(__file__).parents[2]
-# The last three run in test_pipelines_multibody.py.
-NAMES = {"connecting_rod", "flexible_swing", "rotating_beam", "slider_crank"}
 PIPELINES = ROOT / "pipelines"
+sys.path.insert(0, str(PIPELINES))
+
+SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py") if path.stem != "common")
+STUDIES = sorted(f"studies.{path.stem}" for path in (ROOT / "studies").glob("*.py") if path.stem != "__init__")
+# These run in processes of their own, as scripts do and as modules do; the others here, which saves the imports.
+APART = {"flexible_pendulum": "pipelines/flexible_pendulum.py", "studies.moving_load": "-mstudies.moving_load"}
 
 
 def run(*command):
-    return subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True, text=True).stdout
+    done = subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True, text=True, cwd=ROOT)
+    return done.stdout
 
 
-@pytest.fixture(scope="module")
-def connecting_rod(tmp_path_factory):
-    """Job, mesh and results in a folder of their own."""
-    folder = tmp_path_factory.mktemp("rod")
-    run(ROOT / "data" / "make_connecting_rod.py", "--output", folder / "connecting_rod.msh")
-    job = folder / "connecting_rod.toml"
+def number(pattern, text):
+    return float(re.search(pattern, text)[1])
+
+
+def touches_when_it_must(text):
+    """Free fall of the gap takes sqrt(2 gap / g)."""
+    assert number(r"first touch[^0-9]*([0-9.]+)", text) == pytest.approx(0.100964, rel=1e-4)
+
+
+def follows_the_full_model(text):
+    assert number(r"error / length (\S+) rms", text) < 0.003
+
+
+def runs_in_exudyn(text):
+    assert ("in Exudyn" in text) != bool(exudyn_missing())
+
+
+def has_the_factors_of_fryba(text):
+    found = re.findall(r"dynamic factor (\S+) \(Fryba (\S+)\)", text)
+    assert len(found) == 5
+    for ours, exact in found:
+        assert float(ours) == pytest.approx(float(exact), rel=3e-3)
+
+
+def has_the_moment_with_static_modes_alone(text):
+    with_static, without = map(float, re.search(r"error (\S+) % with static modes, (\S+) % without", text).groups())
+    assert with_static < 1.6 and without > 9
+
+
+def is_as_good_as_all_dofs(text):
+    deflection, stress = map(float, re.search(r"deflection (\S+) %, stress (\S+) %", text).groups())
+    assert deflection < 1 and stress < 1
+    switched, static = map(int, re.search(r"coordinates: (\d+) switched, (\d+) with all", text).groups())
+    assert static == 101 + switched - 1
+    low, high = map(float, re.search(r"force (\S+) to (\S+) of the weight", text).groups())
+    assert 0.3 < low < 1 < high < 2
+
+
+def has_the_coefficient_of_southwell(text):
+    found = dict(re.findall(r"flap, simulated, (.*): c = (\S+)$", text, re.MULTILINE))
+    assert float(found["morembs with stiffening"]) == pytest.approx(1.19, abs=0.01)
+    assert abs(float(found["morembs without"])) < 5e-3
+    if not exudyn_missing():
+        assert abs(float(found["Exudyn"])) < 5e-3
+
+
+def needs_few_candidates(text):
+    low, high, candidates = map(int, re.search(r"active candidates: (\d+) to (\d+) of (\d+)", text).groups())
+    assert 0 < low < high < candidates / 2
+    assert number(r"from all of the model by (\S+) of it", text) < 1e-8
+
+
+PROMISES = {
+    "falling_beam": touches_when_it_must,
+    "flexible_pendulum": follows_the_full_model,
+    "flexible_swing": runs_in_exudyn,
+    "moving_load": has_the_factors_of_fryba,
+    "slider_crank": runs_in_exudyn,
+    "studies.flexible_rail": is_as_good_as_all_dofs,
+    "studies.gear_teeth": needs_few_candidates,
+    "studies.moving_load": has_the_moment_with_static_modes_alone,
+    "studies.rotating_beam": has_the_coefficient_of_southwell,
+}
+
+
+@pytest.mark.parametrize("name", SCRIPTS + STUDIES)
+def test_each_runs_draws_its_picture_and_keeps_its_promise(name, tmp_path, capsys):
+    arguments = ["--folder", str(tmp_path), "--quick"]
+    if name in APART:
+        text = run(APART[name], *arguments)
+    else:
+        assert importlib.import_module(name).main(arguments) == 0
+        text = capsys.readouterr().out
+    drawn = Path(text.splitlines()[-1])
+    assert drawn.parent == tmp_path and drawn.stat().st_size > 20_000
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 3e6
+    if name in PROMISES:
+        PROMISES[name](text)
+
+
+def test_every_job_belongs_to_a_script():
+    jobs = {path.stem for folder in ("pipelines", "studies") for path in (ROOT / folder).glob("*.toml")}
+    assert jobs == {"connecting_rod", "flexible_swing", "rotating_beam", "slider_crank"}
+
+
+def test_the_connecting_rod_of_the_demo(tmp_path):
+    """One run of the demo: accuracy, tolerance, and that the file holds what was reported."""
+    run(ROOT / "data" / "make_connecting_rod.py", "--output", tmp_path / "connecting_rod.msh")
+    job = tmp_path / "connecting_rod.toml"
     job.write_text((PIPELINES / "connecting_rod.toml").read_text())
-    return folder, json.loads(run("-m", "morembs", "reduce", job, "--json"))
-
-
-def test_no_pipeline_is_left_out():
-    assert {path.stem for path in PIPELINES.glob("*.toml")} == NAMES
-
-
-def test_connecting_rod_meets_its_accuracy(connecting_rod):
-    folder, result = connecting_rod
+    result = json.loads(run("-m", "morembs", "reduce", job, "--json"))
     assert result["dofs"] >= 60_000
     assert result["bodies"]["cb30"]["order"] == 12 + 30
     full, reduced = (np.array(result[key])[6:16] for key in ("full_frequencies_hz", "frequencies_hz"))
@@ -46,33 +128,15 @@ def test_connecting_rod_meets_its_accuracy(connecting_rod):
     assert result["mass"] == pytest.approx(95_848e-9 * 7850, rel=1e-4)
     assert abs(result["center_of_mass"][1]) < 1e-6 and 0.02 < result["center_of_mass"][0] < 0.075
     assert result["peak_memory_bytes"] and all(bytes_ > 0 for bytes_ in result["peak_memory_bytes"].values())
-    assert (folder / "connecting_rod.png").stat().st_size > 50_000
-
-
-def test_connecting_rod_keeps_its_tolerance(connecting_rod):
-    folder, result = connecting_rod
+    assert (tmp_path / "connecting_rod.png").stat().st_size > 50_000
     its = result["bodies"]["certified"]["certificate"]
     assert result["bodies"]["certified"]["order"] <= 60
     assert its["bound_kind"] == "bound" and len(its["frequencies_hz"]) >= 200
     assert max(its["error"]) <= max(its["bound"]) <= 1.01e-4
     # The other body is certified over the same band, and stored with it.
-    stored = read_body(folder / "connecting_rod.h5").bodies["cb30"].certificate
-    assert stored["error"].tolist() == result["bodies"]["cb30"]["certificate"]["error"]
-
-
-def test_connecting_rod_body_file_is_what_was_reported(connecting_rod):
-    folder, result = connecting_rod
-    stored = read_body(folder / "connecting_rod.h5")
-    body = stored.bodies["cb30"]
+    body = read_body(tmp_path / "connecting_rod.h5").bodies["cb30"]
+    assert body.certificate["error"].tolist() == result["bodies"]["cb30"]["certificate"]["error"]
     assert body.frequencies_hz.tolist() == result["frequencies_hz"]
     assert np.abs(body.stiffness_matrix - body.stiffness_matrix.T).max() == 0
     # Its interface degrees of freedom are its first coordinates.
     assert np.array_equal(body.input_matrix, np.eye(42, 12))
-
-
-def test_the_falling_beam_touches_when_it_must(tmp_path):
-    """Free fall of the gap takes sqrt(2 gap / g); the pipeline prints the time of its first touch."""
-    text = run(PIPELINES / "falling_beam.py", "--quick", "--folder", tmp_path)
-    first = float(re.search(r"first touch[^0-9]*([0-9.]+)", text)[1])
-    assert first == pytest.approx(0.100964, rel=1e-4)
-    assert (tmp_path / "falling_beam.png").stat().st_size > 20_000

@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Teeth of two spur gears mesh: switched static modes of all flank nodes beside a few modes, against all of the model.
 
 Each gear is a solid sector of three involute teeth, reduced by static modes switching with its flank nodes as
@@ -19,164 +18,22 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 from numpy.typing import NDArray
 
+from data.make_spur_gear import CELLS, MODULE, PRESSURE, TEETH, WIDTH, Gear, Sector, pair, sector
 from morembs.interface import make_interface
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.multibody.contact.lemke import lemke
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import Switching
 
-MODULE, PRESSURE, WIDTH = 5e-3, math.radians(20.0), 0.02  # m, rad, m
-TEETH = (24, 36)
-STEEL = {"young": 2.06e11, "poisson": 0.3, "density": 7850.0}
 MODES = 20
 FORCE = 4000.0  # N along the line of action, 200 N/mm
 RELIEF, RELIEVED = 20e-6, 3e-3  # m at the ends of the path of contact, m of roll
-CHAMFER = 0.25e-3  # m below the tip
-PLACES, QUICK_PLACES = 81, 13
+PLACES, QUICK_PLACES, QUICK_CELLS = 81, 13, (2, 1, 4, 1, 1, 4)
 STRIP = 8  # samples over the width of an element
-# Elements: across a tooth, in the fillet, along the flank, in the rim, between teeth, over the width.
-CELLS = (6, 3, 8, 3, 1, 6)
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Gear:
-    """A spur gear with involute teeth; ``lowest`` (m of roll) is where its partner's tip touches it."""
-
-    teeth: int
-    lowest: float
-
-    @property
-    def pitch(self) -> float:
-        """Pitch radius, m."""
-        return 0.5 * MODULE * self.teeth
-
-    @property
-    def base(self) -> float:
-        """Base radius, m."""
-        return self.pitch * math.cos(PRESSURE)
-
-    @property
-    def root(self) -> float:
-        """Root radius, m."""
-        return self.pitch - 1.25 * MODULE
-
-    @property
-    def highest(self) -> float:
-        """Roll, m, where the chamfer of the tip begins."""
-        return highest(self.teeth)
-
-    def radius(self, roll: Floats) -> Floats:
-        """Radius (m) where the tangent to the base circle has the length ``roll``."""
-        return np.hypot(self.base, roll)
-
-    def half_angle(self, radius: Floats) -> Floats:
-        """Half of the angle of a tooth, rad: involute, with a fillet below it."""
-        form = float(self.radius(np.array(self.form)))
-        inside = np.maximum(radius, form)
-        a = np.arccos(self.base / inside)
-        angle = math.pi / (2 * self.teeth) + math.tan(PRESSURE) - PRESSURE - np.tan(a) + a
-        below = np.clip((form - radius) / (form - self.root), 0.0, 1.0)
-        slope = self.form / self.base / form
-        return np.asarray(angle + slope * (inside - radius) + self._fillet * (1 - np.sqrt(1 - (0.85 * below) ** 2)))
-
-    @property
-    def form(self) -> float:
-        """Roll, m, where the involute ends."""
-        return self.lowest - 0.6e-3
-
-    @property
-    def _fillet(self) -> float:
-        return 0.45 * MODULE / self.root
-
-
-def highest(teeth: int) -> float:
-    """Roll, m, at the begin of the chamfer."""
-    pitch = 0.5 * MODULE * teeth
-    return math.sqrt((pitch + MODULE - CHAMFER) ** 2 - (pitch * math.cos(PRESSURE)) ** 2)
-
-
-def pair() -> tuple[Gear, Gear]:
-    """Both gears."""
-    along = 0.5 * MODULE * sum(TEETH) * math.sin(PRESSURE)
-    one, two = (Gear(teeth, along - highest(other)) for teeth, other in (TEETH, TEETH[::-1]))
-    return one, two
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sector:
-    """Mesh of three teeth; ``flank`` (3, rows, lines) places of nodes on the flanks, teeth -1, 0, 1, from the root up;
-    ``roll`` (rows,) m, even; ``bore`` places of the nodes at the hub."""
-
-    gear: Gear
-    model: FEModel
-    flank: Ints
-    roll: Floats
-    bore: Ints
-
-
-def sector(gear: Gear) -> Sector:
-    """Three teeth and their rim, of 20-node hexahedra."""
-    across, fillet, along, rim, between, layers = CELLS
-    roll = np.linspace(gear.form, gear.highest, 2 * along + 1)
-    # Equal angles of an ellipse in the fillet.
-    t = np.sin(np.linspace(math.asin(0.85), 0.0, 2 * fillet + 1))[:-1] / 0.85
-    form, tip = float(gear.radius(roll[0])), gear.pitch + MODULE
-    rows = np.concatenate((form - t * (form - gear.root), gear.radius(roll), [tip - CHAMFER / 2, tip]))
-    u = np.linspace(-1, 1, 2 * across + 1)
-    pitch = 2 * math.pi / gear.teeth
-    foot = float(gear.half_angle(np.array(gear.root)))
-    gap = np.linspace(foot, pitch / 2, 2 * between + 1)
-    inner = gear.root - 2 * MODULE
-    plane: list[Floats] = []
-    for tooth in (-1, 0, 1):
-        plane.append(_polar(rows[:, None], tooth * pitch + u * gear.half_angle(rows)[:, None]))
-        angles = np.concatenate((-gap[::-1], foot * u[1:-1], gap))
-        plane.append(_polar(np.linspace(inner, gear.root, 2 * rim + 1)[:, None], tooth * pitch + angles[None, :]))
-    z = np.linspace(0.0, WIDTH, 2 * layers + 1)
-    blocks = [_hexahedra(np.concatenate(
-        (np.broadcast_to(p[:, :, None], (*p.shape[:2], len(z), 2)),
-         np.broadcast_to(z[None, None, :, None], (*p.shape[:2], len(z), 1))), axis=-1)) for p in plane]  # fmt: skip
-    corners = np.concatenate(blocks)
-    _, first, numbers = np.unique(
-        np.round(corners.reshape(-1, 3) / 1e-8).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
-    xyz, cells = corners.reshape(-1, 3)[first], numbers.reshape(corners.shape[:2])
-    mesh = Mesh(
-        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
-        blocks=(ElementBlock(type="hex20", nodes=cells, ids=np.arange(1, len(cells) + 1)),),
-    )
-    model = assemble(mesh, [isotropic(set="all", **STEEL)])
-    # Lines of element edges inside the width: nodes at its sides have normals that lean outwards.
-    r, half = gear.radius(roll), gear.half_angle(gear.radius(roll))
-    points = np.array([[[*_polar(a, tooth * pitch + b), h] for h in z[2:-1:2]] for tooth in (-1, 0, 1)
-                       for a, b in zip(r, half, strict=True)]).reshape(3, len(r), -1, 3)  # fmt: skip
-    flank = np.array([int(np.argmin(np.sum((xyz - p) ** 2, axis=1))) for p in points.reshape(-1, 3)])
-    bore = np.flatnonzero(np.abs(np.hypot(xyz[:, 0], xyz[:, 1]) - inner) < 1e-7)
-    return Sector(gear=gear, model=model, flank=flank.reshape(points.shape[:3]), roll=roll, bore=bore)
-
-
-def _polar(radius: Floats, angle: Floats) -> Floats:
-    return np.stack(np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
-
-
-_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
-_CORNERS = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, 2], [2, 0, 2], [2, 2, 2], [0, 2, 2]])
-
-
-def _hexahedra(points: Floats) -> Floats:
-    """(cells, 20, 3) from points at half steps (2 a + 1, 2 b + 1, 2 c + 1, 3)."""
-    local = np.vstack([_CORNERS, [(_CORNERS[a] + _CORNERS[b]) // 2 for a, b in _EDGES]])
-    cells = [np.arange((k - 1) // 2) for k in points.shape[:3]]
-    first = 2 * np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    i, j, k = np.moveaxis(first + local, -1, 0)
-    return points[i, j, k]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,9 +65,9 @@ class Reduced:
         return self.by_modes(some) + self.tables.R(some)
 
 
-def reduce(gear: Gear, modes: int = MODES) -> Reduced:
+def reduce(gear: Gear, modes: int = MODES, cells: Sequence[int] = CELLS) -> Reduced:
     """Modes of the held sector, and static modes of all flank nodes along their normals."""
-    made = sector(gear)
+    made = sector(gear, cells)
     ids = ",".join(map(str, made.model.nodes.ids[np.sort(made.flank.ravel())]))
     reducer = StaticModesSwitching(
         base="craig-bampton", base_options={"modes": modes}, candidates=f"ids:{ids}", directions="normals",
@@ -380,9 +237,8 @@ def picture(path: Path, places: Floats, switched: Cycle, full: Cycle, modes: Cyc
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs, draws and prints the figures. Returns the exit code."""
-    options = parse(arguments, "Meshing gear teeth with switched static modes.")
-    options.folder.mkdir(parents=True, exist_ok=True)
-    one, two = (reduce(gear) for gear in pair())
+    options = parse(arguments, "Meshing gear teeth with switched static modes.", __file__)
+    one, two = (reduce(gear, cells=QUICK_CELLS if options.quick else CELLS) for gear in pair())
     gears = (one, two)
     candidates = sum(g.tables.count for g in gears)
     print(f"two sectors of {one.sector.model.size} and {two.sector.model.size} dofs, {candidates} candidates")
@@ -401,7 +257,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"stiffness of the mesh: {stiffness.min():.1f} (one pair) to {stiffness.max():.1f} N/(mm micrometre); "
           f"ISO 6336 gives {standard():.1f} for one pair")  # fmt: skip
     picture(options.folder / "gear_teeth.png", places, switched, full, modes, candidates)
-    print(options.folder / "gear_teeth.png")
     return 0
 
 

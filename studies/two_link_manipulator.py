@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """A flexible two-link manipulator: one or two modes along its nominal motion against all degrees of freedom.
 
 Draws two_link_manipulator.png: deflection of the tip, errors, frequencies along the motion. The links and masses are
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
-from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 from scipy.optimize import curve_fit
 
 from morembs.multibody.integrate import Scheme
@@ -26,6 +25,7 @@ from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simula
 LENGTHS, AREAS, MOMENTS = (0.545, 0.675), (9.0e-4, 4.0e-4), (1.69e-8, 3.33e-9)
 E, DENSITY, ELBOW, TIP = 7.3e10, 2700.0, 1.0, 3.0
 MOVE, END, STEP, COARSE, ELEMENTS = 0.5, 2.0, 1e-3, 4e-3, 10
+QUICK_END, QUICK_ELEMENTS = 1.2, 4
 # Shoulder and elbow (rad): start, and turn within MOVE. The arm is straight at the end.
 SHOULDER, ELBOW_START, ELBOW_TURN = np.pi / 3, np.pi / 2, -np.pi / 2
 RHO = 0.9
@@ -221,23 +221,23 @@ def residual_frequency(run: Run) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints the comparison and draws the picture. Returns the exit code."""
-    options = parse(arguments, "A flexible two-link manipulator and its modes along the nominal motion.")
-    end = 1.2 if options.quick else END
-    reference = full(end=end, step=STEP)
-    locked = np.sqrt(prepare(2, end=MOVE).squares[-1]) / (2 * np.pi)
+    options = parse(arguments, "A flexible two-link manipulator and its modes along the nominal motion.", __file__)
+    end, fine, elements = (QUICK_END, 2 * STEP, QUICK_ELEMENTS) if options.quick else (END, STEP, ELEMENTS)
+    reference = full(end=end, step=fine, elements=elements)
+    locked = np.sqrt(prepare(2, end=MOVE, elements=elements).squares[-1]) / (2 * np.pi)
     print(f"arm locked at the end of the motion: {locked[0]:.4f} and {locked[1]:.3f} Hz")
     print(f"all coordinates: {residual_frequency(reference):.4f} Hz after the motion, largest deflection "
           f"{np.abs(reference.deflection).max():.5f} m, {1e3 * reference.step:.3f} ms per step of "
           f"{reference.time[1]:g} s")  # fmt: skip
     print("modes  static answers  step, s   largest error / deflection   Hz after   ms per step   offline, s")
     runs: dict[str, Run] = {}
-    cases = [(modes, static, STEP) for modes in (1, 2) for static in (False, True)] + [(2, True, COARSE)]
+    cases = [(modes, static, fine) for modes in (1, 2) for static in (False, True)] + [(2, True, COARSE)]
     for modes, static, step in cases:
-        one = reduced(prepare(modes, end=end, step=step), static=static)
+        one = reduced(prepare(modes, end=end, step=step, elements=elements), static=static)
         runs.setdefault(f"{modes} mode{'s' * (modes > 1)}{', static answers' * static}", one)
         print(f"{modes:5d}  {'yes' if static else 'no':14}  {step:7g}   {one.error(reference):26.4f}   "
               f"{residual_frequency(one):8.4f}   {1e3 * one.step:11.4f}   {one.offline:10.2f}")  # fmt: skip
-    coarse = full(end=end, step=COARSE)
+    coarse = full(end=end, step=COARSE, elements=elements)
     gap = coarse.error(reference)
     print(f"all coordinates, steps of {COARSE:g} s: error {gap:.4f}, {1e3 * coarse.step:.3f} ms each")
     looks = {"1 mode": "#9aa5b1", "2 modes": THIRD, "2 modes, static answers": OURS}
@@ -249,13 +249,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gap = np.abs(one.deflection - np.interp(one.time, reference.time, reference.deflection))
         part = np.maximum(gap / np.abs(reference.deflection).max(), 1e-6)
         errors.append(Curve(x=one.time, y=part, label=name, color=color, width=1.2))
-    options.folder.mkdir(parents=True, exist_ok=True)
-    image = options.folder / "two_link_manipulator.png"
-    draw(image, "Two-link manipulator", [
+    draw(options.folder / "two_link_manipulator.png", "Two-link manipulator", [
         Panel(title="Deflection of the tip", x="time, s", y="mm", curves=shown),
         Panel(title="Error", x="time, s", y="part of the largest", curves=errors, logarithmic=True),
     ])  # fmt: skip
-    print(image)
     return 0
 
 

@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """A solid rail of 60,000 degrees of freedom: a load that crosses it, and a mass that rides over it.
 
 The load is integrated with all degrees of freedom, with all static modes kept, and with static modes that are switched;
@@ -8,7 +7,6 @@ flexible_rail.npz, also unfinished ones.
 
 from __future__ import annotations
 
-import itertools
 import sys
 import time
 from collections.abc import Sequence
@@ -18,34 +16,42 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from both_simulators import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from moving_load import write_run
+from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from moving_load import simulate_kept, write_run
 
-from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from morembs.model import DofMap, FEModel
 from morembs.model.assembly import assemble
+from morembs.model.grid import box_mesh
 from morembs.model.material import isotropic
 from morembs.model.stress_operator import StressOperator, stress_operator
-from morembs.multibody import DrivenPosition, Motion, RigidBody, System, ground
-from morembs.multibody.component import Marker
-from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.result import Result
-from morembs.multibody.sliding.body import SwitchingBody
-from morembs.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.sliding.loads import MovingLoad, PathSupport
-from morembs.multibody.sliding.response import local_response
+from morembs.multibody import (
+    DrivenPosition,
+    LinearBody,
+    Marker,
+    Motion,
+    MovingLoad,
+    PathSupport,
+    Result,
+    RigidBody,
+    SlidingSwitch,
+    SwitchingBody,
+    System,
+    ground,
+    local_response,
+    simulate_sliding,
+)
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import Switching
 
 LENGTH, WIDTH, HEIGHT = 5.0, 0.06, 0.12  # m
 CELLS, QUICK_CELLS = (500, 4, 7), (100, 2, 3)
-STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 MODES, LOOK_AHEAD = 12, 16
 LOAD, SPEED, BEGIN, END = 2e4, 30.0, 0.25, 4.75  # N, m/s, m
 STEPS, QUICK_STEPS = 1500, 400
 SAMPLE = (4, 64)  # steps that are timed with all static modes
 MASS, GRAVITY = 150.0, 9.81
-_HEX = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+RHO = 0.95
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,18 +65,12 @@ class Rail:
 
 def make_rail(cells: Sequence[int]) -> Rail:
     """Bar of 8-node hexahedra; the path is the middle line of its top."""
-    shape = np.array(cells) + 1
-    first = np.array(list(itertools.product(*(range(k) for k in cells))))
-    numbers = np.ravel_multi_index(np.moveaxis(first[:, None] + _HEX, -1, 0), tuple(shape))
-    xyz = np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape)), axis=1) / (shape - 1)
-    xyz = xyz * [LENGTH, WIDTH, HEIGHT]
+    mesh = box_mesh((LENGTH, WIDTH, HEIGHT), cells, "hex8")
+    xyz = mesh.nodes.xyz
     middle = np.argmin(np.abs(xyz[:, 1] - WIDTH / 2) + HEIGHT - xyz[:, 2])
     path = np.flatnonzero((xyz[:, 1] == xyz[middle, 1]) & (xyz[:, 2] == xyz[middle, 2]))
-    mesh = Mesh(
-        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz, sets={"RAIL": path}),
-        blocks=(ElementBlock(type="hex8", nodes=numbers, ids=np.arange(1, len(numbers) + 1)),), source="rail",
-    )  # fmt: skip
-    solid = assemble(mesh, [isotropic(set="all", **STEEL)])
+    named = replace(mesh, nodes=replace(mesh.nodes, sets={"RAIL": path}), source="rail")
+    solid = assemble(named, [isotropic(set="all", **STEEL)])
     node, component = solid.dofs.node, solid.dofs.component
     low = xyz[:, 2] == 0
     left, right = (low & (xyz[:, 0] == x) for x in (0.0, LENGTH))
@@ -115,7 +115,7 @@ def with_switching(reduced: ReducedModel, its: Switching, steps: int, keep: Path
     system.add(body)
     load = system.add(_load(body))
     duration, begin = (END - BEGIN) / SPEED, time.process_time()
-    result = _run(system, switch, duration, steps, keep)
+    result = simulate_kept(system, switch, duration, duration / steps, keep, RHO)
     seconds = time.process_time() - begin
     local = local_response(result, body, load, stress=True)
     crossing = Crossing(
@@ -131,15 +131,6 @@ def _load(body: SwitchingBody) -> MovingLoad:
     )
 
 
-def _run(system: System, switch: SlidingSwitch, duration: float, steps: int, keep: Path) -> Result:
-    try:
-        return simulate_sliding(system, switch, end=duration, step=duration / steps, rho=0.95)
-    except UnfinishedRunError as error:
-        if error.result is not None:
-            write_run(keep, error.result)
-        raise
-
-
 def with_all_static_modes(reduced: ReducedModel, its: Switching, steps: int) -> tuple[int, float]:
     """Coordinates, and seconds of the whole run as some of its steps tell, in one window of all candidates."""
     body = SwitchingBody(
@@ -152,7 +143,7 @@ def with_all_static_modes(reduced: ReducedModel, its: Switching, steps: int) -> 
     for count in (3, *SAMPLE):
         # The first run is to warm up.
         begin = time.process_time()
-        simulate_sliding(system, switch, end=count * h, step=h, rho=0.95)
+        simulate_sliding(system, switch, end=count * h, step=h, rho=RHO)
         seconds[count] = time.process_time() - begin
     few, many = SAMPLE
     # The start is paid once, the steps are all alike.
@@ -257,7 +248,7 @@ def ride(reduced: ReducedModel, its: Switching, steps: int, keep: Path) -> Ride:
         )
     )
     duration = (END - BEGIN) / SPEED
-    result = _run(system, switch, duration, steps, keep)
+    result = simulate_kept(system, switch, duration, duration / steps, keep, RHO)
     local = local_response(result, body, support)
     write_run(keep, result)
     z = result.position(rider)[:, 2]
@@ -296,7 +287,7 @@ def picture(path: Path, full: Crossing, switched: Crossing, modes: Floats, trave
                 curves=[
                     Curve(x=every, y=1e3 * full.deflection, label=f"all {full.coordinates} dofs", color=THEIRS),
                     Curve(x=s, y=1e3 * modes, label=f"{MODES} modes alone", color=THIRD, width=1.0),
-                    Curve(x=s, y=1e3 * switched.deflection, label="with switched static modes", style="--", color=OURS),
+                    Curve(x=s, y=1e3 * switched.deflection, label="with switched static modes", style="--"),
                 ],
             ),
             Panel(
@@ -320,8 +311,7 @@ def picture(path: Path, full: Crossing, switched: Crossing, modes: Floats, trave
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs, draws and prints the figures. Returns the exit code."""
-    options = parse(arguments, "A flexible rail under a moving load and a travelling mass.")
-    options.folder.mkdir(parents=True, exist_ok=True)
+    options = parse(arguments, "A flexible rail under a moving load and a travelling mass.", __file__)
     file, steps = options.folder / "flexible_rail.npz", QUICK_STEPS if options.quick else STEPS
     rail = make_rail(QUICK_CELLS if options.quick else CELLS)
     reduced, its, offline = reduce(rail)
@@ -341,7 +331,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"mass: largest drop {-1e3 * travel.drop.min():.3f} mm, force {travel.force.min():.3f} to "
           f"{travel.force.max():.3f} of the weight, {travel.switches} switches")  # fmt: skip
     picture(options.folder / "flexible_rail.png", full, switched, _alone(switched, reduced, its), travel)
-    print(options.folder / "flexible_rail.png")
     return 0
 
 

@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """A rotating beam in two simulators: the frequency of its flapping, with and without geometric stiffening.
 
 A blade is clamped to a shaft that turns at constant speed W about z, its root on the axis. Beam theory gives
@@ -22,21 +21,9 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sl
-from both_simulators import (
-    OURS,
-    THEIRS,
-    THIRD,
-    Curve,
-    ExudynSystem,
-    Floats,
-    Made,
-    Panel,
-    draw,
-    exudyn_missing,
-    make_body,
-    parse,
-)
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, make_body, parse
 
+from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
 from morembs.multibody import DrivenAngle, FlexibleBody, Motion, RevoluteJoint, System, ground, simulate
 
 SIZE, CELLS = (1.0, 0.03, 0.01), (40, 1, 2)  # m: length, width in the plane of rotation (lag), height (flap)
@@ -48,9 +35,9 @@ STEP, RHO, PERIODS = 5e-4, 0.95, 8
 SWING = 1e-4  # m, of the tip
 
 
-def linearised(made: Made, speed: float, axis: int, *, stiffening: bool) -> float:
+def linearised(made: ExudynBody, speed: float, axis: int, *, stiffening: bool) -> float:
     """Lowest frequency (rad/s) of the modes that move the tip along ``axis``, about steady spin."""
-    frame = made.body.floating
+    frame = made.floating
     body = FlexibleBody(frame, angular_velocity=(0, 0, speed), stiffening=stiffening)
     x, v = body.start()
     n, still = frame.count, np.zeros(3)
@@ -70,9 +57,9 @@ def linearised(made: Made, speed: float, axis: int, *, stiffening: bool) -> floa
     return float(values[moving].imag.min())
 
 
-def first_flap(made: Made) -> Floats:
+def first_flap(made: ExudynBody) -> Floats:
     """(n,) elastic coordinates of the first flap shape at rest, the tip off by ``SWING``."""
-    frame = made.body.floating
+    frame = made.floating
     _, Y = sl.eigh(frame.Ke, frame.integrals.Me)
     tip = frame.markers["tip"].motion[:3] @ Y
     flap = int(np.flatnonzero(np.abs(tip[FLAP]) > 0.9 * np.linalg.norm(tip, axis=0))[0])
@@ -86,20 +73,13 @@ def frequency(time: Floats, z: Floats) -> float:
     return float(2 * math.pi * (len(zeros) - 1) / (zeros[-1] - zeros[0]))
 
 
-def in_ours(made: Made, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
+def in_ours(made: ExudynBody, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
     """Times and flapping of the tip in morembs.multibody."""
-    frame = made.body.floating
+    frame = made.floating
     system = System()
-    blade = system.add(
-        FlexibleBody(
-            frame,
-            position=frame.origin,
-            angular_velocity=(0, 0, speed),
-            elastic=first_flap(made),
-            stiffening=stiffening,
-            name="blade",
-        )
-    )
+    blade = system.add(FlexibleBody(
+        frame, position=frame.origin, angular_velocity=(0, 0, speed), elastic=first_flap(made), stiffening=stiffening,
+        name="blade"))  # fmt: skip
     shaft = ground.marker_at()
     system.add(RevoluteJoint(shaft, blade.marker("root"), axis=(0, 0, 1)))
     system.add(DrivenAngle(shaft, blade.marker("root"), axis=(0, 0, 1), motion=Motion.steady(speed)))
@@ -107,20 +87,18 @@ def in_ours(made: Made, speed: float, end: float, *, stiffening: bool) -> tuple[
     return result.time, result.position(blade.marker("tip"))[:, FLAP]
 
 
-def in_theirs(made: Made, speed: float, end: float) -> tuple[Floats, Floats]:
+def in_theirs(made: ExudynBody, speed: float, end: float) -> tuple[Floats, Floats]:
     """Times and flapping of the tip in Exudyn."""
     system = ExudynSystem()
-    blade = system.elastic(
-        made, position=made.body.floating.origin, angular_velocity=(0, 0, speed), elastic=first_flap(made)
-    )
-    system.joint(system.at_ground(), system.at_interface(blade, made, "root"), (1, 1, 1, 1, 1, 0))
-    system.drive(blade["nRigidBody"], axis=2, speed=speed)
-    system.watch(system.at_interface(blade, made, "tip"))
-    time, (tip,) = system.solve(end=end, step=STEP, rho=RHO)
+    start = {"angular_velocity": (0, 0, speed), "elastic": first_flap(made)}
+    blade = system.elastic(made, position=made.floating.origin, **start)
+    system.joint(system.at_ground(), system.at_interface(blade, "root"), (1, 1, 1, 1, 1, 0))
+    system.drive(blade, axis=2, speed=speed)
+    time, (tip,) = system.solve(end=end, step=STEP, rho=RHO, watch=[system.at_interface(blade, "tip")])
     return time, tip[:, FLAP]
 
 
-def coefficients(made: Made, axis: int, *, stiffening: bool) -> Floats:
+def coefficients(made: ExudynBody, axis: int, *, stiffening: bool) -> Floats:
     """c at each of ``SPEEDS``, by linearisation."""
     rest = linearised(made, 0.0, axis, stiffening=stiffening)
     speeds = np.array(SPEEDS) * linearised(made, 0.0, FLAP, stiffening=stiffening)
@@ -128,7 +106,7 @@ def coefficients(made: Made, axis: int, *, stiffening: bool) -> Floats:
     return np.asarray((found**2 - rest**2) / speeds**2)
 
 
-def simulated(made: Made, parts: Sequence[float] = SIMULATED, periods: int = PERIODS) -> dict[str, Floats]:
+def simulated(made: ExudynBody, parts: Sequence[float] = SIMULATED, periods: int = PERIODS) -> dict[str, Floats]:
     """c of the first flap mode at speeds that are ``parts`` of the frequency at rest, by simulation."""
     rest = linearised(made, 0.0, FLAP, stiffening=False)
     speeds, end = np.array(parts) * rest, periods * 2 * math.pi / rest
@@ -144,40 +122,33 @@ def simulated(made: Made, parts: Sequence[float] = SIMULATED, periods: int = PER
 
 
 def picture(
-    path: Path, made: Made, lines: dict[tuple[int, bool], Floats], parts: Sequence[float], dots: dict[str, Floats]
+    path: Path, made: ExudynBody, lines: dict[tuple[int, bool], Floats], parts: Sequence[float], dots: dict[str, Floats]
 ) -> None:  # fmt: skip
     """Coefficients of flap and lag over the speed, and the flap frequency that follows from them."""
     speeds, few = np.array(SPEEDS), np.array(parts)
     x = "speed, as a part of the first flap frequency at rest"
     looks = {"morembs with stiffening": (OURS, "o"), "morembs without": (THIRD, "s"), "Exudyn": (THEIRS, "x")}
-    names = {True: "with stiffening, linearised", False: "without, linearised"}
+    kinds = ((True, "with stiffening, linearised", OURS), (False, "without, linearised", THIRD))
     panels = []
     for axis, words in ((FLAP, "flap (out of the plane of rotation)"), (LAG, "lag (in the plane)")):
-        curves = [Curve(x=speeds, y=lines[axis, s], label=names[s], color=OURS if s else THIRD) for s in (True, False)]
-        known = np.full(len(speeds), SOUTHWELL[axis])
-        curves.append(Curve(x=speeds, y=known, label="beam theory", color="#202020", style=":"))
+        curves = [Curve(speeds, lines[axis, s], name, color) for s, name, color in kinds]
+        curves.append(Curve(speeds, np.full(len(speeds), SOUTHWELL[axis]), "beam theory", "#202020", ":"))
         if axis == FLAP:
-            curves += [Curve(x=few, y=c, label=f"{name}, simulated", color=looks[name][0], style=looks[name][1])
-                       for name, c in dots.items()]  # fmt: skip
-        panels.append(Panel(title=f"Southwell coefficient, first {words}", x=x, y="c", curves=curves))
+            curves += [Curve(few, c, f"{name}, simulated", *looks[name]) for name, c in dots.items()]
+        panels.append(Panel(f"Southwell coefficient, first {words}", x, "c", curves))
     rest = linearised(made, 0.0, FLAP, stiffening=True) / (2 * math.pi)
-    curves = [
-        Curve(x=speeds, y=rest * np.sqrt(1 + lines[FLAP, s] * speeds**2), label=names[s], color=OURS if s else THIRD)
-        for s in (True, False)
-    ]
-    panels.append(Panel(title="First flap frequency", x=x, y="Hz", curves=curves))
+    curves = [Curve(speeds, rest * np.sqrt(1 + lines[FLAP, s] * speeds**2), name, color) for s, name, color in kinds]
+    panels.append(Panel("First flap frequency", x, "Hz", curves))
     draw(path, "Rotating beam", panels)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes body and picture, prints the figures. Returns the exit code."""
-    options = parse(arguments, "A rotating beam with and without geometric stiffening.")
-    made = make_body(options.folder, "rotating_beam", SIZE, CELLS)
+    options = parse(arguments, "A rotating beam with and without geometric stiffening.", __file__)
+    made = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
     lines = {(axis, s): coefficients(made, axis, stiffening=s) for axis in (FLAP, LAG) for s in (True, False)}
     parts = SIMULATED[-1:] if options.quick else SIMULATED
     dots = simulated(made, parts, 3 if options.quick else PERIODS)
-    image = options.folder / "rotating_beam.png"
-    picture(image, made, lines, parts, dots)
     for axis, name in ((FLAP, "flap"), (LAG, "lag")):
         right, wrong = lines[axis, True], lines[axis, False]
         print(f"{name}, linearised: c = {right.min():.4f} to {right.max():.4f} with stiffening, {wrong.min():.4f} to "
@@ -185,8 +156,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, c in dots.items():
         print(f"flap, simulated, {name}: c = {', '.join(f'{one:.4f}' for one in c)}")
     if exudyn_missing():
-        print(exudyn_missing())
-    print(image)
+        print(f"{exudyn_missing()}. One simulator is shown alone.")
+    picture(options.folder / "rotating_beam.png", made, lines, parts, dots)
     return 0
 
 

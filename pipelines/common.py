@@ -1,0 +1,99 @@
+"""What pipelines and studies share: the command line, the body of a bar from a job, pictures of diagrams in a row."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from morembs.exporters.exudyn_system import ExudynBody
+from morembs.jobs.job import load_job
+from morembs.jobs.picture import save
+from morembs.jobs.run import run_job
+from morembs.model.grid import box_mesh
+
+Floats = NDArray[np.float64]
+OURS, THEIRS, THIRD = "#d1495b", "#2e86ab", "#3d9970"
+STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
+
+
+def parse(arguments: Sequence[str] | None, about: str, here: str) -> argparse.Namespace:
+    """Reads the command line: ``folder``, which is made, and ``quick``. ``here`` is the file of the program."""
+    parser = argparse.ArgumentParser(description=about)
+    place = Path(here).resolve().parent
+    parser.add_argument("--folder", type=Path, default=place, help="where all files go (default: beside the program)")
+    parser.add_argument("--quick", action="store_true", help="a shorter run, for a first look")
+    options = parser.parse_args(arguments)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    return options
+
+
+def make_body(job: Path, folder: Path, size: Sequence[float], cells: Sequence[int]) -> ExudynBody:
+    """Runs a job, copied to ``folder``, on a bar along x of ``cells`` hexahedra, its left end centred at the origin."""
+    toml = folder / job.name
+    if folder.resolve() != job.resolve().parent:
+        shutil.copyfile(job, toml)
+    loaded, mesh = load_job(toml), box_mesh(size, cells)
+    points = mesh.nodes.xyz - [0, size[1] / 2, size[2] / 2]
+    cells_of = [("hexahedron20", mesh.blocks[0].nodes)]
+    meshio.Mesh(points, cells_of).write(loaded.resolve(loaded.tables.model.mesh), file_format="gmsh")
+    run_job(loaded)
+    return ExudynBody.of(loaded.output)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One line (or dots) of a panel."""
+
+    x: Floats
+    y: Floats
+    label: str = ""
+    color: str = OURS
+    style: str = "-"
+    width: float = 1.6
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One diagram of a picture."""
+
+    title: str
+    x: str
+    y: str
+    curves: Sequence[Curve]
+    logarithmic: bool = False
+
+
+def draw(path: Path, title: str, panels: Sequence[Panel]) -> None:
+    """Writes the panels below one another and prints the path; the old picture stays if that fails."""
+    figure = Figure(figsize=(8.5, 0.6 + 2.7 * len(panels)), dpi=130, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    for axes, panel in zip(figure.subplots(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
+        for curve in panel.curves:
+            look = {"color": curve.color, "lw": curve.width, "ms": 9, "mfc": "none"}
+            axes.plot(curve.x, curve.y, curve.style, label=curve.label or None, **look)
+        axes.set_title(panel.title, fontsize=9, loc="left")
+        axes.set_xlabel(panel.x)
+        axes.set_ylabel(panel.y)
+        axes.grid(alpha=0.3)
+        if panel.logarithmic:
+            axes.set_yscale("log")
+        if any(curve.label for curve in panel.curves):
+            axes.legend(fontsize=8)
+    save(figure, path)
+    print(path)
+
+
+def difference(time: Floats, gap: Floats, length: float) -> Panel:
+    """Distance (s,) m of the two simulators as a part of the length; what is below 1e-12 is drawn there."""
+    curve = Curve(time, np.maximum(gap / length, 1e-12), color="#607d8b", width=1.0)
+    return Panel("Difference of the two simulators", "time, s", "part of the length", [curve], logarithmic=True)
