@@ -189,9 +189,10 @@ def _code(folder: Path, logs: Path, space: int, work: Callable[[], object]) -> i
         print(end.code, file=sys.stderr, flush=True)
         return 1
     except KeyboardInterrupt:
+        # A second signal may not break into this.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         traceback.print_exc()
         sys.stderr.flush()
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGINT)
     except BaseException:
         traceback.print_exc()

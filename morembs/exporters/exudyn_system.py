@@ -119,9 +119,9 @@ class ExudynSystem:
         cms = self.fem.ObjectFFRFreducedOrderInterface()
         cms.LoadFromFile(str(body.file))
         items: dict[str, Any] = cms.AddObjectFFRFreducedOrder(
-            self.mbs, positionRef=list(position), initialVelocity=list(velocity),
+            self.mbs, positionRef=_triple(position), initialVelocity=_triple(velocity),
             rotationMatrixRef=np.eye(3) if rotation is None else np.asarray(rotation),
-            initialAngularVelocity=list(angular_velocity),
+            initialAngularVelocity=_triple(angular_velocity),
         )  # fmt: skip
         part = ExudynPart(items, body)
         if any(self.gravity):
@@ -157,8 +157,8 @@ class ExudynSystem:
         by errors of the steps.
         """
         items = self.mbs.CreateRigidBody(
-            referencePosition=list(position), initialVelocity=list(velocity),
-            initialAngularVelocity=list(angular_velocity), gravity=self.gravity, returnDict=True,
+            referencePosition=_triple(position), initialVelocity=_triple(velocity),
+            initialAngularVelocity=_triple(angular_velocity), gravity=self.gravity, returnDict=True,
             inertia=self.utilities.RigidBodyInertia(mass, np.diag(inertia)),
             nodeType=self.exu.NodeType.RotationRxyz,
         )  # fmt: skip
@@ -224,3 +224,7 @@ class ExudynSystem:
         self.mbs.SolveDynamic(settings)
         data = [np.array(self.mbs.GetSensorStoredData(sensor)) for sensor in sensors]
         return data[0][:, 0], [table[:, 1:4] for table in data]
+
+
+def _triple(vector: ArrayLike) -> list[float]:
+    return [float(x) for x in np.asarray(vector, dtype=float)]
