@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
@@ -206,13 +206,13 @@ class Reducer(ABC):
         outputs = _interface_motions(basis, problem)
         if basis.left is None:
             M = projected(V, problem.M, budget)
-            K = 0.5 * (basis.K + basis.K.T)
+            K = _without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
             B = outputs.T
         else:
             moved = V if basis.inertial is None else basis.inertial
             M, K = projected(moved, problem.M, budget, basis.left), basis.K
             B = np.asarray((problem.B.T @ basis.left).T)
-        _refuse_wrong_stiffness(self.method, basis, M, problem)
+        _refuse_wrong_stiffness(self.method, replace(basis, K=K), M, problem)
         # Velocities see the stiffness through their own basis.
         slow = K if basis.inertial is None else projected(basis.inertial, problem.K, budget, basis.left)
         D = problem.damping.matrix(M, slow, basis.rigid, basis.left is None)
@@ -226,6 +226,18 @@ class Reducer(ABC):
             rigid_count=basis.rigid.shape[1], recipe=recipe, left=basis.left, is_projection=basis.inertial is None,
             structural=structural,
         )  # fmt: skip
+
+
+def _without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:
+    """P' K P with P = I - R (R' M R)^-1 R' M for the rigid motions R = ``rigid`` (n, r).
+
+    What K holds of them is round-off of the stiffest parts, which would hold a soft or free body.
+    """
+    if not rigid.shape[1] or not (E := K @ rigid).any():
+        return K
+    W = sl.solve(rigid.T @ M @ rigid, rigid.T @ M, assume_a="pos").T
+    E -= 0.5 * W @ (rigid.T @ E)
+    return np.asarray(K - E @ W.T - W @ E.T)
 
 
 def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:
