@@ -8,10 +8,11 @@ from __future__ import annotations
 import importlib
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 MOVED = {
     "conversion": "importers",
@@ -36,6 +37,7 @@ MOVED = {
     "examination.delivered": "diagnostics.delivered",
     "examination.delivery_check": "diagnostics.delivery_check",
     "examination.warnings": "diagnostics.warnings",
+    "gmp.crew": "gmp.worker_pool",
     "fem": "model.assembly",
     "floating.geometric_stiffness": "model.geometric_stiffness",
     "linalg.amg": "linalg.sparse.amg",
@@ -96,6 +98,18 @@ MOVED = {
     "surface": "model.surface",
     "switching": "reducers.switching_tables",
 }
+
+
+def renamed(module: str, names: Mapping[str, Any]) -> Callable[[str], Any]:
+    """The ``__getattr__`` of a ``module`` in which other ``names`` took the places of these."""
+
+    def new(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        warnings.warn(f"{module}.{name} is now {names[name].__name__}", DeprecationWarning, stacklevel=2)
+        return names[name]
+
+    return new
 
 
 class _Moved(MetaPathFinder, Loader):

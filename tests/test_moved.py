@@ -50,3 +50,18 @@ def test_old_names_work_in_a_process_of_their_own() -> None:
     )
     done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "True\n" and "morembs.storage.body_file is now morembs.body.file" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new"),
+    [
+        ("body.build", "Delivery", "BodyOptions"), ("body.build", "deliver", "build_body"),
+        ("exporters", "Task", "ExportContext"), ("nonlinear", "Settled", "EquilibriumPath"),
+    ],
+)  # fmt: skip
+def test_an_old_name_warns_and_gives_the_new_one(module: str, old: str, new: str) -> None:
+    holder = importlib.import_module(f"morembs.{module}")
+    with pytest.warns(DeprecationWarning, match=f"morembs.{module}.{old} is now {new}"):
+        assert getattr(holder, old) is getattr(holder, new)
+    with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+        getattr(holder, "Nothing")  # noqa: B009

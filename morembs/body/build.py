@@ -15,6 +15,7 @@ from morembs.floating.stiffening import Envelope
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.model.selection import select_nodes
 from morembs.model.stress_operator import StressOperator, stress_operator
+from morembs.moved import renamed
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -44,7 +45,7 @@ class StressOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Delivery:
+class BodyOptions:
     """What every body shall carry.
 
     ``kind`` and ``interfaces`` of its floating frame, ``origin`` in m in the model (None: the centre of mass);
@@ -60,35 +61,39 @@ class Delivery:
     stress: StressOptions | None = field(default=None)
 
 
-def deliver(
-    problem: Problem, reduced: ReducedModel, part: Part, wanted: Delivery, *, certificate: Certificate | None = None,
-    operator: StressOperator | None = None, switching: Switching | None = None, progress: Progress = SILENT,
+def build_body(
+    problem: Problem, reduced: ReducedModel, part: Part, options: BodyOptions, *,
+    certificate: Certificate | None = None, operator: StressOperator | None = None,
+    switching: Switching | None = None, progress: Progress = SILENT,
 ) -> ElasticBody:  # fmt: skip
-    """The body of ``reduced`` with all that is ``wanted``; ``operator`` is that of the wanted stress,
+    """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads.
 
     Raises:
         InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
     """
     reason = why_not_floating(reduced)
-    asked = wanted.kind != "mean-axes" or wanted.stiffening is not None or wanted.envelope is not None
+    asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
-    floating = None if reason else _frame(problem, reduced, wanted, progress)
+    floating = None if reason else _frame(problem, reduced, options, progress)
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         switching=switching,
-        ranking=() if floating is None or wanted.envelope is None else ranked_terms(floating, wanted.envelope),
-        recovery=None if wanted.stress is None or operator is None else stress_recovery(
-            problem, reduced, single=wanted.stress.single, correction=wanted.stress.correction, operator=operator,
+        ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
+        recovery=None if options.stress is None or operator is None else stress_recovery(
+            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator,
             progress=progress,
         ),
     )  # fmt: skip
 
 
-def _frame(problem: Problem, reduced: ReducedModel, wanted: Delivery, progress: Progress) -> FloatingFrame:
-    origin = problem.mass_properties[1] if wanted.origin is None else wanted.origin
-    frame = floating_frame(problem, reduced, kind=wanted.kind, interfaces=wanted.interfaces, origin=tuple(origin))
-    if wanted.stiffening is None:
+def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progress: Progress) -> FloatingFrame:
+    origin = problem.mass_properties[1] if options.origin is None else options.origin
+    frame = floating_frame(problem, reduced, kind=options.kind, interfaces=options.interfaces, origin=tuple(origin))
+    if options.stiffening is None:
         return frame
-    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, wanted.stiffening, progress))
+    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening, progress))
+
+
+__getattr__ = renamed(__name__, {"Delivery": BodyOptions, "deliver": build_body})

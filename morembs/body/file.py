@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +95,9 @@ def write_body(
         out.check()
         for body in bodies:
             _write_one(out, body, progress)
-        made = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
+        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
         given = {f"{key}_" if key == checksums.GROUP else key: value for key, value in (provenance or {}).items()}
-        out.tree("provenance", {**made, **given})
+        out.tree("provenance", {**stamp, **given})
     return target
 
 
@@ -165,17 +166,19 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
     """
     place = Path(path)
 
+    opened = partial(reading_format, place, "a body file", FORMAT, FORMAT_VERSION)
+
     def read_basis(name: str, columns: slice) -> Floats:
-        with reading_format(place, "a body file", FORMAT, FORMAT_VERSION) as file:
+        with opened() as file:
             return basis_columns(file[f"bodies/{name}/basis"], columns)
 
     def switching(name: str) -> Switching:
-        with reading_format(place, "a body file", FORMAT, FORMAT_VERSION) as file:
-            checksums.Checksums(place, file).verify(lambda one: one.startswith(f"bodies/{name}/switching/"))
-            found: Switching = read_rows(file[f"bodies/{name}/switching"], tables.SWITCHING, "the switching data lack")
-            return found
+        with opened() as file:
+            checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/switching/"))
+            group = file[f"bodies/{name}/switching"]
+            return cast("Switching", read_rows(group, tables.SWITCHING, "the switching data lack"))
 
-    with reading_format(place, "a body file", FORMAT, FORMAT_VERSION) as file:
+    with opened() as file:
         check_file(place, file)
         checksums.Checksums(place, file).verify(lambda name: whole or not _LATER.match(name))
         if "provenance" in file:

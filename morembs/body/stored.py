@@ -104,11 +104,11 @@ class StoredBody:
                 f"body {self.name!r} has no static modes of candidate loads; reduce with "
                 'method = "static-modes-switching"'
             )
-        its = self.read_switching(self.name)
-        for name, values in vars(its).items():
+        switching = self.read_switching(self.name)
+        for name, values in vars(switching).items():
             if isinstance(values, np.ndarray):
                 refuse_not_finite(f"body {self.name!r}", f"switching/{name}", values)
-        return its
+        return switching
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,10 +143,10 @@ def stored_bodies(
     """Everything but the bases and the static modes of an open body file, which ``check_file`` has seen."""
     values = read_rows(file, FILE)
     names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
-    found = {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
-    outside = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
+    bodies = {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
+    shown = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
     return StoredBodies(
-        interfaces=ByName("interface", outside), bodies=ByName("body", found),
+        interfaces=ByName("interface", shown), bodies=ByName("body", bodies),
         provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP}, **values,
     )  # fmt: skip
 

@@ -115,7 +115,7 @@ def check_grid(path: Path, nodes: int, points: Floats, connectivity: Ints, offse
     bad = np.flatnonzero((connectivity < 0) | (connectivity >= nodes))
     if len(bad):
         raise refuse("Connectivity", f"holds {connectivity[bad[0]]} at [{bad[0]}]; expected 0 to {nodes - 1}")
-    for vtk, count in {one.vtk: len(one.reference) for one in (*TYPES.values(), *FACES.values())}.items():
+    for vtk, count in {cell.vtk: len(cell.reference) for cell in (*TYPES.values(), *FACES.values())}.items():
         bad = np.flatnonzero((types == vtk) & (size != count))
         if len(bad):
             raise refuse("Offsets", f"gives cell {bad[0]} of type {vtk} {size[bad[0]]} nodes; expected {count}")

@@ -67,9 +67,9 @@ class Recovery:
     jump_element: Ints | None = None
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if isinstance(value := getattr(self, one.name), np.ndarray):
-                object.__setattr__(self, one.name, frozen(value))
+        for attribute in fields(self):
+            if isinstance(value := getattr(self, attribute.name), np.ndarray):
+                object.__setattr__(self, attribute.name, frozen(value))
 
     @cached_property
     def seams(self) -> bool:
@@ -101,10 +101,10 @@ class Recovery:
     def _applied(self, shapes: Reals, correction: Reals | None, coordinates: Floats, loads: Floats | None) -> Floats:
         """Tensors (nt, rows / 6, 6) of shapes (rows, nr) and their correction (rows, m)."""
         q = np.asarray(coordinates, dtype=np.float64) @ self.deformation.T
-        found = shapes @ q.T.astype(shapes.dtype)
+        tensors = shapes @ q.T.astype(shapes.dtype)
         if loads is not None and correction is not None:
-            found += correction @ np.asarray(loads).T.astype(correction.dtype)
-        return np.asarray(np.moveaxis(found.reshape(len(shapes) // 6, 6, -1), -1, 0), dtype=np.float64)
+            tensors += correction @ np.asarray(loads).T.astype(correction.dtype)
+        return np.asarray(np.moveaxis(tensors.reshape(len(shapes) // 6, 6, -1), -1, 0), dtype=np.float64)
 
 
 def stress_recovery(
@@ -127,8 +127,8 @@ def stress_recovery(
     dtype = np.float32 if single else np.float64
     rigid = np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)
 
-    def shapes_of(width: int, its: StressOperator = operator) -> Reals:
-        return budget.empty((6 * len(its.nodes), width), dtype, order="F")
+    def shapes_of(width: int, chosen: StressOperator = operator) -> Reals:
+        return budget.empty((6 * len(chosen.nodes), width), dtype, order="F")
 
     stress, jumps, jump_correction, elements = shapes_of(reduced.order), None, None, operator.elements
     stress_shapes(problem, reduced.V, operator, out=stress)
@@ -178,9 +178,9 @@ def static_coordinates(reduced: ReducedModel) -> Floats:
     """K_r^+ B (nr, m): elastic coordinates under unit interface loads, free of rigid motion (inertia relief)."""
     r = reduced.rigid_count
     if not reduced.symmetric:
-        found = np.zeros_like(reduced.B)
-        found[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
-        return found
+        coordinates = np.zeros_like(reduced.B)
+        coordinates[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
+        return coordinates
     values, Y = reduced.modes()
     return np.asarray((Y[:, r:] / values[r:]) @ (Y[:, r:].T @ reduced.B))
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _stiffening(terms: tuple[str, ...] = (), share: Any = (), load: Any = (), **values: Any) -> Stiffening:
-    share, load = (dict(zip(terms, np.asarray(one).tolist(), strict=True)) for one in (share, load))
+    share, load = (dict(zip(terms, np.asarray(column).tolist(), strict=True)) for column in (share, load))
     return Stiffening(share=share, load=load, **values)
 
 

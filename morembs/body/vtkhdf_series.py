@@ -107,8 +107,8 @@ def write_series(
         for number, step in enumerate(steps):
             out.doing(f"step {number + 1} of {nt}")
             for name, values in step.items():
-                one = np.asarray(values, dtype=np.float32)
-                data[name][number * n : (number + 1) * n] = one.reshape(data[name].chunks)
+                field = np.asarray(values, dtype=np.float32)
+                data[name][number * n : (number + 1) * n] = field.reshape(data[name].chunks)
                 out.check()
             progress.update(f"{number + 1} of {nt} steps written")
         if lines := notes():

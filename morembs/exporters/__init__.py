@@ -10,7 +10,7 @@ from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError, nearest
 from morembs.exporters.abaqus_matrices import AbaqusExporter
-from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.matrix_market import MatrixMarketExporter
@@ -18,6 +18,7 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
+from morembs.moved import renamed
 from morembs.options import checked
 from morembs.plugins import Table, subclass_fault
 
@@ -125,4 +126,8 @@ def default_path(place: Path, exporter: Exporter, body: str, *, several: bool) -
     return place.with_name(f"{stem}_{body}{exporter.suffix}" if several else f"{stem}{exporter.suffix}")
 
 
-__all__ = ["EXPORTERS", "Exported", "Exporter", "Task", "choose_body", "default_path", "export_body", "make_exporter"]
+__all__ = [
+    "EXPORTERS", "ExportContext", "Exported", "Exporter", "choose_body", "default_path", "export_body", "make_exporter",
+]  # fmt: skip
+
+__getattr__ = renamed(__name__, {"Task": ExportContext})

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
+from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.reduced import on_interfaces
 from morembs.storage.safefile import replacing, replacing_all
 
@@ -109,10 +109,10 @@ class AbaqusExporter(Exporter):
 
     first_label: int | None = None
 
-    def _write(self, task: Task) -> Exported:
-        body = on_interfaces(task, self.first_label, component_of_rest=1, largest_label=_LARGEST)
-        stem = task.path.name.removesuffix(task.path.suffix)
-        paths = {key: task.beside(_ENDING.format(key)) for key in body.matrices}
+    def _write(self, context: ExportContext) -> Exported:
+        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=_LARGEST)
+        stem = context.path.name.removesuffix(context.path.suffix)
+        paths = {key: context.beside(_ENDING.format(key)) for key in body.matrices}
         if any(not name.isascii() or "," in name for name in (stem,)):
             raise InputError(f"the file name {stem!r} does not fit an Abaqus deck; expected ASCII without commas")
         pieces = {key: _text(A, body.node, body.dof, "matrix input") for key, A in body.matrices.items()}
@@ -124,15 +124,15 @@ class AbaqusExporter(Exporter):
         lines += [f"*MATRIX INPUT, NAME={key}, INPUT={path.name}" for key, path in paths.items()]
         damping = ", VISCOUS DAMPING=D" if "D" in paths else ""
         lines.append(f"*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M{damping}")
-        with replacing_all([task.path, *paths.values()]) as (deck, *files):
+        with replacing_all([context.path, *paths.values()]) as (deck, *files):
             deck.write(("\n".join(lines) + "\n").encode("ascii"))
             for (key, text), file in zip(pieces.items(), files, strict=True):
                 file.doing = f"matrix {key}"
                 for piece in text:
                     file.write(piece)
                     file.check()
-        stale = task.left_from_before([task.beside(_ENDING.format("D"))] if "D" not in paths else ())
+        stale = context.left_from_before([context.beside(_ENDING.format("D"))] if "D" not in paths else ())
         return Exported(
-            paths=(task.path, *paths.values()),
-            notes=("numbers have 16 digits", *body.notes, *stale, *task.lost("stiffening", "stress", "certificate")),
+            paths=(context.path, *paths.values()),
+            notes=("numbers have 16 digits", *body.notes, *stale, *context.lost("stiffening", "stress", "certificate")),
         )  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
+from morembs.moved import renamed
 from morembs.problem.damping import frequency_domain_only
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Exported:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
+class ExportContext:
     """One body on its way to the file ``path``; ``file`` is the body file it comes from, if it has one."""
 
     source: StoredBodies
@@ -88,8 +89,8 @@ class Task:
     @staticmethod
     def left_from_before(paths: Iterable[Path]) -> tuple[str, ...]:
         """A note on files that lie where a set of another body would have them, but do not belong to this one."""
-        found = ", ".join(path.name for path in paths if path.exists())
-        return (f"not of this body, but left from before: {found}; remove what is not needed",) if found else ()
+        left = ", ".join(path.name for path in paths if path.exists())
+        return (f"not of this body, but left from before: {left}; remove what is not needed",) if left else ()
 
     def shapes(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n, k) of the stored nodes for some elastic coordinates; allocates these and one block."""
@@ -108,13 +109,13 @@ class Task:
         Raises:
             InputError: no interface of the body has a frame that turns.
         """
-        found = {name: self.frame.markers[name] for name in self.source.interfaces if name in self.frame.markers}
-        if not found:
+        markers = {name: self.frame.markers[name] for name in self.source.interfaces if name in self.frame.markers}
+        if not markers:
             raise InputError(
                 f"{target} needs interface frames with rotations; body {self.body.name!r} has none "
                 '(direct interfaces have no frame), take coupling = "rigid" or "average"'
             )
-        return found
+        return markers
 
     def lost(self, *what: str) -> tuple[str, ...]:
         """Notes on parts the target cannot hold (keys of LOSSES), those that this body has."""
@@ -145,7 +146,7 @@ class Exporter(ABC):
     needs_frame: ClassVar[bool] = True
 
     @abstractmethod
-    def _write(self, task: Task) -> Exported:
+    def _write(self, context: ExportContext) -> Exported:
         """Write the file or files; the input has been checked. Files appear whole or not at all."""
 
     @final
@@ -156,8 +157,8 @@ class Exporter(ABC):
             InputError: the body cannot be expressed in the target, or the output is the input.
             OutputError: the file cannot be written.
         """
-        task = Task(source=source, body=body, path=Path(path), file=file)
-        if file is not None and _same(task.path, file):
+        context = ExportContext(source=source, body=body, path=Path(path), file=file)
+        if file is not None and _same(context.path, file):
             raise InputError(f"{path} is the body file itself; give another name for the output")
         if not len(body.mass_matrix):
             raise InputError(f"body {body.name!r} has no coordinates; keep at least one mode")
@@ -166,15 +167,15 @@ class Exporter(ABC):
                 raise InputError(f"{name} of body {body.name!r} has entries that are no numbers; reduce it again")
         try:
             if self.needs_frame:
-                _refuse_rigid(task)
-            written = self._write(task)
+                _refuse_rigid(context)
+            written = self._write(context)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"the matrices of body {body.name!r} cannot be transformed for {self.name!r} ({error}); its mass or "
                 "stiffness is not that of a body, reduce it again"
             ) from error
         reason = frequency_domain_only(body.recipe)
-        return replace(written, notes=(*written.notes, *task.lost("switching"), *([reason] if reason else [])))
+        return replace(written, notes=(*written.notes, *context.lost("switching"), *([reason] if reason else [])))
 
 
 def _same(path: Path, other: Path) -> bool:
@@ -184,13 +185,13 @@ def _same(path: Path, other: Path) -> bool:
         return False
 
 
-def _refuse_rigid(task: Task) -> None:
+def _refuse_rigid(context: ExportContext) -> None:
     """The floating frame carries rigid motion; elastic coordinates must not contain it."""
-    frame = task.frame
+    frame = context.frame
     Ke, Me = frame.Ke, frame.integrals.Me
     if not (np.isfinite(Ke).all() and np.isfinite(Me).all() and (np.diag(Me) > 0).all()):
         raise InputError(
-            f"Ke or Me of body {task.body.name!r} has entries that are no numbers, or Me none above zero on its "
+            f"Ke or Me of body {context.body.name!r} has entries that are no numbers, or Me none above zero on its "
             "diagonal; reduce it again"
         )
     # Fails where this is no mass; that of mean axes is one, and what other frames add makes it larger.
@@ -198,8 +199,8 @@ def _refuse_rigid(task: Task) -> None:
     stiffness = np.linalg.eigvalsh(_scaled(Ke, Me))
     if stiffness[0] <= 1e-10 * stiffness[-1]:
         raise InputError(
-            f"elastic coordinates of body {task.body.name!r} contain rigid-body motion (a combination of them has no "
-            "stiffness); the floating frame carries that motion, reduce the model again"
+            f"elastic coordinates of body {context.body.name!r} contain rigid-body motion (a combination of them has "
+            "no stiffness); the floating frame carries that motion, reduce the model again"
         )
 
 
@@ -240,3 +241,6 @@ def names_without_blanks(names: Iterable[str], longest: int, target: str) -> Non
                 f"the name {name!r} does not fit {target}; expected up to {longest} ASCII characters without blanks, "
                 "rename it in the job"
             )
+
+
+__getattr__ = renamed(__name__, {"Task": ExportContext})

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.errors import InputError
-from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
+from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.reduced import on_interfaces
 from morembs.importers.dmig import DmigMatrix
 from morembs.storage.safefile import replacing
@@ -124,12 +124,12 @@ class DmigExporter(Exporter):
 
     first_label: int | None = None
 
-    def _write(self, task: Task) -> Exported:
-        body = on_interfaces(task, self.first_label, component_of_rest=0, largest_label=_LARGEST)
+    def _write(self, context: ExportContext) -> Exported:
+        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=_LARGEST)
         labels = np.stack([body.node, body.dof], axis=1)
         order = np.lexsort((labels[:, 1], labels[:, 0]))
         lines = [
-            f"$ Elastic body {_ascii(task.body.name)} in SI units, {len(labels)} coordinates.",
+            f"$ Elastic body {_ascii(context.body.name)} in SI units, {len(labels)} coordinates.",
             "$ Case control: M2GG = MAAX, K2GG = KAAX" + (", B2GG = BAAX" if "D" in body.matrices else ""),
         ]
         for label, name, point in body.grids:
@@ -146,11 +146,11 @@ class DmigExporter(Exporter):
             )
             for key, A in body.matrices.items()
         }
-        write_dmig(task.path, matrices, "\n".join(lines) + "\n")
+        write_dmig(context.path, matrices, "\n".join(lines) + "\n")
         return Exported(
-            paths=(task.path,),
+            paths=(context.path,),
             notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes,
-                   *task.lost("stiffening", "stress", "certificate")),
+                   *context.lost("stiffening", "stress", "certificate")),
         )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +17,12 @@ from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
 from morembs.errors import InputError, nearest
-from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.model import ElementBlock, Mesh, Nodes, skew
 from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
-from morembs.storage.safefile import replacing
+from morembs.storage.writer import writing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,28 +52,24 @@ class Exudyn(Exporter):
 
     triangles: bool = True
 
-    def _write(self, task: Task) -> Exported:
-        if task.path.suffix != ".hdf5":
-            raise InputError(f"{task.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
-        if not len(task.source.coordinates):
-            raise InputError(f"{task.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
+    def _write(self, context: ExportContext) -> Exported:
+        if context.path.suffix != ".hdf5":
+            raise InputError(f"{context.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
+        if not len(context.source.coordinates):
+            raise InputError(f"{context.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
         faces = (
-            _triangles(task.file, len(task.source.coordinates))
-            if self.triangles and task.file is not None
+            _triangles(context.file, len(context.source.coordinates))
+            if self.triangles and context.file is not None
             else np.zeros((0, 3), dtype=np.int64)
         )
-        with (
-            replacing(task.path) as safe,
-            h5py.File(safe, "w", libver=("earliest", "v108"), rdcc_nbytes=0) as file,
-        ):
-            for name, value in _values(task, faces).items():
-                safe.doing = name
-                _put(file, name, value)
-                safe.check()
-            safe.doing = "modeBasis"
-            _put_shapes(file, task)
-            safe.check()
-        return Exported(paths=(task.path,), notes=_notes(task, drawn=bool(len(faces)) or not self.triangles))
+        with writing(context.path, sealed=False) as out:
+            for name, value in _values(context, faces).items():
+                out.doing(name)
+                _put(out.file, name, value)
+                out.check()
+            out.doing("modeBasis")
+            _put_shapes(out.file, context)
+        return Exported(paths=(context.path,), notes=_notes(context, drawn=bool(len(faces)) or not self.triangles))
 
 
 def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
@@ -99,17 +94,17 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])
 
 
-def _values(task: Task, faces: Ints) -> Mapping[str, Any]:
+def _values(context: ExportContext, faces: Ints) -> Mapping[str, Any]:
     """All but the mode basis, by Exudyn's names."""
-    frame = task.frame
+    frame = context.frame
     terms = _terms(frame.integrals)
-    m, n = frame.count, len(task.source.coordinates)
+    m, n = frame.count, len(context.source.coordinates)
     return {
         "fileVersion": 1,
         "type": "ObjectFFRFreducedOrderInterface",
         "rigidBodyNodeType": "NodeType.RotationEulerParameters",
         "infoList": np.array([m, n, 3, 4, RIGID_COORDINATES, RIGID_COORDINATES + m], dtype=np.int64),
-        "xRef": task.coordinates.ravel(),
+        "xRef": context.coordinates.ravel(),
         "trigList": faces if len(faces) else [],
         "postProcessingModes": {},
         "massMatrixReduced": frame.integrals.Me,
@@ -118,21 +113,21 @@ def _values(task: Task, faces: Ints) -> Mapping[str, Any]:
     }
 
 
-def _terms(its: ShapeIntegrals) -> dict[str, float | Floats]:
+def _terms(integrals: ShapeIntegrals) -> dict[str, float | Floats]:
     """Integrals (psi for the shapes, x for the positions), one column or row for each shape and axis."""
-    n = its.count
+    n = integrals.count
     return {
-        "totalMass": float(its.mass),
-        "Mtt": its.mass * np.eye(3),
-        "chiU": its.center,
-        "chiUtilde": skew(its.center),
-        "inertiaLocal": its.inertia,
-        "mPhitTPsi": its.Ct.T,
-        "mPhitTPsiTilde": np.hstack(list(skew(its.Ct))),
-        "mXRefTildePsi": -its.Cr.T,
-        "mXRefTildePsiTilde": -np.hstack(list(its.C4)),
-        "mPsiTildePsi": -its.Cr1.transpose(1, 2, 0).reshape(3 * n, n),
-        "mPsiTildePsiTilde": -its.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n),
+        "totalMass": float(integrals.mass),
+        "Mtt": integrals.mass * np.eye(3),
+        "chiU": integrals.center,
+        "chiUtilde": skew(integrals.center),
+        "inertiaLocal": integrals.inertia,
+        "mPhitTPsi": integrals.Ct.T,
+        "mPhitTPsiTilde": np.hstack(list(skew(integrals.Ct))),
+        "mXRefTildePsi": -integrals.Cr.T,
+        "mXRefTildePsiTilde": -np.hstack(list(integrals.C4)),
+        "mPsiTildePsi": -integrals.Cr1.transpose(1, 2, 0).reshape(3 * n, n),
+        "mPsiTildePsiTilde": -integrals.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n),
     }
 
 
@@ -147,14 +142,14 @@ def _put(file: Any, name: str, value: Any) -> None:
     item.attrs["datatype"] = kind
 
 
-def _put_shapes(file: Any, task: Task) -> None:
-    rows, count = 3 * len(task.source.coordinates), task.frame.count
+def _put_shapes(file: Any, context: ExportContext) -> None:
+    rows, count = 3 * len(context.source.coordinates), context.frame.count
     data = file.create_dataset("modeBasis", (rows, count), np.float64)
     data.attrs["datatype"] = "ndarray"
     step = max(1, PASS_BYTES // (8 * rows))
     for start in range(0, count, step):
         block = slice(start, min(start + step, count))
-        data[:, block] = task.shapes(block)
+        data[:, block] = context.shapes(block)
 
 
 def _triangles(path: Path, count: int) -> Ints:
@@ -173,11 +168,11 @@ def _triangles(path: Path, count: int) -> Ints:
         for kind, solid in TYPES.items()
         if solid.vtk in cells
     )
-    found = list(flat.items())
+    outer = list(flat.items())
     if blocks:
         nodes = Nodes(ids=np.arange(1, count + 1), xyz=np.zeros((count, 3)))
-        found += list(outer_faces(Mesh(nodes=nodes, blocks=blocks)).items())
-    split = [faces[:, _SPLIT[kind]].reshape(-1, 3) for kind, faces in found if len(faces)]
+        outer += list(outer_faces(Mesh(nodes=nodes, blocks=blocks)).items())
+    split = [faces[:, _SPLIT[kind]].reshape(-1, 3) for kind, faces in outer if len(faces)]
     return np.concatenate([np.zeros((0, 3), dtype=np.int64), *split])
 
 
@@ -198,8 +193,8 @@ def _cells(chosen: NDArray[np.bool_], offsets: Ints, links: Ints) -> Ints:
     return np.asarray(links[first[:, None] + np.arange(size)])
 
 
-def _notes(task: Task, *, drawn: bool) -> tuple[str, ...]:
-    frame, notes = task.frame, list(task.lost("stiffening", "stress", "certificate"))
+def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
+    frame, notes = context.frame, list(context.lost("stiffening", "stress", "certificate"))
     if np.any(frame.De):
         notes.append(
             "the file cannot hold its damping matrix; after AddObjectFFRFreducedOrder set "
@@ -210,7 +205,7 @@ def _notes(task: Task, *, drawn: bool) -> tuple[str, ...]:
     if frame.origin.any():
         place = ", ".join(f"{value:.9g}" for value in frame.origin)
         notes.append(f"node positions count from the origin of the floating frame, ({place}) m in the model")
-    if task.source.interfaces:
+    if context.source.interfaces:
         notes.append("nodes, weights and offset of the markers of interfaces: morembs.exporters.exudyn.exudyn_marker")
     return (*notes, *frame.notes)
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.io import mmwrite
 
-from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.reduced import reduced_matrices
 from morembs.storage.safefile import replacing_all
 
@@ -27,29 +27,29 @@ class MatrixMarketExporter(Exporter):
     lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
 
-    def _write(self, task: Task) -> Exported:
-        matrices = reduced_matrices(task.body)
-        paths = {key: task.beside(f"_{key}.mtx") for key in matrices}
+    def _write(self, context: ExportContext) -> Exported:
+        matrices = reduced_matrices(context.body)
+        paths = {key: context.beside(f"_{key}.mtx") for key in matrices}
         with replacing_all(list(paths.values())) as files:
             for (key, matrix), file in zip(matrices.items(), files, strict=True):
                 text = BytesIO()
                 square = key in ("M", "K", "D") and np.array_equal(matrix, matrix.T)
-                comment = f" {_MEANING[key]} matrix of a reduced body, SI units{self._columns(task, key)}"
+                comment = f" {_MEANING[key]} matrix of a reduced body, SI units{self._columns(context, key)}"
                 kind = "symmetric" if square else "general"
                 mmwrite(text, matrix, comment=comment, precision=_DIGITS, symmetry=kind)
                 file.doing = f"matrix {key}"
                 file.write(text.getvalue())
                 file.check()
-        stale = task.left_from_before([task.beside(f"_{key}.mtx") for key in _MEANING if key not in paths])
-        lost = task.lost("stiffening", "stress", "certificate")
+        stale = context.left_from_before([context.beside(f"_{key}.mtx") for key in _MEANING if key not in paths])
+        lost = context.lost("stiffening", "stress", "certificate")
         return Exported(paths=tuple(paths.values()), notes=(*stale, *lost))
 
     @staticmethod
-    def _columns(task: Task, key: str) -> str:
+    def _columns(context: ExportContext, key: str) -> str:
         """Meaning of the columns of B, as comment lines."""
         if key != "B":
             return ""
-        source, names = task.source, list(task.source.interfaces)
+        source, names = context.source, list(context.source.interfaces)
         lines: list[str] = []
         for index, component, node in zip(
             source.input_interface.tolist(), source.input_component.tolist(), source.input_node_id.tolist(), strict=True

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.exporters.base import Exported, Exporter, Task, in_two_digits, names_without_blanks
+from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.floating.frame import FloatingFrame, Marker
 from morembs.storage.safefile import replacing
 
@@ -37,18 +37,18 @@ class MBDynExporter(Exporter):
     about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
     lossless: ClassVar[bool] = True
 
-    def _write(self, task: Task) -> Exported:
-        markers = task.markers("MBDyn")
+    def _write(self, context: ExportContext) -> Exported:
+        markers = context.markers("MBDyn")
         names_without_blanks(markers, _LONGEST_NAME, "an MBDyn node label")
-        groups = list(_groups(task.body.name, task.frame, markers))
-        with replacing(task.path) as file:
+        groups = list(_groups(context.body.name, context.frame, markers))
+        with replacing(context.path) as file:
             for text in groups:
                 file.write(text.encode("ascii"))
         notes = (
             "needs an MBDyn that reads record groups 14 to 18 (2019 or later); an older one leaves the couplings out",
-            *task.lost("stiffening", "stress", "certificate"),
+            *context.lost("stiffening", "stress", "certificate"),
         )
-        return Exported(paths=(task.path,), notes=notes)
+        return Exported(paths=(context.path,), notes=notes)
 
 
 def _groups(name: str, frame: FloatingFrame, markers: dict[str, Marker]) -> Iterator[str]:

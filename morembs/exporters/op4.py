@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.exporters.base import Exported, Exporter, Task, in_two_digits
+from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.reduced import reduced_matrices
 from morembs.importers.op4_columns import BIGMAT_ROWS, RECTANGULAR, SQUARE, SYMMETRIC, OP4Matrix
 from morembs.storage.safefile import replacing
@@ -213,6 +213,6 @@ class OP4Exporter(Exporter):
     text: bool = False
     storage: Storage = "dense"
 
-    def _write(self, task: Task) -> Exported:
-        write_op4(task.path, reduced_matrices(task.body), binary=not self.text, sparse=self.storage)
-        return Exported(paths=(task.path,), notes=task.lost("stiffening", "stress", "certificate"))
+    def _write(self, context: ExportContext) -> Exported:
+        write_op4(context.path, reduced_matrices(context.body), binary=not self.text, sparse=self.storage)
+        return Exported(paths=(context.path,), notes=context.lost("stiffening", "stress", "certificate"))

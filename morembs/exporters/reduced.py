@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
-from morembs.exporters.base import Task
+from morembs.exporters.base import ExportContext
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,14 +23,14 @@ _ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "
 
 def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
     """M, K, D (n, n) and B (n, m); C (m, n) too where it is not B'. Without D or B where there are none."""
-    found = {"M": body.mass_matrix, "K": body.stiffness_matrix}
+    matrices = {"M": body.mass_matrix, "K": body.stiffness_matrix}
     if body.damping_matrix.any():
-        found["D"] = body.damping_matrix
+        matrices["D"] = body.damping_matrix
     if body.input_matrix.size:
-        found["B"] = body.input_matrix
+        matrices["B"] = body.input_matrix
         if not np.array_equal(body.output_matrix, body.input_matrix.T):
-            found["C"] = body.output_matrix
-    return found
+            matrices["C"] = body.output_matrix
+    return matrices
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,14 +49,16 @@ class InterfaceBody:
     notes: tuple[str, ...]
 
 
-def on_interfaces(task: Task, first_label: int | None, *, component_of_rest: int, largest_label: int) -> InterfaceBody:
+def on_interfaces(
+    context: ExportContext, first_label: int | None, *, component_of_rest: int, largest_label: int
+) -> InterfaceBody:
     """The body with interface dofs as coordinates, all others beside them; labels up to ``largest_label``.
 
     Raises:
         InputError: the body is not symmetric or has no stiffness, its interface degrees of freedom depend on each
             other, or there are no labels for its points.
     """
-    body, source = task.body, task.source
+    body, source = context.body, context.source
     for name in ("mass_matrix", "stiffness_matrix"):
         if not getattr(body, name).any():
             raise InputError(

@@ -15,7 +15,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.exporters.base import Exported, Exporter, Task, in_two_digits, names_without_blanks
+from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
 from morembs.floating.frame import FloatingFrame, Marker
 from morembs.model import skew
@@ -47,30 +47,30 @@ class SidFem(Exporter):
     dialect: Literal["fembs", "mode-major"] = "fembs"
     nodes: Literal["interfaces", "all"] = "interfaces"
 
-    def _write(self, task: Task) -> Exported:
-        names_without_blanks([task.body.name], LONGEST_NAME, "a SID file")
+    def _write(self, context: ExportContext) -> Exported:
+        names_without_blanks([context.body.name], LONGEST_NAME, "a SID file")
         for word in RESERVED:
-            if word in task.body.name:
+            if word in context.body.name:
                 raise InputError(
-                    f"the body name {task.body.name!r} contains {word!r}, which readers of SID files take for a "
+                    f"the body name {context.body.name!r} contains {word!r}, which readers of SID files take for a "
                     "keyword; rename it in the job"
                 )
-        frame, changed = normal_coordinates(task.frame)
-        task = replace(task, body=replace(task.body, floating=frame))
-        markers = task.markers("a SID file") if self.nodes == "interfaces" else dict(frame.markers)
-        count = len(markers) + (len(task.source.coordinates) if self.nodes == "all" else 0)
+        frame, changed = normal_coordinates(context.frame)
+        context = replace(context, body=replace(context.body, floating=frame))
+        markers = context.markers("a SID file") if self.nodes == "interfaces" else dict(frame.markers)
+        count = len(markers) + (len(context.source.coordinates) if self.nodes == "all" else 0)
         if not 0 < count <= MOST_NODES:
             raise InputError(f"{count} nodes would be written; a SID file holds 1 to {MOST_NODES}, choose others")
         sid = _sid(frame)
-        with replacing(task.path) as file:
-            for piece in self._pieces(task, sid, markers, count):
+        with replacing(context.path) as file:
+            for piece in self._pieces(context, sid, markers, count):
                 file.write(piece.encode("ascii"))
                 file.check()
-        return Exported(paths=(task.path,), notes=self._notes(task, markers, changed))
+        return Exported(paths=(context.path,), notes=self._notes(context, markers, changed))
 
-    def _pieces(self, task: Task, sid: Sid, markers: dict[str, Marker], count: int) -> Iterator[str]:
+    def _pieces(self, context: ExportContext, sid: Sid, markers: dict[str, Marker], count: int) -> Iterator[str]:
         """The file, section by section."""
-        name = task.body.name
+        name = context.body.name
         yield f"{count:5d}{sid.count:5d}    :No. nodes, No. modes: written by morembs from {name}\n"
         yield f" part\n      new modal                                 = {name}\n"
         yield _line(11, "refmod") + _line(
@@ -80,7 +80,7 @@ class SidFem(Exporter):
         for number, hertz in enumerate(sid.frequencies_hz, start=1):
             yield _line(16, f"ielastq ({number:4d})", f" Eigen Mode {number:4d} : {hertz:12.6g} Hz")
         yield _line(11, "end refmod") + _line(11, "frame")
-        for number, node in enumerate(self._frames(task, markers), start=1):
+        for number, node in enumerate(self._frames(context, markers), start=1):
             yield _line(16, "new node", f" {number:8d}") + _line(21, "rframe", " body ref")
             for part in NODE_TERMS:
                 yield _section(21, part, getattr(node, part), sid.count)
@@ -95,29 +95,29 @@ class SidFem(Exporter):
             yield _section(11, term, Taylor(M0=columns[term]) if term in columns else getattr(sid, term), sid.count)
         yield _line(6, "end modal") + _line(1, "end part")
 
-    def _frames(self, task: Task, markers: dict[str, Marker]) -> Iterator[SidNode]:
-        frame = task.frame
+    def _frames(self, context: ExportContext, markers: dict[str, Marker]) -> Iterator[SidNode]:
+        frame = context.frame
         for name, marker in markers.items():
             wrench = None if frame.stiffening is None else frame.stiffening.wrench.get(name)
-            yield _node(marker.point, marker.motion, task.source.interfaces[name].axes, wrench)
+            yield _node(marker.point, marker.motion, context.source.interfaces[name].axes, wrench)
         if self.nodes == "all":
-            shapes = task.shapes().reshape(-1, 3, frame.count)
-            for point, phi in zip(task.coordinates, shapes, strict=True):
+            shapes = context.shapes().reshape(-1, 3, frame.count)
+            for point, phi in zip(context.coordinates, shapes, strict=True):
                 yield SidNode(
                     origin=Taylor(M0=point[:, None], M1=phi[:, :, None]), phi=Taylor(M0=phi),
                     psi=Taylor(M0=np.zeros_like(phi)), AP=Taylor(M0=np.eye(3)),
                 )  # fmt: skip
 
-    def _notes(self, task: Task, markers: dict[str, Marker], changed: bool) -> tuple[str, ...]:
-        notes = [*task.lost("stress", "certificate"), "numbers have twelve digits"]
+    def _notes(self, context: ExportContext, markers: dict[str, Marker], changed: bool) -> tuple[str, ...]:
+        notes = [*context.lost("stress", "certificate"), "numbers have twelve digits"]
         if changed:
             notes.append("the elastic coordinates of the file are the normal modes of (Ke, Me), so that Me is one")
-        place = ", ".join(f"{value:.9g}" for value in task.frame.origin)
+        place = ", ".join(f"{value:.9g}" for value in context.frame.origin)
         notes.append(f"positions count from the origin of the floating frame, ({place}) m in the model")
         if markers:
             notes.append("nodes: " + ", ".join(f"{at} {name}" for at, name in enumerate(markers, start=1)))
         if self.nodes == "all":
-            size = task.path.stat().st_size
+            size = context.path.stat().st_size
             if size > LARGE:
                 notes.append(
                     f'the file has {size / 1e6:,.0f} MB of text; nodes = "interfaces" keeps what joints and loads need'
@@ -125,17 +125,17 @@ class SidFem(Exporter):
             notes.append(
                 f"nodes from {len(markers) + 1} on are the stored nodes in their order; they have no rotations"
             )
-        direct = [name for name in task.source.interfaces if name not in markers]
+        direct = [name for name in context.source.interfaces if name not in markers]
         if direct and self.nodes == "interfaces":
             notes.append(
                 f'direct interfaces have no frame and were left out: {", ".join(direct)}; nodes = "all" has them'
             )
-        return (*notes, *task.frame.notes)
+        return (*notes, *context.frame.notes)
 
 
 def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     """The frame with coordinates in which Me is one and Ke diagonal, and whether they had to be changed."""
-    Me, Ke, its = frame.integrals.Me, frame.Ke, frame.integrals
+    Me, Ke, integrals = frame.integrals.Me, frame.Ke, frame.integrals
     diagonal = np.diag(np.diag(Ke))
     if (
         np.abs(Me - np.eye(len(Me))).max() <= NORMAL * len(Me)
@@ -145,7 +145,8 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     _, T = sl.eigh(Ke, Me)
     T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
     integrals = replace(
-        its, Ct=T.T @ its.Ct, Cr=T.T @ its.Cr, Me=_both(T, Me), x_phi=its.x_phi @ T, phi_phi=_both(T, its.phi_phi)
+        integrals, Ct=T.T @ integrals.Ct, Cr=T.T @ integrals.Cr, Me=_both(T, Me), x_phi=integrals.x_phi @ T,
+        phi_phi=_both(T, integrals.phi_phi),
     )
     stiff = frame.stiffening
     if stiff is not None:
@@ -167,20 +168,20 @@ def _both(T: Floats, A: Floats) -> Floats:
 
 def _sid(frame: FloatingFrame) -> Sid:
     """All terms of the body; geometric stiffening joins those of first order."""
-    its, n, stiff = frame.integrals, frame.count, frame.stiffening
-    Cr1, Oe1, Ct1 = its.Cr1, its.Oe1.transpose(0, 2, 1), None
+    integrals, n, stiff = frame.integrals, frame.count, frame.stiffening
+    Cr1, Oe1, Ct1 = integrals.Cr1, integrals.Oe1.transpose(0, 2, 1), None
     if stiff is not None:
         Ct1 = _by_coordinate(stiff.acceleration)
         Cr1 = Cr1 + _by_coordinate(stiff.angular_acceleration)
         Oe1 = Oe1 + _by_coordinate(stiff.rotation)
-    omega = np.sqrt(np.maximum(np.diag(frame.Ke) / np.diag(its.Me), 0.0))
-    J1 = np.array([its.J1[:, a, b] for a, b in INERTIA])
+    omega = np.sqrt(np.maximum(np.diag(frame.Ke) / np.diag(integrals.Me), 0.0))
+    J1 = np.array([integrals.J1[:, a, b] for a, b in INERTIA])
     return Sid(
-        mass=its.mass, frequencies_hz=omega / (2 * np.pi), nodes={},
-        mdCM=Taylor(M0=its.first[:, None], M1=its.Ct.T[:, :, None]),
-        J=Taylor(M0=np.array([[its.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),
-        Ct=Taylor(M0=its.Ct, M1=Ct1), Cr=Taylor(M0=its.Cr, M1=Cr1), Me=Taylor(M0=its.Me),
-        Gr=its.Gr, Ge=its.Ge, Oe=Taylor(M0=its.Oe, M1=Oe1), ksigma=Taylor(M0=np.zeros((n, 1))),
+        mass=integrals.mass, frequencies_hz=omega / (2 * np.pi), nodes={},
+        mdCM=Taylor(M0=integrals.first[:, None], M1=integrals.Ct.T[:, :, None]),
+        J=Taylor(M0=np.array([[integrals.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),
+        Ct=Taylor(M0=integrals.Ct, M1=Ct1), Cr=Taylor(M0=integrals.Cr, M1=Cr1), Me=Taylor(M0=integrals.Me),
+        Gr=integrals.Gr, Ge=integrals.Ge, Oe=Taylor(M0=integrals.Oe, M1=Oe1), ksigma=Taylor(M0=np.zeros((n, 1))),
         Ke=Taylor(M0=frame.Ke), De=Taylor(M0=frame.De),
     )  # fmt: skip
 

@@ -93,22 +93,23 @@ def read_sid(path: str | Path) -> Sid:
         text = place.read_text(encoding="latin-1")
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error}); expected a SID_FEM file") from error
-    found = _Parser(place).parse(text.splitlines())
-    missing = [name for name in TERMS if name not in found.terms]
-    if missing or found.mass is None:
+    parsed = _Parser(place).parse(text.splitlines())
+    missing = [name for name in TERMS if name not in parsed.terms]
+    if missing or parsed.mass is None:
         raise InputError(f"{path} is no complete SID file; missing: {', '.join(missing) or 'mass'}; write it again")
-    terms = found.terms
+    terms = parsed.terms
     _refuse_shapes(place, terms)
     Gr, Ge, dialect = _layout(place, terms)
     plain = {name: terms[name] for name in TERMS if name not in ("Gr", "Ge")}
     nodes = {}
-    for label, parts in found.nodes.items():
+    for label, parts in parsed.nodes.items():
         lacking = [name for name in NODE_TERMS if name not in parts]
         if lacking:
             raise InputError(f"{path}: node {label} has no {lacking[0]}; write the file again")
         nodes[label] = SidNode(**parts)
     return Sid(
-        mass=found.mass, frequencies_hz=np.array(found.frequencies), Gr=Gr, Ge=Ge, dialect=dialect, nodes=nodes, **plain
+        mass=parsed.mass, frequencies_hz=np.array(parsed.frequencies), Gr=Gr, Ge=Ge, dialect=dialect, nodes=nodes,
+        **plain,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
-from morembs.exporters.base import Exported, Exporter, Task
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -40,10 +40,10 @@ class Simscape(Exporter):
     lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
 
-    def _write(self, task: Task) -> Exported:
-        source, body = task.source, task.body
+    def _write(self, context: ExportContext) -> Exported:
+        source, body = context.source, context.body
         _refuse_unfit(body)
-        names, rows = _interfaces(task)
+        names, rows = _interfaces(context)
         K, M, D = _interfaces_first(body, rows)
         framed = [source.interfaces[name] for name in names]
         inside = slice(len(rows), None)
@@ -64,12 +64,12 @@ class Simscape(Exporter):
         }
         stream = BytesIO()
         sio.savemat(stream, values, do_compression=True, oned_as="row")
-        with replacing(task.path) as file:
+        with replacing(context.path) as file:
             # scipy puts the time of day there.
             file.write(HEADER.ljust(HEADER_BYTES))
             file.write(stream.getvalue()[HEADER_BYTES:])
             file.check()
-        return Exported(paths=(task.path,), notes=_notes(task, names))
+        return Exported(paths=(context.path,), notes=_notes(context, names))
 
 
 def _refuse_unfit(body: StoredBody) -> None:
@@ -88,9 +88,9 @@ def _refuse_unfit(body: StoredBody) -> None:
         )
 
 
-def _interfaces(task: Task) -> tuple[list[str], NDArray[np.int64]]:
+def _interfaces(context: ExportContext) -> tuple[list[str], NDArray[np.int64]]:
     """Interfaces with six degrees of freedom, and their rows of the output matrix."""
-    source, names = task.source, []
+    source, names = context.source, []
     rows: list[int] = []
     for number, (name, interface) in enumerate(source.interfaces.items()):
         if not interface.kind.framed:
@@ -164,13 +164,13 @@ def _quaternion(R: Floats) -> Floats:
     return np.asarray(-q if q[0] < 0 else q)
 
 
-def _notes(task: Task, names: list[str]) -> tuple[str, ...]:
-    notes = list(task.lost("stiffening", "stress", "certificate"))
+def _notes(context: ExportContext, names: list[str]) -> tuple[str, ...]:
+    notes = list(context.lost("stiffening", "stress", "certificate"))
     notes.append("interfaces in this order: " + ", ".join(names))
-    direct = [name for name in task.source.interfaces if name not in names]
+    direct = [name for name in context.source.interfaces if name not in names]
     if direct:
         notes.append(f"direct interfaces have no frame and were left out: {', '.join(direct)}")
-    if np.any(task.body.damping_matrix):
+    if np.any(context.body.damping_matrix):
         notes.append("the damping matrix is in the variable D; use it only where the block takes a matrix")
     return tuple(notes)
 

@@ -30,9 +30,9 @@ def _derivatives(count: int) -> Floats:
         now = np.zeros((count, count))
         now[:, : lower.shape[1]] = lower[:, :count]
         tables.append(now)
-    made = np.array(tables)
-    made.flags.writeable = False
-    return made
+    polynomials = np.array(tables)
+    polynomials.flags.writeable = False
+    return polynomials
 
 
 def _basis(z: Floats, count: int) -> Floats:

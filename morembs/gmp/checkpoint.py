@@ -54,7 +54,7 @@ class Checkpoint:
     def __init__(self, path: str | Path, *, signature: Floats, options: str) -> None:
         self.path, self.signature, self.options = Path(path), np.asarray(signature, dtype=float), options
         self.reach, self.notes = 0.0, ()
-        self.found: dict[Key, dict[str, Any]] = {}
+        self.equilibria: dict[Key, dict[str, Any]] = {}
         self._last, self._took, self._unsaved = -np.inf, 0.0, False
         check_writable(self.path)
         if self.path.exists():
@@ -86,17 +86,17 @@ class Checkpoint:
         self.reach, self.notes = values["reach"], tuple(notes)
         for row, key in enumerate(values["keys"]):
             a, b, c, d = (int(number) for number in key)
-            self.found[a, b, c, d] = {name: values[name][row] for name in _NAMES}
+            self.equilibria[a, b, c, d] = {name: values[name][row] for name in _NAMES}
 
     def begin(self, reach: float, notes: tuple[str, ...]) -> None:
         """The range is known now, or another one; equilibria of the last one go."""
         if reach != self.reach:
-            self.found = {}
+            self.equilibria = {}
         self.reach, self.notes, self._unsaved = reach, notes, True
 
     def add(self, key: Key, **values: Any) -> None:
         """One equilibrium more; a file is written where the last is not too recent."""
-        self.found[key], self._unsaved = values, True
+        self.equilibria[key], self._unsaved = values, True
         if time.monotonic() - self._last >= _SELDOM * self._took:
             self.save()
 
@@ -114,13 +114,13 @@ class Checkpoint:
             file.attrs["kind"] = f"{_KIND} {_VERSION}"
             file["signature"], file["options"] = self.signature, self.options
             file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
-            file["keys"] = np.array(list(self.found), dtype=np.int64).reshape(-1, 4)
-            first = next(iter(self.found.values()), None)
+            file["keys"] = np.array(list(self.equilibria), dtype=np.int64).reshape(-1, 4)
+            first = next(iter(self.equilibria.values()), None)
             for name in _NAMES:
                 out.doing(name)
                 shape = np.shape(first[name]) if first is not None else (0,)
-                data = file.create_dataset(name, (len(self.found), *shape), dtype=np.float64)
-                for row, values in enumerate(self.found.values()):
+                data = file.create_dataset(name, (len(self.equilibria), *shape), dtype=np.float64)
+                for row, values in enumerate(self.equilibria.values()):
                     data[row] = values[name]
                 out.check()
         self._last, self._unsaved = time.monotonic(), False

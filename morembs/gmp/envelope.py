@@ -44,7 +44,7 @@ def target(work: Loaded, start: Equilibrium, turns: Any, envelope: Envelope, gro
         wanted = [envelope.moment * np.array(signs) for signs in product((1.0, -1.0), repeat=2)]
     else:
         wanted = [sign * (envelope.load or 0.0) * (start.modes.T @ work.spread()) for sign in (1.0, -1.0)]
-    reach, seen = 0.0, set[tuple[float, ...]]()
+    angle_range, seen = 0.0, set[tuple[float, ...]]()
     notes: tuple[str, ...] = ()
     for moments in wanted:
         # Moments become those of the image as angles do: the matrices are orthogonal.
@@ -58,12 +58,12 @@ def target(work: Loaded, start: Equilibrium, turns: Any, envelope: Envelope, gro
                 f"end moments of {moments[0]:.4g} and {moments[1]:.4g} N m are not borne, only {done:.3g} of them "
                 f"({why}); the range ends there",
             )
-        reach = max(reach, float(np.abs(t).max()))
-    if reach < 1e-6:
+        angle_range = max(angle_range, float(np.abs(t).max()))
+    if angle_range < 1e-6:
         raise InputError(
-            f"the envelope turns the ends by no more than {reach:.2g} rad; expected larger loads, or an angle"
+            f"the envelope turns the ends by no more than {angle_range:.2g} rad; expected larger loads, or an angle"
         )
-    return min(_MARGIN * reach, _LARGEST), notes
+    return min(_MARGIN * angle_range, _LARGEST), notes
 
 
 def _followed(

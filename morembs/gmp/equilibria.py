@@ -107,11 +107,11 @@ class Solver:
             guess = now.X + now.modes @ change
             guess[self.turns] = at + goal * (t - at)
             try:
-                found = self._found(guess)
-                moved, corrected = (float(np.abs(found.X - other).max()) for other in (now.X, guess))
+                reached = self._found(guess)
+                moved, corrected = (float(np.abs(reached.X - other).max()) for other in (now.X, guess))
                 if corrected > _CORRECTION * max(moved, 1e-9):
                     raise SolverError("Newton's method runs to other equilibria, far from the last one")
-                now, done = found, goal
+                now, done = reached, goal
             except (SolverError, InputError) as error:
                 step /= 2
                 if step < longest * 0.5**_DIVISIONS:
@@ -141,8 +141,8 @@ class BeamWork:
     def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
         return self.solver.toward(Equilibrium(X=X, W=0.0, moments=np.zeros(2), modes=modes), t)
 
-    def sample(self, found: Equilibrium) -> Any:
-        return None if self._law is None else self._law(found.X)
+    def sample(self, equilibrium: Equilibrium) -> Any:
+        return None if self._law is None else self._law(equilibrium.X)
 
     def energy(self, x: Floats) -> float:
         return self.component.energy(x)

@@ -66,9 +66,9 @@ def manifold(component: NonlinearComponent, *, reach: float, points_per_angle: i
     Raises:
         InputError: a range that crosses a bifurcation or has no equilibrium, too few points, wrong frames.
     """
-    made = Manifold.of(tabulated(BeamWork(component), Plan(reach=reach, points_per_angle=points_per_angle)))
-    refuse_coarse(made.errors(), made.reach, points_per_angle)
-    return made
+    tables = Manifold.of(tabulated(BeamWork(component), Plan(reach=reach, points_per_angle=points_per_angle)))
+    refuse_coarse(tables.errors(), tables.reach, points_per_angle)
+    return tables
 
 
 def refuse_coarse(errors: tuple[float, float], reach: float, count: int) -> None:

@@ -42,13 +42,13 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
     tried = count + max(4, count // 2)
     while True:
         if tried + 1 >= len(free) or len(free) <= _DENSE:
-            squares, shapes = sl.eigh(K.toarray(), M.toarray())
+            omega_squared, shapes = sl.eigh(K.toarray(), M.toarray())
         else:
             start = np.random.default_rng(7).standard_normal(len(free))
-            squares, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start)
-        if len(squares) and squares[0] <= 0:
+            omega_squared, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start)
+        if len(omega_squared) and omega_squared[0] <= 0:
             raise InputError("the component is not stable without load; expected a stable reference")
-        full = np.zeros((component.size, len(squares)))
+        full = np.zeros((component.size, len(omega_squared)))
         full[free] = shapes
         along = np.zeros_like(full)
         along[component.translations[:, 0]] = full[component.translations[:, 0]]
@@ -56,7 +56,7 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
         bending = np.flatnonzero(share < _ALONG)
         if len(bending) >= count:
             break
-        if len(squares) == len(free):
+        if len(omega_squared) == len(free):
             raise InputError(
                 f"{count} modes were given; the component has only {len(bending)} of bending. Take fewer, or a finer "
                 "component"
@@ -66,6 +66,6 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
     Psi = full[:, kept]
     top = np.abs(Psi).argmax(axis=0) if count else np.zeros(0, dtype=int)
     Psi = Psi * np.sign(Psi[top, np.arange(count)])
-    last = squares[kept[-1]] if count else 0.0
-    excluded = squares[(share >= _ALONG) & (squares < last)]
-    return BendingModes(Psi=Psi, squares=squares[kept], excluded=excluded)
+    last = omega_squared[kept[-1]] if count else 0.0
+    excluded = omega_squared[(share >= _ALONG) & (omega_squared < last)]
+    return BendingModes(Psi=Psi, squares=omega_squared[kept], excluded=excluded)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import Table
 from morembs.gmp.checkpoint import Checkpoint
-from morembs.gmp.crew import Crew, Work
 from morembs.gmp.envelope import Loaded, target
 from morembs.gmp.equilibria import Equilibrium, NotFollowedError
 from morembs.gmp.plan import Envelope, Plan, Report
 from morembs.gmp.symmetry import Shaped, Symmetry, symmetries
+from morembs.gmp.worker_pool import Work, WorkerPool
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -55,13 +55,13 @@ class Tabulated:
 
     reach: float
     count: int
-    found: list[Equilibrium]
+    equilibria: list[Equilibrium]
     samples: list[Any]
     report: Report
 
     def grown(self, name: str) -> Floats:
         """(count, count, ...) of a part of the equilibria."""
-        values = np.array([getattr(one, name) for one in self.found])
+        values = np.array([getattr(one, name) for one in self.equilibria])
         return values.reshape(self.count, self.count, *values.shape[1:])
 
 
@@ -94,12 +94,12 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: Member, crew: Crew, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
+        self, work: Member, pool: WorkerPool, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
         progress: Progress,
     ) -> None:  # fmt: skip
-        self.work, self.crew, self.group, self.reach = work, crew, group, reach
+        self.work, self.pool, self.group, self.reach = work, pool, group, reach
         self.store, self.progress = store, progress
-        self.found: dict[Key, Equilibrium] = {}
+        self.equilibria: dict[Key, Equilibrium] = {}
         self.samples: dict[Key, Any] = {}
         self.solved = self.restored = 0
 
@@ -118,26 +118,26 @@ class Sampling:
             NotFollowedError: a range that crosses a bifurcation or has no equilibrium.
         """
         middle = (Fraction(0), Fraction(0))
-        if middle not in self.found:
-            self.found[middle] = self.work.straight()
-        before = {key: self.angles(key) for key in self.found}
+        if middle not in self.equilibria:
+            self.equilibria[middle] = self.work.straight()
+        before = {key: self.angles(key) for key in self.equilibria}
         wanted: list[Key] = []
         for key in keys:
             best = max([key, *(self._image(one, key) for one in self.group)])
-            if best not in self.found and best not in wanted:
+            if best not in self.equilibria and best not in wanted:
                 wanted.append(best)
         new = {key: self._stored(key) for key in wanted}
         open_ = [key for key in wanted if new[key] is None]
         tasks = []
         for key in open_:
             t = self.angles(key)
-            near = self.found[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
+            near = self.equilibria[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, one in self.crew.each("toward", tasks):
+        for number, one in self.pool.each("toward", tasks):
             if isinstance(one, NotFollowedError):
                 failures[number] = one
-                if self.crew.workers == 1:
+                if self.pool.workers == 1:
                     break
                 continue
             new[open_[number]], self.solved = one, self.solved + 1
@@ -151,25 +151,25 @@ class Sampling:
                 self._take(key, one)
 
     def _stored(self, key: Key) -> Equilibrium | None:
-        values = None if self.store is None else self.store.found.get(_numbers(key))
+        values = None if self.store is None else self.store.equilibria.get(_numbers(key))
         if values is None:
             return None
         self.restored += 1
         return Equilibrium(X=values["X"], W=float(values["W"]), moments=values["moments"], modes=values["modes"])
 
     def _take(self, key: Key, one: Equilibrium) -> None:
-        self.found[key] = one
+        self.equilibria[key] = one
         for g in self.group:
             image = self._image(g, key)
-            if image not in self.found:
-                self.found[image] = Equilibrium(
+            if image not in self.equilibria:
+                self.equilibria[image] = Equilibrium(
                     X=g.moved(one.X), W=one.W, moments=g.turn @ one.moments, modes=g.modes(one.modes)
                 )
 
     def sampled(self, keys: Sequence[Key]) -> list[Any]:
         """Samples at equilibria."""
         missing = [key for key in keys if key not in self.samples]
-        for number, sample in self.crew.each("sample", [(self.found[key],) for key in missing]):
+        for number, sample in self.pool.each("sample", [(self.equilibria[key],) for key in missing]):
             self.samples[missing[number]] = sample
         return [self.samples[key] for key in keys]
 
@@ -177,14 +177,14 @@ class Sampling:
         """Of tables of ``count`` points, each quantity per its largest: at points between, and of derivatives."""
         inside, outside = grid(count), between(count)
         samples, checks = self.sampled(inside), self.sampled(outside)
-        found = [self.found[key] for key in inside]
+        equilibria = [self.equilibria[key] for key in inside]
 
         def through(values: Sequence[Any]) -> Table:
             array = np.array(values)
             return Table.through(self.reach, array.reshape(count, count, *array.shape[1:]))
 
-        straight = self.found[Fraction(0), Fraction(0)].X
-        X, W = through([one.X - straight for one in found]), through([one.W for one in found])
+        straight = self.equilibria[Fraction(0), Fraction(0)].X
+        X, W = through([one.X - straight for one in equilibria]), through([one.W for one in equilibria])
         laws = {name: through([getattr(s, name)[: len(s.H)] if name == "c" else getattr(s, name) for s in samples])
                 for name in ("k", "c", "H")}  # fmt: skip
         worst = dict.fromkeys(("shapes", "modes", "energy", "moments", "k", "c", "H"), 0.0)
@@ -195,7 +195,7 @@ class Sampling:
             sizes[name] = max(sizes[name], float(np.abs(exact).max(initial=0.0)))
 
         for key in (*inside, *outside):
-            t, one = self.angles(key), self.found[key]
+            t, one = self.angles(key), self.equilibria[key]
             shape, energy = X.at(t), W.at(t)
             for name, value, exact in (
                 ("shapes", shape[0], one.X - straight), ("modes", shape[1].T, one.modes),
@@ -228,16 +228,16 @@ def tabulated(work: Member, plan: Plan, progress: Progress = SILENT) -> Tabulate
     store = None
     if plan.checkpoint is not None:
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
-    with Crew(work, plan.workers) as crew:
+    with WorkerPool(work, plan.workers) as pool:
         try:
-            return _ranged(work, crew, group, plan, store, progress, begin)
+            return _ranged(work, pool, group, plan, store, progress, begin)
         finally:
             if store is not None:
                 store.save()
 
 
 def _ranged(
-    work: Member, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
+    work: Member, pool: WorkerPool, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
     progress: Progress, begin: float,
 ) -> Tabulated:  # fmt: skip
     """Over smaller and smaller ranges, where the range follows from an envelope."""
@@ -253,7 +253,7 @@ def _ranged(
         if store is not None:
             store.begin(reach, notes)
         try:
-            sampling = Sampling(work, crew, group, reach, store, progress)
+            sampling = Sampling(work, pool, group, reach, store, progress)
             count, errors = _filled(sampling, plan)
             break
         except NotFollowedError as stuck:
@@ -269,7 +269,7 @@ def _ranged(
         errors=errors, notes=notes, seconds=time.perf_counter() - begin,
     )  # fmt: skip
     return Tabulated(
-        reach=reach, count=count, found=[sampling.found[key] for key in keys], samples=sampling.sampled(keys),
+        reach=reach, count=count, equilibria=[sampling.equilibria[key] for key in keys], samples=sampling.sampled(keys),
         report=report,
     )  # fmt: skip
 

@@ -79,13 +79,13 @@ def shapes(
     available = _with_extra(component, modes, kept)
     law = _Law(component, solver, available, modes)
     if formulation in ("membrane", "tangent"):
-        found = tabulated(
+        tables = tabulated(
             BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan, progress
         )
-        made, samples, report = Manifold.of(found), found.samples, found.report
-        reach, count, energy, errors = found.reach, found.count, made.energy, np.array(made.errors())
+        manifold, samples, report = Manifold.of(tables), tables.samples, tables.report
+        reach, count, energy, errors = tables.reach, tables.count, manifold.energy, np.array(manifold.errors())
         if plan.points_per_angle is not None:
-            refuse_coarse(made.errors(), reach, count)
+            refuse_coarse(manifold.errors(), reach, count)
     else:
         report = _without_equilibria(law, plan)
         reach, count, errors = report.reach, report.points, np.zeros(2)

@@ -162,7 +162,7 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
         start = factor.solve(along @ np.random.default_rng(7).standard_normal(len(free)))
         flexible, shapes = spl.eigsh(along, tried, K[free][:, free].tocsc(), Minv=inverse, which="LA", v0=start)
     shown = flexible > 1e-12 * flexible.max()
-    squares, shapes = 1 / flexible[shown][::-1], shapes[:, shown][:, ::-1]
+    omega_squared, shapes = 1 / flexible[shown][::-1], shapes[:, shown][:, ::-1]
     shapes = shapes / np.sqrt(np.einsum("ik,ik->k", shapes, along @ shapes))
     bending = np.flatnonzero(np.einsum("ik,ik->k", shapes, across @ shapes) < _ACROSS)[:count]
     if len(bending) < count:
@@ -172,7 +172,7 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
     Psi = np.zeros((solid.size, count))
     Psi[free] = shapes[:, bending]
     top = np.abs(Psi).argmax(axis=0)
-    return PlaneModes(Psi=Psi * np.sign(Psi[top, np.arange(count)]), squares=squares[bending])
+    return PlaneModes(Psi=Psi * np.sign(Psi[top, np.arange(count)]), squares=omega_squared[bending])
 
 
 def stretch(solid: NonlinearSolid, length: float, solver: LinearSolver | None = None) -> Floats:

@@ -115,8 +115,8 @@ class SolidWork:
     def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
         return _plain(self._equilibria.toward(X, modes, t))
 
-    def sample(self, found: Equilibrium) -> _Sample:
-        return self._law.sample(found)
+    def sample(self, equilibrium: Equilibrium) -> _Sample:
+        return self._law.sample(equilibrium)
 
     def energy(self, x: Floats) -> float:
         return self.component.energy(x)
@@ -131,8 +131,8 @@ class SolidWork:
         return solid.load(solid.reference, forces / forces[:, 1].sum())
 
 
-def _plain(found: SolidEquilibrium) -> Equilibrium:
-    return Equilibrium(X=found.X, W=found.W, moments=found.moments, modes=found.modes)
+def _plain(equilibrium: SolidEquilibrium) -> Equilibrium:
+    return Equilibrium(X=equilibrium.X, W=equilibrium.W, moments=equilibrium.moments, modes=equilibrium.modes)
 
 
 class _Law:
@@ -178,18 +178,18 @@ class _Law:
         h = _STEP
         return np.asarray((self.solid.tangent(X + h * A) @ Psi - self.solid.tangent(X - h * A) @ Psi) / (2 * h))
 
-    def sample(self, found: Equilibrium) -> _Sample:
+    def sample(self, equilibrium: Equilibrium) -> _Sample:
         """All at one equilibrium."""
-        solid, d0 = self.solid, float(found.X[self.equilibria.second[0]])
-        nodes = solid.positions(found.X)
+        solid, d0 = self.solid, float(equilibrium.X[self.equilibria.second[0]])
+        nodes = solid.positions(equilibrium.X)
         stretched = self.stretched(nodes, d0)
         A = self._coordinates(stretched, d0)
-        force = solid.tangent(found.X) @ A
+        force = solid.tangent(equilibrium.X) @ A
         k, Psi = float(A @ force), self.Psi[:, : self.count]
-        H = Psi.T @ self._slope(found.X, A, Psi) / k
-        slopes = np.stack([solid.step_of_nodes(found.X, mode) for mode in found.modes.T])
+        H = Psi.T @ self._slope(equilibrium.X, A, Psi) / k
+        slopes = np.stack([solid.step_of_nodes(equilibrium.X, mode) for mode in equilibrium.modes.T])
         return _Sample(
-            X=nodes, A=stretched, slopes=slopes, d0=d0, W=found.W, moments=found.moments, k=k,
+            X=nodes, A=stretched, slopes=slopes, d0=d0, W=equilibrium.W, moments=equilibrium.moments, k=k,
             c=self.Psi.T @ force / k, H=0.5 * (H + H.T),
         )  # fmt: skip
 

@@ -122,8 +122,8 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
         if is_format(file, FORMAT):
             refuse_newer(Path(path), int(file["format_version"][()]), FORMAT_VERSION)
         bodies = {name: body for name, body in file.get("bodies", {}).items() if "parameterised" in body}
-        found = {name: _checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
-        if not found:
+        members = {name: _checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
+        if not members:
             raise InputError(f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members")
         Checksums(path, file).verify()
-    return found
+    return members

@@ -73,8 +73,8 @@ def symmetries(component: Shaped, length: float) -> tuple[Symmetry, ...]:
     turning = _turning(component)
     if turning is None:
         return ()
-    found = [_matched(component, turning, length, *motion) for motion in _MOTIONS]
-    return tuple(one for one in found if one is not None and _holds(component, one, length))
+    candidates = [_matched(component, turning, length, *motion) for motion in _MOTIONS]
+    return tuple(one for one in candidates if one is not None and _holds(component, one, length))
 
 
 def _turning(component: Shaped) -> Integers | None:

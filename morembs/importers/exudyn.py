@@ -14,7 +14,7 @@ from morembs.importers.hdf5_sparse import sparse_group
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
 from morembs.model import DofMap, Nodes
-from morembs.storage.hdf5 import reading, stored
+from morembs.storage.hdf5 import read_dataset, reading
 
 Ints = NDArray[np.int64]
 
@@ -52,16 +52,16 @@ def import_exudyn(path: Path) -> Imported:
 def _numbers(source: str, item: Any, *, whole: bool = False) -> NDArray[Any]:
     """Numbers of an array, or of a list, which is a group with a dataset for each."""
     if isinstance(item, h5py.Group):
-        values = np.array([stored(item[f"item_{i}"]) for i in range(len(item))])
+        values = np.array([read_dataset(item[f"item_{i}"]) for i in range(len(item))])
     else:
-        values = stored(item)
+        values = read_dataset(item)
     if values.size and values.dtype.kind not in ("iu" if whole else "fiu"):
         raise InputError(f"{source}: {item.name} does not hold {'whole ' * whole}numbers; save the FEMinterface again")
     return values.astype(np.int64 if whole else np.float64)
 
 
 def _text(item: Any) -> str:
-    value = stored(item)[()]
+    value = read_dataset(item)[()]
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 

@@ -14,7 +14,7 @@ from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, matrices_by_name
 from morembs.importers.triplets import Place, refuse_twice, row_and_column
-from morembs.storage.hdf5 import reading, stored
+from morembs.storage.hdf5 import read_dataset, reading
 
 Array = NDArray[Any]
 
@@ -74,7 +74,7 @@ def _dense(item: Any, transposed: bool) -> sp.csr_array | None:
     """A square dense dataset; MATLAB and Octave show their arrays transposed here."""
     if item.ndim != 2 or item.shape[0] != item.shape[1] or item.dtype.kind not in "fiuV":
         return None
-    values = _complex(stored(item))
+    values = _complex(read_dataset(item))
     if values.dtype.kind not in "fiuc":
         return None
     return sp.csr_array(values.T if transposed else values)
@@ -95,24 +95,23 @@ def sparse_group(source: str, group: Any) -> sp.csr_array | None:
         InputError: indices that do not fit.
     """
     if all(key in group for key in ("data", "indices", "indptr")):
-        data, indices, indptr = (stored(group[key]) for key in ("data", "indices", "indptr"))
+        data, indices, indptr = (read_dataset(group[key]) for key in ("data", "indices", "indptr"))
         kind = group.attrs.get("format", group.attrs.get("h5sparse_format", group.attrs.get("datatype", "csr")))
         csc = (kind.decode() if isinstance(kind, bytes) else str(kind)).lower().startswith("csc")
-        shape = (
-            stored(group["shape"]) if "shape" in group else group.attrs.get("shape", group.attrs.get("h5sparse_shape"))
-        )
+        named = group.attrs.get("shape", group.attrs.get("h5sparse_shape"))
+        shape = read_dataset(group["shape"]) if "shape" in group else named
         rows = len(indptr) - 1
         if shape is None:
             shape = (rows, rows)
     elif all(key in group for key in ("data", "ir", "jc")):
-        data, indices, indptr = (stored(group[key]) for key in ("data", "ir", "jc"))
+        data, indices, indptr = (read_dataset(group[key]) for key in ("data", "ir", "jc"))
         csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
     elif all(key in group for key in ("ridx", "cidx", "nr", "nc")):
-        data = stored(group["data"]) if "data" in group else np.empty(0)
-        indices, indptr = (stored(group[key]).ravel() for key in ("ridx", "cidx"))
-        csc, shape = True, (int(np.ravel(stored(group["nr"]))[0]), int(np.ravel(stored(group["nc"]))[0]))
+        data = read_dataset(group["data"]) if "data" in group else np.empty(0)
+        indices, indptr = (read_dataset(group[key]).ravel() for key in ("ridx", "cidx"))
+        csc, shape = True, (int(np.ravel(read_dataset(group["nr"]))[0]), int(np.ravel(read_dataset(group["nc"]))[0]))
     elif "MATLAB_sparse" in group.attrs and "jc" in group:  # without any entry
-        indptr = stored(group["jc"])
+        indptr = read_dataset(group["jc"])
         data, indices = np.empty(0), np.empty(0, dtype=np.int64)
         csc, shape = True, (int(group.attrs["MATLAB_sparse"]), len(indptr) - 1)
     else:

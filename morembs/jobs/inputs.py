@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.body.build import Delivery, StressOptions
+from morembs.body.build import BodyOptions, StressOptions
 from morembs.body.file import check_writable
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
@@ -104,7 +104,7 @@ def damping_of(job: Job) -> Damping:
     return Damping(modal=given.modal or 0.0, structural=structural)
 
 
-def delivery_of(job: Job) -> Delivery:
+def body_options(job: Job) -> BodyOptions:
     """What every body of the job carries, in SI units."""
     units, tables = units_of(job), job.tables
     given, origin = tables.envelope, tables.frame.origin
@@ -119,7 +119,7 @@ def delivery_of(job: Job) -> Delivery:
         envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
     stiffened = tables.stiffening
     stress = tables.stress
-    return Delivery(
+    return BodyOptions(
         kind=tables.frame.kind, interfaces=tuple(tables.frame.interfaces), envelope=envelope,
         origin=None if origin == "center-of-mass" else [units.length * float(x) for x in origin or (0, 0, 0)],
         stiffening=None if stiffened is None else replace(envelope or Envelope(), share=stiffened.share),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from morembs.body.build import Delivery
+from morembs.body.build import BodyOptions
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
 from morembs.errors import BudgetError, InputError, enough_megabytes
@@ -12,7 +12,7 @@ from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
 from morembs.jobs.inputs import (
-    delivery_of,
+    body_options,
     preload_of,
     refuse_reductions_that_do_not_fit,
     units_of,
@@ -85,7 +85,7 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
     """
     _refuse_preload(job, facts.model, facts.interfaces, rigid)
     refuse_reductions_that_do_not_fit(job, facts)
-    _refuse_delivery(job, delivery_of(job), facts.model, facts.coupling, rigid)
+    _refuse_delivery(job, body_options(job), facts.model, facts.coupling, rigid)
     return (*_many_motions(job, facts), *_many_modes(job, facts.size))
 
 
@@ -101,7 +101,7 @@ def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], r
         raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
 
 
-def _refuse_delivery(job: Job, wanted: Delivery, model: FEModel, coupling: Coupling, rigid: int) -> None:
+def _refuse_delivery(job: Job, wanted: BodyOptions, model: FEModel, coupling: Coupling, rigid: int) -> None:
     """Refuse what the bodies cannot carry."""
     check_frame(wanted.kind, wanted.interfaces, list(coupling.frame_columns))
     reason = why_no_stiffening(model) if wanted.stiffening is not None else ""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, make_part
-from morembs.body.build import Delivery, deliver
+from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
 from morembs.budget import Budget
 from morembs.certificate.certify import Certificate, certify
@@ -20,8 +20,8 @@ from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
     MOST_MOTIONS,
+    body_options,
     damping_of,
-    delivery_of,
     interfaces_of,
     materials_of,
     mesh_of,
@@ -125,7 +125,7 @@ def _run(
                 model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
             )
     with problem:
-        bodies = _reduce(job, problem, delivery_of(job), watch)
+        bodies = _reduce(job, problem, body_options(job), watch)
         delivered = delivered_warnings(bodies)
         warnings += delivered
         response = certified_response(problem, bodies)
@@ -170,7 +170,7 @@ def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, w
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
 
-def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> tuple[ElasticBody, ...]:
+def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -> tuple[ElasticBody, ...]:
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
     count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
@@ -204,7 +204,7 @@ def _reduce(job: Job, problem: Problem, wanted: Delivery, watch: Stopwatch) -> t
 
 def _delivered(
     job: Job, problem: Problem, reduced: Sequence[ReducedModel], certificates: Sequence[Certificate | None],
-    wanted: Delivery, watch: Stopwatch,
+    wanted: BodyOptions, watch: Stopwatch,
 ) -> tuple[ElasticBody, ...]:  # fmt: skip
     """The bodies with all that goes into their file."""
     part, progress = make_part(problem, job.tables.output.nodes), watch.progress
@@ -214,7 +214,7 @@ def _delivered(
         for one, its, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
             switching = reducer.switching(problem, one, progress=progress)
             bodies.append(
-                deliver(
+                build_body(
                     problem, one, part, wanted, certificate=its, operator=operator, switching=switching,
                     progress=progress,
                 )

@@ -7,8 +7,7 @@ result = simulate(system, end=0.5, step=1e-3)
 result.position(rod.marker("end")), result.reaction(joint), result.energy().total
 """
 
-import warnings
-
+from morembs.moved import renamed
 from morembs.multibody.bodies import BodyMarker, FlexibleBody, FloatingBody, RigidBody
 from morembs.multibody.component import Component, Ground, Marker, MarkerState, VectorComponent
 from morembs.multibody.contact import (
@@ -116,10 +115,4 @@ __all__ = [
     "simulate_sliding",
 ]
 
-
-def __getattr__(name: str) -> object:
-    if name not in _OLD_NAMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    new = _OLD_NAMES[name]
-    warnings.warn(f"morembs.multibody.{name} is now {new.__name__}", DeprecationWarning, stacklevel=2)
-    return new
+__getattr__ = renamed(__name__, _OLD_NAMES)

@@ -1,8 +1,8 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
-import warnings
 from typing import Any
 
+from morembs.moved import renamed
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
@@ -40,10 +40,4 @@ __all__ = [
     "simulate",
 ]
 
-
-def __getattr__(name: str) -> object:
-    if name not in _OLD_NAMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    new = _OLD_NAMES[name]
-    warnings.warn(f"morembs.nonlinear.{name} is now {new.__name__}", DeprecationWarning, stacklevel=2)
-    return new
+__getattr__ = renamed(__name__, _OLD_NAMES)

@@ -69,8 +69,9 @@ class Expander:
 
     def blocks(self, trajectory: Trajectory) -> Iterator[Expansion]:
         """The expansion, some steps at a time."""
-        its = self.recovery
-        points, pairs = (0, 0) if its is None else (len(its.points), 0 if its.jump is None else len(its.jump) // 6)
+        recovery = self.recovery
+        points = 0 if recovery is None else len(recovery.points)
+        pairs = 0 if recovery is None or recovery.jump is None else len(recovery.jump) // 6
         step = max(1, BLOCK_BYTES // (8 * (18 * len(self.source.node_ids) + 18 * points + 24 * pairs + 1)))
         for at in range(0, len(trajectory.times), step):
             yield self.expand(trajectory.part(slice(at, at + step)))
@@ -81,8 +82,8 @@ class Expander:
             q = reduced_coordinates(self.body, trajectory)
             missing = self._missing(trajectory)
             u = self._nodes(q) + missing
-            its = self.recovery
-            stressed = None if its is None or not len(its.points) else its
+            recovery = self.recovery
+            stressed = None if recovery is None or not len(recovery.points) else recovery
             stress = None if stressed is None else stressed.at(q, trajectory.loads)
             jump = None if stressed is None else stressed.jumps_at(q, trajectory.loads)
             motion = self._motion(trajectory, q, u, missing)
@@ -104,20 +105,20 @@ class Expander:
 
     def _missing(self, trajectory: Trajectory) -> Floats | float:
         """U_res f (nt, n, 3), as the frame sees it, which follows its interfaces also where they move by that."""
-        its, loads, body = self.recovery, trajectory.loads, self.body
-        if its is None or its.displacement is None or loads is None:
+        recovery, loads, body = self.recovery, trajectory.loads, self.body
+        if recovery is None or recovery.displacement is None or loads is None:
             return 0.0
-        found = (its.displacement @ loads.T.astype(its.displacement.dtype)).T.astype(np.float64)
-        u = np.ascontiguousarray(found).reshape(len(loads), -1, 3)
+        missing = (recovery.displacement @ loads.T.astype(recovery.displacement.dtype)).T.astype(np.float64)
+        u = np.ascontiguousarray(missing).reshape(len(loads), -1, 3)
         if body.floating is not None and not is_reduced(body, trajectory):
-            moved = body.floating.followed(its.markers, loads.shape[1]) @ loads.T
+            moved = body.floating.followed(recovery.markers, loads.shape[1]) @ loads.T
             u -= moved[:3].T[:, None] + np.cross(moved[3:].T[:, None], self.source.coordinates - _origin(body))
         return u
 
     def _nodes(self, q: Floats) -> Floats:
         """V q as (nt, n, 3)."""
         rows, order = 3 * len(self.source.node_ids), q.shape[1]
-        found = np.zeros((rows, len(q)))
+        moved = np.zeros((rows, len(q)))
         width = max(1, KEPT_BYTES // (8 * max(rows, 1)))
         for at in range(0, order, width):
             if order <= width:
@@ -126,8 +127,8 @@ class Expander:
                 block = self.kept[0]
             else:
                 block = self.body.basis(slice(at, at + width))
-            found += block @ q[:, at : at + width].T
-        return np.ascontiguousarray(found.T).reshape(len(q), -1, 3)
+            moved += block @ q[:, at : at + width].T
+        return np.ascontiguousarray(moved.T).reshape(len(q), -1, 3)
 
 
 def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:

@@ -78,24 +78,24 @@ def recover(
     whole = trajectory_file if isinstance(trajectory_file, Trajectory) else read_trajectory(trajectory_file)
     trajectory = whole.part(slice(None, None, every))
     reduced_coordinates(chosen, trajectory.part(slice(0, 1)))
-    its = stored_recovery(place, chosen.name, stress=stress)
-    if stress and its is None:
+    recovery = stored_recovery(place, chosen.name, stress=stress)
+    if stress and recovery is None:
         raise InputError(
             f"{place}: body {chosen.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
         )
-    if its is not None:
-        _check_recovery(place, chosen, its)
+    if recovery is not None:
+        _check_recovery(place, chosen, recovery)
     grid = read_grid(place)
     check_grid(place, len(source.node_ids), grid.points, grid.connectivity, grid.offsets, grid.types)
     progress.stage(f"expanding {chosen.name}")
-    shown = _Shown(its, source) if its is not None and stress else None
+    shown = _Shown(recovery, source) if recovery is not None and stress else None
     moved = trajectory.position is not None or trajectory.rotation is not None or scale != 1.0
     wanted = {"displacement": 3, **({"motion": 3} if moved else {}), **({} if shown is None else shown.widths)}
 
     far = _Far(source, is_reduced(chosen, trajectory))
 
     def steps() -> Iterator[Mapping[str, Any]]:
-        for block in Expander(source, chosen, its, scale).blocks(trajectory):
+        for block in Expander(source, chosen, recovery, scale).blocks(trajectory):
             for number, time in enumerate(block.times):
                 step = {"displacement": block.displacement[number]}
                 far.look(block.displacement[number], float(time))
@@ -108,7 +108,7 @@ def recover(
 
     def notes() -> tuple[str, ...]:
         about = () if shown is None else shown.notes()
-        return (*_still(chosen, trajectory), *far.notes(), *_uncorrected(chosen, its, trajectory, stress), *about)
+        return (*_still(chosen, trajectory), *far.notes(), *_uncorrected(chosen, recovery, trajectory, stress), *about)
 
     write_series(target, grid, trajectory.times, wanted, steps(), progress, notes=notes)
     return Recovered(
@@ -118,7 +118,7 @@ def recover(
     )  # fmt: skip
 
 
-def _check_recovery(path: Path, body: StoredBody, its: Recovery) -> None:
+def _check_recovery(path: Path, body: StoredBody, recovery: Recovery) -> None:
     """Shapes that are not finite, or lack what the frame of the body follows.
 
     Raises:
@@ -126,53 +126,53 @@ def _check_recovery(path: Path, body: StoredBody, its: Recovery) -> None:
     """
     group = f"bodies/{body.name}/recovery"
     for name in ("stress", "correction", "displacement", "jump", "jump_correction"):
-        if getattr(its, name) is not None:
-            refuse_not_finite(path, f"{group}/{name}", getattr(its, name))
-    if its.jump is not None and (its.jump_point is None or its.jump_element is None):
+        if getattr(recovery, name) is not None:
+            refuse_not_finite(path, f"{group}/{name}", getattr(recovery, name))
+    if recovery.jump is not None and (recovery.jump_point is None or recovery.jump_element is None):
         raise InputError(f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again")
-    if its.jump_point is not None:
-        last = len(its.points) - 1
-        if not np.array_equal(np.unique(its.jump_point), np.arange(last + 1)) or np.any(np.diff(its.jump_point) < 0):
+    if (point := recovery.jump_point) is not None:
+        last = len(recovery.points) - 1
+        if not np.array_equal(np.unique(point), np.arange(last + 1)) or np.any(np.diff(point) < 0):
             raise InputError(
                 f"{path}: /{group}/jump_point does not ascend from 0 to {last}, the last point, over all of them; the "
                 "file is damaged, write it again"
             )
-    followed = () if body.floating is None or its.displacement is None else body.floating.interfaces
+    followed = () if body.floating is None or recovery.displacement is None else body.floating.interfaces
     for name in followed:
-        if name not in its.markers:
+        if name not in recovery.markers:
             raise InputError(
                 f"{path} is an incomplete body file; missing: /bodies/{body.name}/recovery/markers/{name}, which the "
                 "frame follows; write it again"
             )
 
 
-def _uncorrected(body: StoredBody, its: Recovery | None, trajectory: Trajectory, stress: bool) -> tuple[str, ...]:
+def _uncorrected(body: StoredBody, recovery: Recovery | None, trajectory: Trajectory, stress: bool) -> tuple[str, ...]:
     """Notes on what lacks its mode-acceleration correction, and why."""
     if not body.input_matrix.shape[1]:
         return ()
     loads = trajectory.loads
-    held = {"stress": its is not None and its.correction is not None,
-            "displacements": its is not None and its.displacement is not None}  # fmt: skip
+    held = {"stress": recovery is not None and recovery.correction is not None,
+            "displacements": recovery is not None and recovery.displacement is not None}  # fmt: skip
     # Static shapes of all interfaces are in the basis: nothing to speak of is missing from displacements.
     complete = any(kind in STATIC_KINDS for kind in body.mode_kind)
     shown = (*(("stress",) if stress else ()), *(() if complete else ("displacements",)))
     able = " and ".join(name for name in shown if held[name])
     unable = " and ".join(name for name in shown if not held[name])
-    found = []
+    notes = []
     if able and loads is None:
-        found.append(f"no loads were given, so no mode-acceleration correction is in {able}; give those of the joints")
+        notes.append(f"no loads were given, so no mode-acceleration correction is in {able}; give those of the joints")
     elif able and loads is not None and not loads.any():
-        found.append(
+        notes.append(
             f"all loads are zero, so no mode-acceleration correction is in {able}; right only for a body that nothing "
             "touches"
         )
     if unable:
         unused = "; the loads were not used for them" if loads is not None else ""
-        found.append(
+        notes.append(
             f"the file has no mode-acceleration correction for {unable}: what the basis misses of them under interface "
             f"loads is not there{unused} (write it again with [stress] and correction = true)"
         )
-    return tuple(found)
+    return tuple(notes)
 
 
 class _Far:
@@ -225,12 +225,12 @@ class _Shown:
         if self.recovery.seams:
             # The last of several assignments stays.
             points = points[np.argsort(size[points], kind="stable")]
-        found = {}
+        fields = {}
         for (name, width), values in zip(self.widths.items(), (stress, size, jump), strict=False):
-            found[name] = np.full((self.count, width) if width > 1 else self.count, np.nan)
+            fields[name] = np.full((self.count, width) if width > 1 else self.count, np.nan)
             if values is not None:
-                found[name][self.rows[points]] = values[points]
-        return found
+                fields[name][self.rows[points]] = values[points]
+        return fields
 
     def _larger(
         self, before: tuple[float, int, float] | None, sizes: Floats, time: float
@@ -243,26 +243,26 @@ class _Shown:
 
     def notes(self) -> tuple[str, ...]:
         """What a user should know about the stress in the file."""
-        found = []
+        notes = []
         bare = self.count - len(np.unique(self.rows[self.known]))
         if bare:
-            found.append(
+            notes.append(
                 f"{bare} of {self.count} nodes have no stress recovery; their stress is NaN "
                 '(nodes = "all" in [stress] covers them)'
             )
         if not self.known.all():
             lost = len(np.unique(self.recovery.points[~self.known]))
-            found.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
+            notes.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
         if self.recovery.jump is None:
-            found.append("the file does not tell stresses of single elements, so nothing says whether the mesh is too "
+            notes.append("the file does not tell stresses of single elements, so nothing says whether the mesh is too "
                          "coarse for them (jump = true in [stress])")  # fmt: skip
         if self.peak is not None and self.peak_jump is not None and self.peak_jump > LARGE_JUMP * self.peak[0]:
-            found.append(
+            notes.append(
                 f"around node {self.peak[1]} with the largest stress, elements miss the average by "
                 f"{self.peak_jump / self.peak[0]:.0%}: the mesh is coarse there, and the true stress may be larger by "
                 "as much or more; refine it and compare"
             )
-        return tuple(found)
+        return tuple(notes)
 
 
 def _still(body: StoredBody, trajectory: Trajectory) -> tuple[str, ...]:

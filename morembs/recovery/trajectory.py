@@ -48,9 +48,9 @@ class Trajectory:
     loads: Floats | None = None
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if getattr(self, one.name) is not None:
-                object.__setattr__(self, one.name, _numbers(one.name, getattr(self, one.name)))
+        for attribute in fields(self):
+            if getattr(self, attribute.name) is not None:
+                object.__setattr__(self, attribute.name, _numbers(attribute.name, getattr(self, attribute.name)))
         if self.times.ndim != 1:
             raise InputError(f"times has the shape {self.times.shape}; expected (any), one number for each step")
         nt = len(self.times)
@@ -97,7 +97,7 @@ class Trajectory:
         if len(bad):
             step = int(bad[0])
             given = (self.coordinates, self.loads, self.position)
-            largest = max(float(np.abs(one[step]).max(initial=0.0)) for one in given if one is not None)
+            largest = max(float(np.abs(array[step]).max(initial=0.0)) for array in given if array is not None)
             raise InputError(
                 f"{name} at {self.times[step]:.9g} s is {size[step]:.3g}, from numbers up to {largest:.3g}; expected "
                 f"{LARGEST:.1e} at most: check the units, or give the steps before the simulation went wrong"
@@ -135,27 +135,27 @@ def read_trajectory(path: str | Path) -> Trajectory:
         raise InputError(f"{place} was given as a trajectory; there is no such file")
     kind = place.suffix.lower()
     if kind in TABLES:
-        found = _read_table(place)
+        arrays = _read_table(place)
     elif kind == ".npz":
-        found = _read_npz(place)
+        arrays = _read_npz(place)
     elif kind in HDF5:
-        found = read_arrays(place)
+        arrays = read_arrays(place)
     else:
         raise InputError(
             f"{place}: a trajectory is an .npz file, a table ({', '.join(TABLES)}) or an HDF5 file ({', '.join(HDF5)})"
         )
-    if "time" in found and "times" in found:
+    if "time" in arrays and "times" in arrays:
         raise InputError(f"{place} holds both time and times; expected one of them, leave the other out")
-    found = {"times" if name == "time" else name: value for name, value in found.items()}
-    known = [one.name for one in fields(Trajectory)]
-    for name in found:
+    arrays = {"times" if name == "time" else name: value for name, value in arrays.items()}
+    known = [attribute.name for attribute in fields(Trajectory)]
+    for name in arrays:
         if name not in known:
             raise InputError(f"{place} holds an array {name!r}; {nearest(name, known)}")
     for name in ("times", "coordinates"):
-        if name not in found:
+        if name not in arrays:
             raise InputError(f"{place} holds no array {name!r}; expected times and coordinates")
     try:
-        return Trajectory(**found)
+        return Trajectory(**arrays)
     except InputError as error:
         raise InputError(f"{place}: {error}") from error
 
@@ -195,25 +195,25 @@ def _read_table(path: Path) -> dict[str, Any]:
     if len(table) and table.shape[1] != len(names):
         raise InputError(f"{path} names {len(names)} columns in its first line, but its rows have {table.shape[1]}")
     table = table.reshape(len(table), len(names))
-    found: dict[str, Any] = {"times": table[:, 0], "coordinates": table[:, _columns(path, names, "q")]}
+    arrays: dict[str, Any] = {"times": table[:, 0], "coordinates": table[:, _columns(path, names, "q")]}
     loads = _columns(path, names, "f")
     if loads:
-        found["loads"] = table[:, loads]
+        arrays["loads"] = table[:, loads]
     for name, group in (("position", _FRAME), ("rotation", _ROTATION)):
-        if any(one in names for one in group):
-            missing = [one for one in group if one not in names]
+        if any(column in names for column in group):
+            missing = [column for column in group if column not in names]
             if missing:
                 raise InputError(f"{path} has some columns of the {name} but not {', '.join(missing)}")
-            found[name] = table[:, [names.index(one) for one in group]]
-    if "rotation" in found:
-        found["rotation"] = found["rotation"].reshape(-1, 3, 3)
-    for one in names[1:]:
-        if one not in (*_FRAME, *_ROTATION) and not re.fullmatch(r"[qf]\d+", one):
+            arrays[name] = table[:, [names.index(column) for column in group]]
+    if "rotation" in arrays:
+        arrays["rotation"] = arrays["rotation"].reshape(-1, 3, 3)
+    for column in names[1:]:
+        if column not in (*_FRAME, *_ROTATION) and not re.fullmatch(r"[qf]\d+", column):
             raise InputError(
-                f"{path} has a column {one!r}; expected t, q1, ..., x, y, z, f1, ... and for rotations r11, r12, ..., "
-                "r33 (matrices, no angles)"
+                f"{path} has a column {column!r}; expected t, q1, ..., x, y, z, f1, ... and for rotations r11, r12, "
+                "..., r33 (matrices, no angles)"
             )
-    return found
+    return arrays
 
 
 def _columns(path: Path, names: list[str], letter: str) -> list[int]:

@@ -80,8 +80,8 @@ def reading_format(
 
 def is_format(file: Any, name: str) -> bool:
     """Whether an open HDF5 file says that it has the format ``name``."""
-    found = file.get("format")
-    return isinstance(found, h5py.Dataset) and found.shape == () and bool(found[()] == name.encode())
+    held = file.get("format")
+    return isinstance(held, h5py.Dataset) and held.shape == () and bool(held[()] == name.encode())
 
 
 def refuse_unsafe_file(path: Path) -> None:
@@ -110,7 +110,7 @@ def refuse_newer(path: Path, version: int, known: int, cure: str = "install a ne
         raise InputError(f"{path} has the format version {version}; this morembs reads up to {known}; {cure}")
 
 
-def stored(item: Any) -> NDArray[Any]:
+def read_dataset(item: Any) -> NDArray[Any]:
     """All of a dataset.
 
     Raises:
@@ -154,13 +154,13 @@ def _refuse_unsafe(path: Path, file: Any) -> None:
 
 def _refuse_strange(words: str, item: Any) -> int:
     """Look at one dataset; returns its bytes in memory if it is packed so tight that its size says nothing."""
-    made = item.get_create_plist()
-    if made.get_external_count():
-        other = made.get_external(0)[0].decode(errors="replace")
+    layout = item.get_create_plist()
+    if layout.get_external_count():
+        other = layout.get_external(0)[0].decode(errors="replace")
         raise InputError(f"{words} takes its values from the file {other!r}, which is not read; give one file with all")
-    if made.get_layout() == h5py.h5d.VIRTUAL:
+    if layout.get_layout() == h5py.h5d.VIRTUAL:
         raise InputError(f"{words} takes its values from other datasets (virtual); give one file with all data")
-    strange = {made.get_filter(i)[0] for i in range(made.get_nfilters())} - _FILTERS
+    strange = {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - _FILTERS
     if strange:
         raise InputError(
             f"{words} is packed with the filter {min(strange)}, which is not part of HDF5; pack it with gzip, or not "
@@ -174,4 +174,4 @@ def _refuse_strange(words: str, item: Any) -> int:
             f"{words} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
             "filled, write it again"
         )
-    return announced if made.get_nfilters() and announced > max(_SMALL, _TIGHT * held) else 0
+    return announced if layout.get_nfilters() and announced > max(_SMALL, _TIGHT * held) else 0

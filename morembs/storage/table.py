@@ -68,8 +68,8 @@ def _text(value: Any) -> Any:
 
 
 def _sentences(value: Any) -> tuple[str, ...]:
-    found = value.decode().strip()
-    return (found,) if found else ()
+    sentences = value.decode().strip()
+    return (sentences,) if sentences else ()
 
 
 KINDS = {
@@ -149,7 +149,7 @@ class Row:
             value = value.items()
         elif self.many:
             value = enumerate(value)
-        yield from ((f"{self.place}{name}", one) for name, one in value) if self.many else [(self.place, value)]
+        yield from ((f"{self.place}{name}", part) for name, part in value) if self.many else [(self.place, value)]
 
     def value(self, item: Any) -> Any:
         """What an open dataset or group holds."""
@@ -177,27 +177,27 @@ def read_rows(group: Any, table: Table, lacking: str = "the group lacks") -> Any
     Raises:
         InputError: others are absent; ``lacking`` says before their names whose they are.
     """
-    found, missing = dict[str, Any](), []
+    values, missing = dict[str, Any](), []
     for row in table:
         item = None if row.many else group.get(row.place)
         if row.many:
-            several = {name: row.value(one) for name, one in row.items(group).items()}
-            found[row.key] = several if row.name.endswith("*") else tuple(several.values())
+            several = {name: row.value(inner) for name, inner in row.items(group).items()}
+            values[row.key] = several if row.name.endswith("*") else tuple(several.values())
         elif isinstance(item, h5py.Group if isinstance(row.kind, Table) else h5py.Dataset):
             if row.read:
-                found[row.key] = row.value(item)
+                values[row.key] = row.value(item)
         elif not row.when:
             missing.append(row.place)
     if missing:
         raise InputError(f"{lacking} {', '.join(missing)}; write the file again")
-    return table.build(**found)
+    return table.build(**values)
 
 
 def _columns(data: Any) -> Any:
     """The whole dataset; a matrix in pieces of columns comes column by column, as it lies on the disk."""
     if data.chunks is None or data.ndim != 2:
         return data[()]
-    found = np.empty(data.shape, data.dtype, order="F")
+    matrix = np.empty(data.shape, data.dtype, order="F")
     for column in range(data.shape[1]):
-        found[:, column] = data[:, column]
-    return found
+        matrix[:, column] = data[:, column]
+    return matrix

@@ -39,8 +39,8 @@ class TableCheck:
             place = at + row.place
             item = None if row.many else self.file.get(place)
             if row.many:
-                for name, one in row.items(self.file[at] if at else self.file).items():
-                    self._row(place + name, one, row, sizes)
+                for name, inner in row.items(self.file[at] if at else self.file).items():
+                    self._row(place + name, inner, row, sizes)
             elif isinstance(row.kind, Table) or isinstance(item, h5py.Dataset):
                 if item is not None or not row.when:
                     self._row(place, item, row, sizes)
@@ -77,9 +77,9 @@ class TableCheck:
 
     def _shape(self, name: str, item: Any, wanted: Sequence[str], sizes: Sizes) -> None:
         bad, words, givers = len(item.shape) != len(wanted), [], []
-        for given, one in zip(item.shape, wanted, strict=False):
-            letter = one.lstrip("0123456789")
-            factor = int(one.removesuffix(letter) or 1)
+        for given, text in zip(item.shape, wanted, strict=False):
+            letter = text.lstrip("0123456789")
+            factor = int(text.removesuffix(letter) or 1)
             if letter and letter != "any":
                 size, giver = sizes.setdefault(letter, (given // factor, name))
                 factor *= size

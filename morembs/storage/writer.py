@@ -86,11 +86,11 @@ class Writer:
         data, column = self.file.create_dataset(name, matrix.shape, matrix.dtype, chunks=chunks), 0
         self._mark(data, about, units)
         for block in matrix.blocks:
-            for values in block.T:
-                data[:, column] = values
-                column += 1
+            for number in range(block.shape[1]):
+                data[:, column + number] = block[:, number]
                 self.check()
-            del block, values
+            column += block.shape[1]
+            del block  # before the next is made
 
     def _mark(self, item: Any, about: str, units: str) -> None:
         """Attributes for people; no number is kept in them."""
@@ -106,13 +106,13 @@ class Writer:
             value: Any = source.get(row.key) if isinstance(source, Mapping) else getattr(source, row.key)
             if row.when and value is None:
                 continue
-            for name, one in row.parts(value):
+            for name, part in row.parts(value):
                 if isinstance(row.kind, Table):
-                    self.rows(f"{at}{name}/", row.kind, one)
+                    self.rows(f"{at}{name}/", row.kind, part)
                 elif row.columns:
-                    self.columns(at + name, one, row.about, row.units)
+                    self.columns(at + name, part, row.about, row.units)
                 else:
-                    self._store(at + name, KINDS[row.kind].encode(one), row.about, row.units)
+                    self._store(at + name, KINDS[row.kind].encode(part), row.about, row.units)
 
     def tree(self, name: str, value: object) -> None:
         """Store nested mappings as groups; None is left out, rows of equal keys become columns."""

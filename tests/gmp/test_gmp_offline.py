@@ -338,7 +338,7 @@ def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
 ORPHANS = """
 import os, signal, sys
 sys.path.insert(0, {root!r})
-from morembs.gmp.crew import Crew
+from morembs.gmp.worker_pool import WorkerPool
 
 class Work:
     def fresh(self):
@@ -348,8 +348,8 @@ class Work:
         print(os.getpid(), flush=True)
         return os.getpid()
 
-with Crew(Work(), 2) as crew:
-    list(crew.each("tell", [()] * 2))
+with WorkerPool(Work(), 2) as pool:
+    list(pool.each("tell", [()] * 2))
     os.kill(os.getpid(), signal.SIGKILL)
 """
 

@@ -186,7 +186,7 @@ def test_any_damaged_byte_is_found_or_changes_nothing(
 ) -> None:
     def equilibria(path: Path) -> Any:
         held = Checkpoint(path, signature=np.arange(3.0), options="all")
-        return [held.reach, held.notes, held.found]
+        return [held.reach, held.notes, held.equilibria]
 
     read: Callable[[Path], Any] = {"body": used, "model": read_model, "equilibria": equilibria}[kind]
     path = tmp_path / f"{kind}.h5"

@@ -37,11 +37,11 @@ class Work(Protocol):
     def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
         """From a known equilibrium to the end angles t (2,); raises NotFollowedError."""
 
-    def sample(self, found: Equilibrium) -> Any:
+    def sample(self, equilibrium: Equilibrium) -> Any:
         """What the tables hold at an equilibrium."""
 
 
-class _Bench:
+class _Worker:
     """The work of this process; forked processes take it over from their parent without any copying of objects."""
 
     work: Work
@@ -59,9 +59,9 @@ def _follow() -> None:
 def _begin(work: Work) -> None:
     Thread(target=_follow, daemon=True).start()
     # Also no threads of OpenMP: those of the parent are not there after a fork.
-    _Bench.stack = ExitStack()
-    _Bench.stack.enter_context(threadpool_limits(1))
-    _Bench.work = work.fresh()
+    _Worker.stack = ExitStack()
+    _Worker.stack.enter_context(threadpool_limits(1))
+    _Worker.work = work.fresh()
 
 
 def _done(work: Work, what: str, task: Task) -> Any:
@@ -73,10 +73,10 @@ def _done(work: Work, what: str, task: Task) -> Any:
 
 
 def _there(what: str, task: Task) -> Any:
-    return _done(_Bench.work, what, task)
+    return _done(_Worker.work, what, task)
 
 
-class Crew:
+class WorkerPool:
     """Does tasks of one ``work`` on ``workers`` processes, or in this one where there is one; a context manager.
 
     Raises:
