@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, MutableMapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from morembs.errors import nearest
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Entry = TypeVar("Entry")
 
@@ -36,6 +38,11 @@ class Table(MutableMapping[str, Entry], Generic[Entry]):
         """Words for a message about ``name``, which is not in the table: why, or what comes near to it."""
         self._load()
         return self._broken.get(name) or nearest(name, [*others, *self])
+
+    def take(self, own: dict[str, Entry]) -> None:
+        """Add entries of this package, where the table must be there before them."""
+        self._entries.update(own)
+        self.own += tuple(own)
 
     def reload(self) -> None:
         """Look for entry points again."""
@@ -68,6 +75,9 @@ class Table(MutableMapping[str, Entry], Generic[Entry]):
         if self._loaded:
             return
         self._loaded = True
+        # Not at the top: it takes a third of what NumPy does, and short commands look at no other package.
+        from importlib.metadata import entry_points
+
         for point in entry_points(group=self.group):
             reason = self._take(point)
             if reason:

@@ -11,21 +11,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from morembs.body.file import read_body
+from morembs.body import elastic_body, make_part
+from morembs.body.file import read_body, write_body
 from morembs.cli import app
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, make_exporter
 from morembs.importers import IMPORTERS
+from morembs.interface import COUPLINGS, make_interface
 from morembs.jobs.job import load_job
 from morembs.linalg.sparse.select import SOLVERS, available_solvers, select_solver
 from morembs.plugins import Table
-from morembs.reducers import REDUCERS
+from morembs.problem import Problem
+from morembs.reducers import REDUCERS, CraigBampton
 from tests.support.decks import BEAM, deck, folder
+from tests.support.meshes import box, steel, where
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text()
 PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
-TABLES: tuple[Table, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS)
+TABLES: tuple[Table, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS, COUPLINGS)
 REDUCE = 'name = "few"\nmethod = "static-responses"'
 
 
@@ -114,6 +118,29 @@ def test_a_package_that_cannot_be_used_is_named_once(
         assert "the package 'my-package' offers 'static-responses'" in str(caught.value)
     assert len([one for one in recwarn.list if "my-package" in str(one.message)]) == 2
     assert list(REDUCERS) == list(REDUCERS.own)
+
+
+def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (place / "my_package.py").write_text(PACKAGE)
+    entry_points(place, "[morembs.couplings]\ncentre = my_package:centre\nother = my_package:centre\n")
+    look_again()
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.03)))
+    with pytest.warns(UserWarning, match="its name is 'centre', expected 'other'"):
+        left = make_interface(model, name="left", nodes=where(model, 0, 0.0), coupling="centre")
+    right = make_interface(model, name="right", nodes=where(model, 0, 0.4), coupling="average")
+    with Problem(model, [left, right]) as problem:
+        assert problem.B.toarray()[:, 0] @ np.ones(model.size) == pytest.approx(1.0)
+        body = elastic_body(problem, CraigBampton(modes=2).reduce(problem), make_part(problem))
+    path = write_body(tmp_path / "bar.h5", [body])
+    assert read_body(path).interfaces["left"].kind.name == "centre"
+    monkeypatch.setattr(sys, "path", [one for one in sys.path if one != str(place)])
+    del COUPLINGS["centre"]
+    look_again()
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert done.exit_code == 2 and "interface left has the coupling 'centre'" in done.output
+    assert "rigid, average, direct, or a package" in done.output and "damaged" not in done.output
 
 
 def test_assigned_from_python(tmp_path: Path) -> None:

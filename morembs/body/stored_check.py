@@ -71,7 +71,13 @@ class _Check(TableCheck):
 
     def interface(self, at: str) -> None:
         self.table(at, INTERFACE, {})
-        self.one_of(f"{at}coupling", list(COUPLINGS))
+        coupling = self.file[f"{at}coupling"][()].decode()
+        if coupling not in COUPLINGS:
+            raise InputError(
+                f"{self.path}: interface {at.split('/')[1]} has the coupling {coupling!r}, which this installation does "
+                f"not know; expected {', '.join(COUPLINGS)}, or a package that is installed "
+                "beside morembs and defines it (an entry point morembs.couplings)"
+            )
         self.within(f"{at}components", 0, 5)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):

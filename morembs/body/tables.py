@@ -230,7 +230,7 @@ UNSYMMETRIC = Table(tuple(
 ))  # fmt: skip
 
 INTERFACE = Table((
-    Row("coupling", "text", doc="`rigid`, `average` or `direct`"),
+    Row("coupling", "text", doc="`rigid`, `average`, `direct`, or a kind that [another package](extending.md) defines"),
     Row("components", "few", "any", "exposed degrees of freedom 0..5",
         doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them"),
     Row("point", "real", "3", "origin of the frame", "m"),

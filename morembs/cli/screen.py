@@ -7,8 +7,6 @@ from contextlib import contextmanager, suppress
 from threading import Timer
 
 from rich.console import Console
-from rich.progress import Progress as Bar
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from morembs.progress import Progress
 
@@ -29,6 +27,10 @@ class TerminalProgress:
     """A line on standard error that says what is going on, once that takes more than a second."""
 
     def __init__(self, screen: Console, visible: bool) -> None:
+        # Not at the top: what shows tables alone does without.
+        from rich.progress import Progress as Bar
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
         self._bar = Bar(*columns, console=screen, transient=True, disable=not visible)
         self._task = self._bar.add_task("", total=None)

@@ -15,7 +15,7 @@ _ALL: tuple[type[CouplingKind], ...] = (
     Average,
     Direct,
 )
-COUPLINGS.update({kind.name: kind() for kind in _ALL})
+COUPLINGS.take({kind.name: kind() for kind in _ALL})
 
 __all__ = [
     "COUPLINGS",

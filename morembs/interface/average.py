@@ -5,15 +5,17 @@ It adds no stiffness; forces and moments spread over the nodes with the weights 
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.interface.base import CouplingKind, Interface
-from morembs.interface.nodes import condition_of, displacement_dofs, frame_motion, refuse_collinear
+from morembs.interface.nodes import condition_of, displacement_dofs, frame_motion, loads_on, refuse_collinear
 from morembs.model import FEModel, skew
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 
@@ -33,8 +35,7 @@ class Average(CouplingKind):
         wanted = list(interface.components)
         dofs = displacement_dofs(model, interface)
         average = averaging(interface, model.nodes.xyz[interface.nodes])[wanted]
-        places = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
-        return sp.csc_array((average.ravel(), places), shape=(model.size, len(wanted)))
+        return loads_on(model, dofs, average)
 
     def check(self, model: FEModel, interface: Interface) -> None:
         xyz = model.nodes.xyz[interface.nodes]

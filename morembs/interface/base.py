@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, nearest
+from morembs.errors import InputError
 from morembs.model import FEModel, frozen
+from morembs.plugins import Table
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,7 +68,8 @@ class CouplingKind(ABC):
     """How the nodes of an interface follow its degrees of freedom z, or give them.
 
     A new kind is a class, most often in a file of its own, and one line in the table of ``morembs.interface``. Users
-    add theirs with ``COUPLINGS[MyKind.name] = MyKind()`` before they make interfaces or read bodies with them.
+    add theirs by an entry point ``morembs.couplings``, or with ``COUPLINGS[MyKind.name] = MyKind()`` before they make
+    interfaces or read bodies with them.
     """
 
     name: ClassVar[str]
@@ -134,8 +138,14 @@ class CouplingKind(ABC):
         return np.ascontiguousarray(loads[dofs].toarray()[:, 3:].T), dofs
 
 
-# Coupling -> its kind; ``morembs.interface`` fills it.
-COUPLINGS: dict[str, CouplingKind] = {}
+def _fault(name: str, entry: object) -> str:
+    if not isinstance(entry, CouplingKind):
+        return f"{entry!r} is no object of a subclass of morembs.interface.CouplingKind"
+    return "" if entry.name == name else f"its name is {entry.name!r}, expected {name!r}"
+
+
+# Coupling -> its kind; ``morembs.interface`` gives those that are its own.
+COUPLINGS: Table[CouplingKind] = Table("morembs.couplings", {}, _fault)
 
 
 def coupling_kind(interface: str, coupling: str) -> CouplingKind:
@@ -148,4 +158,4 @@ def coupling_kind(interface: str, coupling: str) -> CouplingKind:
         return COUPLINGS[coupling]
     word = str(coupling).lower()
     meant = next((kind.name for kind in COUPLINGS.values() if word in kind.also_called), word)
-    raise InputError(f"interface {interface!r}: coupling = {coupling!r} was given; {nearest(meant, COUPLINGS)}")
+    raise InputError(f"interface {interface!r}: coupling = {coupling!r} was given; {COUPLINGS.advice(meant)}")

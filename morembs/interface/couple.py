@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
@@ -14,6 +14,9 @@ from morembs.interface.base import SIX, Elimination, Interface
 from morembs.model import FEModel, rigid_motion
 from morembs.model.constraints import DependentDofs
 from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -47,6 +50,8 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
         InputError: two interfaces of one name, rigid or direct interfaces that share nodes, or one on nodes that
             follow a rigid element of the model; complex matrices, or K and M that are not symmetric.
     """
+    import scipy.sparse as sp
+
     refuse_complex(model)
     refuse_unsymmetric(model)
     _refuse_shared(model, interfaces)
@@ -85,6 +90,8 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
 
 def _transformation(model: FEModel, eliminated: Sequence[Elimination]) -> tuple[sp.csr_array, Ints]:
     """T (N, Nc), and the dofs that are kept, which come first in Nc; the new ones follow in the order given."""
+    import scipy.sparse as sp
+
     slave = np.zeros(model.size, dtype=bool)
     for one in eliminated:
         slave[one.dofs] = True
@@ -109,6 +116,8 @@ def _transformation(model: FEModel, eliminated: Sequence[Elimination]) -> tuple[
 
 def _beside(blocks: Sequence[tuple[str, sp.csc_array]], size: int) -> tuple[sp.csc_array, dict[str, slice]]:
     """Blocks (size, m_i) side by side, and the columns of each by name."""
+    import scipy.sparse as sp
+
     columns, at = {}, 0
     for name, block in blocks:
         columns[name] = slice(at, at + block.shape[1])

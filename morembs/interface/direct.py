@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.interface.base import CouplingKind, Interface
 from morembs.model import FEModel
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Ints = NDArray[np.int64]
 
@@ -26,6 +28,8 @@ class Direct(CouplingKind):
     large_rotations: ClassVar[bool] = True
 
     def attach(self, model: FEModel, interface: Interface) -> sp.csc_array:
+        import scipy.sparse as sp
+
         table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
         table[model.dofs.node, model.dofs.component] = np.arange(model.size)
         dofs = table[interface.nodes][:, list(interface.components)]

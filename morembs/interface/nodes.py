@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.interface.base import Interface
 from morembs.model import FEModel, rigid_motion
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,6 +46,14 @@ def all_dofs(model: FEModel, interface: Interface) -> Ints:
     if model.dofs.component.max(initial=0) < 3:
         return displacements
     return np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+
+
+def loads_on(model: FEModel, dofs: Ints, values: Floats) -> sp.csc_array:
+    """Loads (N, m): column j puts ``values[j]`` (m, k) on the ``dofs`` (k,)."""
+    import scipy.sparse as sp
+
+    places = np.tile(dofs, len(values)), np.repeat(np.arange(len(values)), len(dofs))
+    return sp.csc_array((values.ravel(), places), shape=(model.size, len(values)))
 
 
 def frame_motion(xyz: Floats, point: Floats) -> Floats:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.interface.base import CouplingKind, Elimination, Interface
-from morembs.interface.nodes import all_dofs, condition_of, refuse_collinear
+from morembs.interface.nodes import all_dofs, condition_of, loads_on, refuse_collinear
 from morembs.model import FEModel, rigid_motion
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,5 +74,4 @@ def _single_node(model: FEModel, interface: Interface) -> sp.csc_array:
     dofs = dofs[np.argsort(model.dofs.component[dofs])]
     away = interface.point - model.nodes.xyz[interface.nodes[0]]
     motion = rigid_motion(np.tile(away, (6, 1)), np.arange(6))[wanted]
-    places = np.tile(dofs, len(wanted)), np.repeat(np.arange(len(wanted)), len(dofs))
-    return sp.csc_array((motion.ravel(), places), shape=(model.size, len(wanted)))
+    return loads_on(model, dofs, motion)

@@ -86,7 +86,7 @@ class InterfaceTable(Table):
 
     name: str = Field(max_length=100, pattern=r"^[^/\s.\x00-\x1f][^/\x00-\x1f]*$", description="a name without slashes")
     nodes: str = Field(description='a selection of nodes such as "set:BIGEND"')
-    coupling: str = Field(default="rigid", description="one of " + ", ".join(map(repr, COUPLINGS)))
+    coupling: str = Field(default="rigid", description="one of " + ", ".join(map(repr, COUPLINGS.own)))
     point: Three | None = Field(default=None, description="the origin of the interface, [x, y, z]")
     components: list[int] | None = Field(default=None, description="some of [0, 1, 2, 3, 4, 5]")
 
