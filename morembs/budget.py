@@ -6,6 +6,7 @@ stay in the file (and in the cache of the operating system), the resident memory
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
 from dataclasses import dataclass, field
@@ -34,11 +35,17 @@ _TIGHT = 0.3
 
 @dataclass(eq=False)
 class Budget:
-    """``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the
-    temporary folder of the system)."""
+    """What a process may use.
+
+    ``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the temporary folder of
+    the system). ``in_memory``: bytes of the largest array that stays in memory (None: chosen by ``memory``; 0 puts all
+    arrays on disk). ``widest``: most columns of a block, however much memory there is.
+    """
 
     memory: int | None = None
     scratch: Path | None = None
+    in_memory: int | None = None
+    widest: int = _WIDEST
     _folder: ScratchFolder | None = field(default=None, repr=False)
     _maps: list[mmap.mmap] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
@@ -47,9 +54,14 @@ class Budget:
         """Bytes that may still be allocated; None without a limit."""
         return None if self.memory is None else self.memory - resident_bytes()
 
-    def columns(self, n: int, copies: int = 4, widest: int = _WIDEST) -> int:
+    @property
+    def files(self) -> int:
+        """How many arrays live in scratch files."""
+        return len(self._maps)
+
+    def columns(self, n: int, copies: int = 4, widest: int | None = None) -> int:
         """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two."""
-        left = self.left()
+        left, widest = self.left(), min(self.widest, self.widest if widest is None else widest)
         if left is None:
             return widest
         width = int(_BLOCK_SHARE * max(left, 0) / (8 * n * copies))
@@ -63,19 +75,26 @@ class Budget:
         """
         kind = np.dtype(dtype)
         size = int(np.prod(shape)) * kind.itemsize
-        if self.memory is None or size < self._small(self.memory):
+        if size <= self._largest():
             return np.zeros(shape, dtype=kind, order="F" if order == "F" else "C")
         return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
 
-    def _small(self, memory: int) -> float:
-        """Bytes below which arrays stay in memory: many small ones are a large one."""
-        if memory - resident_bytes() < _TIGHT * memory:
-            return min(_SMALL, _SMALLEST)
-        return max(_SMALL, _IN_MEMORY * memory)
+    @property
+    def _unlimited(self) -> bool:
+        return self.memory is None and self.in_memory is None
+
+    def _largest(self) -> float:
+        """Bytes of the largest array that stays in memory: many small ones are a large one."""
+        if self.in_memory is not None:
+            return self.in_memory
+        if self.memory is None:
+            return math.inf
+        tight = self.memory - resident_bytes() < _TIGHT * self.memory
+        return _SMALLEST if tight else max(_SMALL, _IN_MEMORY * self.memory)
 
     def store(self, array: Values) -> Values:
         """``array``, or a copy of it in a scratch file where the budget wants that."""
-        if self.memory is None:
+        if self._unlimited:
             return array
         copy = self.empty(array.shape, array.dtype, "F" if array.flags.f_contiguous else "C")
         copy[...] = array
@@ -83,7 +102,7 @@ class Budget:
 
     def rest(self) -> None:
         """Let go of the pages of all arrays in files, and of memory that was freed but not given back."""
-        if self.memory is None:
+        if self._unlimited:
             return
         for mapped in self._maps:
             if hasattr(mmap, "MADV_DONTNEED"):

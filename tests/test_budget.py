@@ -27,11 +27,9 @@ MB = 1 << 20
 
 
 @pytest.fixture
-def filed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Budget:
+def filed(tmp_path: Path) -> Budget:
     """A budget that puts every array into a file."""
-    monkeypatch.setattr(budgets, "_SMALL", 1)
-    monkeypatch.setattr(budgets, "_IN_MEMORY", 0.0)
-    return Budget(1, tmp_path)
+    return Budget(1, tmp_path, in_memory=0)
 
 
 def test_small_arrays_and_those_without_a_limit_stay_in_memory(tmp_path: Path) -> None:
@@ -47,11 +45,11 @@ def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monke
     with Budget(100 * MB, tmp_path) as budget:
         for _ in range(3):
             budget.empty(MB // 2)
-        assert len(budget._maps) == 3
-        assert budget.empty(1000).nbytes == 8000 and len(budget._maps) == 3
+        assert budget.files == 3
+        assert budget.empty(1000).nbytes == 8000 and budget.files == 3
     with Budget(1000 * MB, tmp_path) as budget:
         budget.empty(MB // 2)
-        assert not budget._maps
+        assert not budget.files
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -79,7 +77,7 @@ import numpy as np
 from morembs.budget import Budget
 from morembs.memory import resident_bytes
 memory = resident_bytes() + int(sys.argv[2])
-budget = Budget(memory, Path(sys.argv[1]))
+budget = Budget(memory, Path(sys.argv[1]), in_memory=16_000_000)
 A = budget.empty(10_000_000)
 empty = resident_bytes()
 A[:] = np.arange(1e7)
@@ -97,8 +95,7 @@ def test_rest_gives_memory_back_and_keeps_the_values(tmp_path: Path, more: int, 
     """In a process of its own, whose resident memory nothing else changes."""
     if not Path("/proc/self/statm").exists():
         pytest.skip("the resident memory is read from /proc")
-    code = f"import morembs.budget as b; b._IN_MEMORY = 0.0\n{REST}"
-    done = subprocess.run([sys.executable, "-c", code, tmp_path, str(more)], capture_output=True, text=True,
+    done = subprocess.run([sys.executable, "-c", REST, tmp_path, str(more)], capture_output=True, text=True,
                           check=True)  # fmt: skip
     empty, full, relaxed, rested, same, off = map(int, done.stdout.split())
     assert full - empty > 75e6 and rested - empty < 5e6 and same and abs(off) < MB
@@ -108,7 +105,7 @@ def test_rest_gives_memory_back_and_keeps_the_values(tmp_path: Path, more: int, 
 
 
 def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert Budget().columns(10**9) == 256
+    assert Budget().columns(10**9) == 256 and Budget(widest=4).columns(10**9) == 4
     monkeypatch.setattr(budgets, "resident_bytes", lambda: 400 * MB)
     for memory in (1, 100, 500, 700, 1100, 5000, 10**6):
         budget = Budget(memory * MB)
@@ -273,7 +270,7 @@ def test_congruence_is_that_of_scipy(
         assert not found[[T.shape[1] - 1]].nnz
         rows = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
         assert (np.diff(rows * found.shape[0] + found.indices) > 0).all()
-    assert bool(filed._maps) == in_files
+    assert bool(filed.files) == in_files
     np.testing.assert_allclose(magnitudes(A, np.ones((192, 1)))[:, 0], abs(A).sum(axis=1), rtol=1e-14)
     filed.close()
 

@@ -68,7 +68,6 @@ CERTIFIED = {
     "stress": "",
 }
 DRAWN = {**CERTIFIED, "picture": '\npicture = "drawn.png"'}
-SPILLED = {"solver": 'memory = "4 GB"\nscratch = "scratch"'}
 
 
 def _body(folder: Path) -> None:
@@ -90,18 +89,12 @@ def _motion(folder: Path) -> None:
     (folder / "motion.csv").write_text(MOTION + "\n".join(rows) + "\n")
 
 
-def _out_of_core() -> None:
-    """The job, all of whose arrays and factors go to the scratch folder, however small they are."""
-    from morembs import budget
-    from morembs.jobs import inputs
+def _spilled(folder: Path) -> None:
+    """A job all of whose arrays and factors go to the scratch folder, however small they are."""
     from morembs.linalg.sparse.mumps import EmbeddedMumps
 
-    budget._SMALL, budget._IN_MEMORY = 0, 0.0
-    if not EmbeddedMumps.unavailable():
-        inputs.select_solver = lambda name, memory, scratch: EmbeddedMumps(
-            memory=memory, scratch=scratch, out_of_core=True
-        )
-    program(["reduce", "big.toml", "-q"])()
+    key = "" if EmbeddedMumps.unavailable() else '\nname = "mumps-embedded"\nout_of_core = true'
+    _jobs({"big": {"solver": f'memory = "4 GB"\nscratch = "scratch"{key}'}})(folder)
 
 
 def _offline(workers: int) -> Callable[[], None]:
@@ -140,7 +133,7 @@ SCENARIOS: dict[str, Scenario] = {
         _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "reduce",
         "a.toml", "b.toml", "c.toml",
     ),
-    "out-of-core": Scenario(_jobs({"big": SPILLED}), _out_of_core, ("big.h5",)),
+    "out-of-core": _verb(_spilled, ("big.h5",), "reduce", "big.toml", "-q"),
     "gmp": Scenario(_nothing, _offline(1), ("member.h5",), "kept.h5", library=True),
     "gmp-crew": Scenario(_nothing, _offline(2), ("member.h5",), "kept.h5", library=True),
 }  # fmt: skip

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies, StoredBody
@@ -28,7 +28,7 @@ from morembs.exporters.exudyn import exudyn_marker
 from morembs.floating.frame import FloatingFrame
 
 Floats = NDArray[np.float64]
-Point = Sequence[float]
+Point = Sequence[float] | Floats
 
 
 def exudyn_missing() -> str:
@@ -112,16 +112,16 @@ class ExudynSystem:
         self.ground = ExudynPart({"body": self.mbs.AddObject(self.items.ObjectGround())})
 
     def elastic(
-        self, body: ExudynBody, *, position: ArrayLike = (0, 0, 0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0, 0, 0), angular_velocity: ArrayLike = (0, 0, 0), elastic: Floats | None = None,
+        self, body: ExudynBody, *, position: Point = (0, 0, 0), rotation: Floats | None = None,
+        velocity: Point = (0, 0, 0), angular_velocity: Point = (0, 0, 0), elastic: Floats | None = None,
     ) -> ExudynPart:  # fmt: skip
         """The elastic body with its damping, which the file cannot hold. ``elastic`` (k,): where it starts."""
         cms = self.fem.ObjectFFRFreducedOrderInterface()
         cms.LoadFromFile(str(body.file))
         items: dict[str, Any] = cms.AddObjectFFRFreducedOrder(
-            self.mbs, positionRef=_triple(position), initialVelocity=_triple(velocity),
-            rotationMatrixRef=np.eye(3) if rotation is None else np.asarray(rotation),
-            initialAngularVelocity=_triple(angular_velocity),
+            self.mbs, positionRef=list(position), initialVelocity=list(velocity),
+            rotationMatrixRef=np.eye(3) if rotation is None else rotation,
+            initialAngularVelocity=list(angular_velocity),
         )  # fmt: skip
         part = ExudynPart(items, body)
         if any(self.gravity):
@@ -148,8 +148,8 @@ class ExudynSystem:
         self.mbs.AddLoad(self.items.LoadForceVector(markerNumber=self.mbs.AddMarker(marker), loadVector=force))
 
     def rigid(
-        self, mass: float, inertia: Point, *, position: ArrayLike, velocity: ArrayLike = (0, 0, 0),
-        angular_velocity: ArrayLike = (0, 0, 0),
+        self, mass: float, inertia: Point, *, position: Point, velocity: Point = (0, 0, 0),
+        angular_velocity: Point = (0, 0, 0),
     ) -> ExudynPart:  # fmt: skip
         """A rigid body with its origin in its centre of mass and its axes along the inertial ones.
 
@@ -157,8 +157,8 @@ class ExudynSystem:
         by errors of the steps.
         """
         items = self.mbs.CreateRigidBody(
-            referencePosition=_triple(position), initialVelocity=_triple(velocity),
-            initialAngularVelocity=_triple(angular_velocity), gravity=self.gravity, returnDict=True,
+            referencePosition=list(position), initialVelocity=list(velocity),
+            initialAngularVelocity=list(angular_velocity), gravity=self.gravity, returnDict=True,
             inertia=self.utilities.RigidBodyInertia(mass, np.diag(inertia)),
             nodeType=self.exu.NodeType.RotationRxyz,
         )  # fmt: skip
@@ -224,7 +224,3 @@ class ExudynSystem:
         self.mbs.SolveDynamic(settings)
         data = [np.array(self.mbs.GetSensorStoredData(sensor)) for sensor in sensors]
         return data[0][:, 0], [table[:, 1:4] for table in data]
-
-
-def _triple(vector: ArrayLike) -> list[float]:
-    return [float(x) for x in np.asarray(vector, dtype=float)]

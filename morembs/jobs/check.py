@@ -9,12 +9,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
 from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
 from morembs.jobs.inputs import (
+    budget_of,
     damping_of,
     interfaces_of,
     materials_of,
@@ -88,7 +88,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     progress.stage("analyse")
     columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
     columns = max(columns, job.tables.check.full_modes)
-    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         cost = forecast_cost(
             stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
         )
@@ -109,7 +109,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
 
 def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
-    with limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget:
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         model = read_model(source_of(job), budget=budget)
         require_room(job, start, model.size)
         progress.stage("examine")

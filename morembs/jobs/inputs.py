@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from morembs.body.build import BodyOptions, StressOptions
 from morembs.body.file import check_writable
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
@@ -18,7 +19,7 @@ from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.interface import Interface, make_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable
-from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
 from morembs.model.material import Material, isotropic, orthotropic
@@ -151,7 +152,18 @@ def solver_of(job: Job) -> LinearSolver:
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
-    return select_solver(given.name, memory=job.memory, scratch=scratch)
+    solver = select_solver(given.name, memory=job.memory, scratch=scratch)
+    if not given.out_of_core:
+        return solver
+    able = {name: kind for name, kind in SOLVERS.items() if any(one.name == "out_of_core" for one in fields(kind))}
+    if given.name not in able:
+        raise InputError(f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}")
+    return replace(solver, out_of_core=True)  # type: ignore[call-arg]
+
+
+def budget_of(job: Job, solver: LinearSolver) -> Budget:
+    """The memory for the arrays of the job; none stays there where all is to be out of core."""
+    return Budget(solver.memory, solver.scratch, in_memory=0 if job.tables.solver.out_of_core else None)
 
 
 def prepare_output(job: Job) -> None:

@@ -21,6 +21,7 @@ from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, 
 from morembs.jobs.inputs import (
     MOST_MOTIONS,
     body_options,
+    budget_of,
     damping_of,
     interfaces_of,
     materials_of,
@@ -94,7 +95,7 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     solver, materials = solver_of(job), materials_of(job)
     require_room(job, start)
     with (
-        limit_threads(job.tables.solver.threads), Budget(solver.memory, solver.scratch) as budget,
+        limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget,
         PeakMemory() as memory,
     ):  # fmt: skip
         return _run(job, solver, materials, budget, start, Stopwatch(progress, memory), warn)

@@ -134,6 +134,7 @@ class SolverTable(Table):
     memory: str | None = Field(default=None, description='a text such as "4 GiB" or "500 MB"')
     threads: int | None = Field(default=None, ge=1, le=4096, description="a count of threads from 1 to 4096")
     scratch: str | None = Field(default=None, min_length=1, description="the path of a folder for temporary files")
+    out_of_core: bool = Field(default=False, description="true to keep the factor and all arrays on disk, or false")
 
 
 class ReduceTable(Table):

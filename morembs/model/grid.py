@@ -31,7 +31,7 @@ def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:
     local = (step * TYPES[element].reference).astype(np.int64)
     cells = np.meshgrid(*(np.arange((count - 1) // step) for count in shape), indexing="ij")
     first = step * np.stack(cells, axis=-1).reshape(-1, 1, 3)
-    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(first + local, -1, 0)), tuple(shape)), dtype=np.int64)
+    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(first + local, -1, 0)), tuple(shape)))
 
 
 def grid_mesh(points: Floats, element: str = "hex20") -> Mesh:

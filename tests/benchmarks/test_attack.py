@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -22,6 +21,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.attack import damage, forked, kill, mutations, preload, scenarios  # noqa: E402
+from benchmarks.attack.__main__ import main  # noqa: E402
 from benchmarks.attack.fingerprint import differences, fingerprint  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes")
@@ -55,12 +55,12 @@ def test_a_whole_process_is_killed_as_a_forked_one(tmp_path: Path) -> None:
 
 def test_damaged_inputs_are_refused_or_the_differ_knows_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage, "SECONDS", PATIENCE)
-    outcomes = list(damage.attacks(tmp_path, count=60, seed=1, kinds=FORMATS))
-    assert len(outcomes) == 60
+    outcomes = list(damage.attacks(tmp_path, count=32, seed=1, kinds=FORMATS))
+    assert len(outcomes) == 32
     bad = [one for one in outcomes if one.result in damage.FAILURES]
     bad += [one for one in outcomes if one.result == "silent" and mutations.reason(one.kind, one.format) is None]
     assert [(one.format, one.number, one.result, one.words, one.detail) for one in bad] == []
-    assert sum(one.result == "refused" for one in outcomes) > 20
+    assert sum(one.result == "refused" for one in outcomes) > 10
 
 
 # The attacks themselves: a program that does what it must not do is found out.
@@ -160,37 +160,6 @@ def test_a_program_that_stops_its_alarm_clock_is_ended_nevertheless(tmp_path: Pa
     assert ended.hung and ended.code == -signal.SIGKILL
 
 
-def test_a_job_out_of_core_leaves_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the scenario changes in the program is still there to be changed."""
-    scenario = scenarios.SCENARIOS["out-of-core"]
-    scenario.inputs(tmp_path)
-
-    def work() -> None:
-        from morembs import budget
-        from morembs.linalg.sparse import mumps
-
-        real, seen = budget.Budget._map, []
-        monkeypatch.setattr(budget.Budget, "_map", lambda self, size: seen.append(size) or real(self, size))
-        made = mumps.MumpsAnalysis.__init__
-
-        def wrapped(self: object, solver: object, *arguments: object) -> None:
-            made(self, solver, *arguments)  # type: ignore[misc, arg-type]
-            Path("disk").write_text(str(solver.out_of_core))  # type: ignore[attr-defined]
-
-        monkeypatch.setattr(mumps.MumpsAnalysis, "__init__", wrapped)
-        try:
-            scenario.work()
-        finally:
-            Path("maps").write_text(str(len(seen)))
-
-    assert forked.run(work, tmp_path, tmp_path / "logs").code == 0
-    assert int((tmp_path / "maps").read_text()) > 0
-    from morembs.linalg.sparse.mumps import EmbeddedMumps
-
-    if not EmbeddedMumps.unavailable():
-        assert (tmp_path / "disk").read_text() == "True"
-
-
 def test_a_forked_child_takes_nothing_from_its_parent(tmp_path: Path) -> None:
     import tempfile
 
@@ -200,10 +169,6 @@ def test_a_forked_child_takes_nothing_from_its_parent(tmp_path: Path) -> None:
         assert Path(folder).is_dir()
 
 
-def test_the_command_line_prints_how_to_repeat(tmp_path: Path) -> None:
-    arguments = ["damage", "--kind", "npz", "--only", "3", "--seed", "2"]
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.attack", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert "seed 2" in done.stdout
+def test_the_command_line_prints_how_to_repeat(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["damage", "--kind", "npz", "--only", "3", "--seed", "2"]) == 0
+    assert "seed 2" in capfd.readouterr().out

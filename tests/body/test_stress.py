@@ -384,11 +384,8 @@ def test_correction_in_slow_motion(rod):
 
 
 def test_a_small_memory_budget_changes_nothing(rod, monkeypatch):
-    """Scratch files and single columns give what memory gives."""
-    monkeypatch.setattr("morembs.budget._SMALL", 0)
-    monkeypatch.setattr("morembs.budget._IN_MEMORY", 0.0)
-    monkeypatch.setattr(Budget, "columns", lambda *_, **__: 5)
-    with Budget(10**9) as budget:
+    """Scratch files and few columns give what memory gives."""
+    with Budget(10**12, in_memory=0, widest=4) as budget:
         monkeypatch.setattr(rod.problem, "budget", budget)
         again = stress_recovery(rod.problem, rod.reduced)
         for name in ("stress", "correction"):

@@ -72,7 +72,7 @@ def test_a_kind_of_a_user_goes_through_a_body_file(translations, tmp_path, monke
     again = delivered(next(iter(stored.bodies.values())), stored)
     assert list(again.markers) == list(delivered(body, part).markers) == ["root"]
     monkeypatch.delitem(COUPLINGS, translations)
-    with pytest.raises(InputError, match="'translations', which .* does not know; expected rigid, average, direct"):
+    with pytest.raises(InputError, match=r"'translations', which .* does not know; expected rigid, average, direct"):
         read_body(path)
 
 

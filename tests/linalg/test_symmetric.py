@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,12 +147,13 @@ def test_matrices_of_different_sizes_are_refused() -> None:
         DynamicStiffness(K, M, sp.csr_array(sp.triu(D)), solver=SuperLU())
 
 
-def test_matrices_in_files_give_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    monkeypatch.setattr("morembs.budget._SMALL", 0)
-    monkeypatch.setattr("morembs.budget._IN_MEMORY", 0.0)
+def test_matrices_in_files_give_the_same(tmp_path: Path) -> None:
     K, M, D = _pencil(True)
-    with Budget(1 << 40, tmp_path) as budget, DynamicStiffness(K, M, D, solver=SuperLU(), budget=budget) as pencil:
-        assert len(budget._maps) >= 5
+    with (
+        Budget(1 << 40, tmp_path, in_memory=0) as budget,
+        DynamicStiffness(K, M, D, solver=SuperLU(), budget=budget) as pencil,
+    ):
+        assert budget.files >= 5
         expected = DynamicStiffness(K, M, D, solver=SuperLU()).at(2j)
         np.testing.assert_array_equal(pencil.at(2j).data, expected.data)
         assert pencil.at(2j).pattern == expected.pattern

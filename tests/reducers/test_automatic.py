@@ -43,7 +43,7 @@ def test_the_tolerance_holds(name, damping):
         omega, H, scale, modes = full(problem, BAND[name])
         floor = round_off(problem, omega, modes)
         orders = []
-        for tolerance in (1e-2, 1e-4, 1e-6):
+        for tolerance in (1e-2, 1e-6):
             body = Automatic(band_hz=BAND[name], tolerance=tolerance).reduce(problem)
             error = errors_of(body, omega, H, scale)
             show(name, damping, f"{tolerance:.0e}: {body.order - 6}", body.recipe["orders"], f"error {error.max():.1e}")
@@ -89,7 +89,7 @@ def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
 
 @pytest.mark.parametrize("coupling", ["rigid", "average"])
 def test_static_responses_are_exact_if_asked_for(coupling):
-    model, interfaces = ends(coupling)
+    model, interfaces = ends(coupling, n=(3, 1, 1))
     with Problem(model, interfaces) as problem:
         hz = np.array([50.0, 2000.0])
         plain, exact = (Automatic(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
@@ -102,7 +102,7 @@ def test_static_responses_are_exact_if_asked_for(coupling):
 
 def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
     """Deformation under centrifugal load: a dense static solution stays in the span."""
-    model, interfaces = ends("average")
+    model, interfaces = ends("average", n=(3, 1, 1))
     with Problem(model, interfaces) as problem:
         K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
         x = model.nodes.xyz[model.dofs.node] - problem.coupling.pole
@@ -148,7 +148,7 @@ def test_auto_needs_interfaces():
 def test_two_runs_are_equal_to_the_last_bit():
     found = []
     for _ in range(2):
-        model, interfaces = ends("average")
+        model, interfaces = ends("average", n=(3, 1, 1))
         with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem:
             body = Automatic(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
             (its,) = certify(problem, [body], np.linspace(50.0, 3000.0, 9))
@@ -199,7 +199,7 @@ path = "{name}.h5"
 {certify}
 """
 RAYLEIGH, MODAL = "rayleigh = { alpha = 5.0, beta = 2e-8 }", "modal = 0.01"
-CERTIFY = "[certify]\nband_hz = [0.0, 40000.0]\npoints = 20\n"
+CERTIFY = "[certify]\nband_hz = [0.0, 40000.0]\npoints = 6\n"
 
 
 def write_job(folder, mesh, name="job", damping=RAYLEIGH, certify=CERTIFY):
@@ -217,8 +217,11 @@ def strict(text):
     return json.loads(text, parse_constant=refuse)
 
 
-@pytest.mark.parametrize("damping", [RAYLEIGH, MODAL])
-@pytest.mark.parametrize("certify", [CERTIFY, "", CERTIFY + "bound = false\n"])
+@pytest.mark.parametrize(
+    ("damping", "certify"),
+    [(RAYLEIGH, CERTIFY), (RAYLEIGH, ""), (MODAL, CERTIFY), (MODAL, CERTIFY + "bound = false\n")],
+    ids=["bound", "band of auto", "estimate", "none"],
+)
 def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, damping, certify):
     result = run_job(load_job(write_job(tmp_path, small_meshes, damping=damping, certify=certify)))
     stored = read_body(tmp_path / "job.h5")
@@ -249,6 +252,7 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
     assert "certificate: relative errors at" in text
     assert "elastic coordinates, the smallest found that keeps 0.001" in text
     assert ("estimate" in text) == (damping == MODAL and "false" not in certify)
+    assert ("bound, max" in text) == (damping == RAYLEIGH)
 
 
 def test_certificates_on_the_command_line(small_meshes, tmp_path):
@@ -259,8 +263,6 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
     assert "NaN" not in found.stdout and "Infinity" not in found.stdout
     flat = json.dumps(document)
     assert '"certificate"' in flat and '"bound_kind": "bound"' in flat
-    shown = CliRunner().invoke(app, ["reduce", str(path)])
-    assert shown.exit_code == 0 and "bound, max" in shown.stdout
 
 
 @pytest.mark.parametrize(
@@ -268,7 +270,7 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
     [("tolerance = 1e-3", "tolerance = 2.0", "relative error between 0 and 1"),
      ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", "LOW < HIGH"),
      ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", "LOW < HIGH"),
-     ("points = 20", "points = 1", "count from 2"),
+     ("points = 6", "points = 1", "count from 2"),
      ("tolerance = 1e-3", "", "needs the key tolerance")],
 )  # fmt: skip
 def test_faults_in_a_job_are_named(small_meshes, tmp_path, old, new, message):
