@@ -51,6 +51,7 @@ MOVED = {
     "linalg.mumps_instance": "linalg.sparse.mumps_instance",
     "linalg.mumps_library": "linalg.sparse.mumps_library",
     "linalg.ordering": "linalg.sparse.ordering",
+    "linalg.orthogonal": "linalg.columns",
     "linalg.pardiso": "linalg.sparse.pardiso",
     "linalg.pardiso_library": "linalg.sparse.pardiso_library",
     "linalg.select": "linalg.sparse.select",
@@ -135,6 +136,19 @@ class _Moved(MetaPathFinder, Loader):
     def exec_module(self, module: ModuleType) -> None:
         # The import system has put the specification of the old name in place of its own.
         module.__spec__ = self._spec
+
+
+def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], object]:
+    """``__getattr__`` of ``module``, which gives what it now calls ``names[old]`` for an old name, and warns."""
+
+    def find(name: str) -> object:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        new = names[name]
+        warnings.warn(f"{module}.{name} is now {new}; the old name goes with the next version", DeprecationWarning, 2)
+        return getattr(sys.modules[module], new)
+
+    return find
 
 
 def accept_old_names() -> None:

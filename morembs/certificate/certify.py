@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from morembs.certificate.residual import bound_of, modal_damping, residual_of, static_response
 from morembs.certificate.response import reduced_response
 from morembs.errors import SolverError
+from morembs.linalg.columns import dot, multiply_into, project_out
 from morembs.linalg.eigen import Modes
-from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -166,8 +166,8 @@ def _elastic_part(problem: Problem, reduced: ReducedModel, basis: Floats | None 
     """Eigenvectors (Nc, n) of the reduced elastic part, free of rigid-body motion."""
     basis = reduced.V if basis is None else basis
     Y = _elastic_coordinates(reduced)
-    V = combine(basis, Y, problem.budget.empty((len(basis), Y.shape[1]), order="F"), problem.budget)
-    remove(problem.rigid, V, problem.M)
+    V = multiply_into(basis, Y, problem.budget.empty((len(basis), Y.shape[1]), order="F"), problem.budget)
+    project_out(problem.rigid, V, problem.M)
     return V
 
 

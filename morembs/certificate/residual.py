@@ -28,11 +28,18 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
+from morembs.linalg.columns import (
+    dot,
+    m_norms,
+    map_columns,
+    multiply_into,
+    orthonormal,
+    project_out,
+    projected,
+    subtract,
+)
 from morembs.linalg.eigen import Modes
-from morembs.linalg.orthogonal import combine, dot, m_norms, m_orthonormal, remove, subtract
-from morembs.linalg.statics import solved
 from morembs.problem import Problem
-from morembs.reducers.base import projected
 from morembs.responses.reference import Reference
 
 Floats = NDArray[np.float64]
@@ -127,7 +134,8 @@ def bound_of(
 
 def static_response(problem: Problem) -> Floats:
     """G_e B (Nc, m): elastic displacements under unit interface loads, solved for once. Not to be changed."""
-    return problem.shared("static response", lambda: solved(problem.elastic.flexibility, problem.B, problem.budget))
+    flexibility = problem.elastic.flexibility
+    return problem.shared("static response", lambda: map_columns(flexibility, problem.B, problem.budget))
 
 
 def residual_of(problem: Problem, V: Floats, W: Floats, modes: Modes, reference: Reference) -> Residual:
@@ -144,7 +152,7 @@ def residual_of(problem: Problem, V: Floats, W: Floats, modes: Modes, reference:
         modes_D = _between(modes.vectors, problem.D, V, budget)
     gram = projected(V, K, budget)
     L = np.linalg.cholesky(gram)
-    Vk = combine(V, sl.solve_triangular(L, np.eye(n), lower=True).T, budget.empty(V.shape, order="F"), budget)
+    Vk = multiply_into(V, sl.solve_triangular(L, np.eye(n), lower=True).T, budget.empty(V.shape, order="F"), budget)
     basis, projected_D = _EnergyBasis(problem, Vk), np.zeros((n, 0))
     for X in _inputs(problem, V):
         basis.add(X)
@@ -178,11 +186,11 @@ class _EnergyBasis:
         """Take in some columns ``X`` (Nc, j), which are overwritten."""
         K, budget = self.problem.K, self.problem.budget
         size = m_norms(X, K @ X)
-        self.of_V.append(remove(self.Vk, X, K, budget=budget))
-        coordinates = [remove(Q, X, K, budget=budget) for Q in self.Q]
+        self.of_V.append(project_out(self.Vk, X, K, budget=budget))
+        coordinates = [project_out(Q, X, K, budget=budget) for Q in self.Q]
         # Directions that one pass takes for round-off of its largest ones are found by the next.
         for _ in range(3):
-            Q = m_orthonormal(X, K, size)
+            Q = orthonormal(X, K, size)
             if not Q.shape[1]:
                 break
             # Q only needs to be orthonormal; what it misses of the columns stays in the rest.

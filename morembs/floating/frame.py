@@ -202,7 +202,7 @@ def floating_frame(
     Raises:
         InputError: a body that is held or whose equations are not symmetric (see ``floats``), or an impossible frame.
     """
-    from morembs.linalg.orthogonal import combine, dot
+    from morembs.linalg.columns import dot, multiply
 
     check_frame(kind, interfaces, list(problem.coupling.frame_columns))
     reason = why_not_floating(reduced)
@@ -215,7 +215,7 @@ def floating_frame(
     H[:3, 3:] = skew(center - coupling.pole)
     R = coupling.R @ H
     rigid = _coordinates(problem, reduced, R)
-    elastic = combine(reduced.V, Y, budget.empty((len(reduced.V), Y.shape[1]), order="F"), budget)
+    elastic = multiply(reduced.V, Y, budget)
     motions = dot(coupling.frames.toarray(), elastic, budget) if coupling.frame_columns else np.zeros((0, Y.shape[1]))
     points = {interface.name: interface.point for interface in problem.interfaces}
     markers = {
@@ -264,7 +264,7 @@ def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
     """Reduced coordinates (nr, 6) of rigid motions ``R`` (Nc, 6) that the basis holds."""
     import scipy.linalg as sl
 
-    from morembs.linalg.orthogonal import dot
+    from morembs.linalg.columns import dot
 
     # Unit diagonal: coordinates of different units would spoil the factor.
     scale = 1.0 / np.sqrt(np.diag(reduced.M))

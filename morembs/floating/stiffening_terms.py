@@ -20,7 +20,7 @@ from morembs.floating.frame import FloatingFrame, frame_rows, why_not_floating
 from morembs.floating.integrals import PAIRS
 from morembs.floating.link_stiffness import Links
 from morembs.floating.stiffening import Envelope, Stiffening
-from morembs.linalg.orthogonal import dot
+from morembs.linalg.columns import dot
 from morembs.model import FEModel
 from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem

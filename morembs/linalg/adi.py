@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
-from morembs.linalg.orthogonal import combine, m_orthonormal
+from morembs.linalg.columns import multiply_into, orthonormal
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -156,7 +156,7 @@ class _Iteration:
         scale = np.sqrt(self.start)
         parts = [self.static / scale, self.f / scale, *self.recent]
         parts.append(system.flexibility(system.M @ parts[0]))
-        Q = m_orthonormal(np.hstack(parts), system.M)
+        Q = orthonormal(np.hstack(parts), system.M)
         K, D = Q.T @ (system.K @ Q), Q.T @ system.apply_D(Q)
         K, D = 0.5 * (K + K.T), 0.5 * (D + D.T)
         k = len(K)
@@ -226,7 +226,7 @@ class _Factor:
         keep = values > NEGLIGIBLE * values[0]
         kept = int(keep.sum())
         for Z in (self.Zp, self.Zv):
-            combine(Z[:, : self.size], Y[keep].T, Z[:, :kept], self.budget)
+            multiply_into(Z[:, : self.size], Y[keep].T, Z[:, :kept], self.budget)
         self.size = kept
 
     def columns(self) -> tuple[Floats, Floats]:

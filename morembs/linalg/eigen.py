@@ -11,12 +11,12 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
+from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.orthogonal import m_norms
 from morembs.linalg.slicing import SLICE, sliced_modes
-from morembs.linalg.statics import Restricted, dense
+from morembs.linalg.statics import Restricted
+from morembs.moved import renamed
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ def lowest_modes(
         values, vectors = sliced_modes(
             pencil, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress
         )
-        return Modes(eigenvalues=values, vectors=signed(vectors, pencil.statics.budget), verified_below=below)
+        return Modes(eigenvalues=values, vectors=fix_signs(vectors, pencil.statics.budget), verified_below=below)
     return _sparse(pencil, M, count, below, progress, what)
 
 
@@ -114,7 +114,7 @@ def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float 
     if soft:
         values[:soft], vectors[:, :soft] = _sharpened(pencil, M, vectors[:, :soft])
     m = int((values <= below).sum()) if count is None and below is not None else count
-    vectors = signed(vectors[:, :m])
+    vectors = fix_signs(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
     held = float(values[m]) if m is not None and m < len(values) else np.inf
     return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held)
@@ -189,7 +189,7 @@ def _sparse(
         true = count if below is not None else pencil.count_below(cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
         if found == true:
-            vectors = signed(Y[:, :count], pencil.statics.budget)
+            vectors = fix_signs(Y[:, :count], pencil.statics.budget)
             held = float(cut) if found == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
@@ -217,12 +217,4 @@ def _gap_after(values: Floats, count: int) -> float | None:
     return None
 
 
-def signed(V: Floats, budget: Budget = UNLIMITED) -> Floats:
-    """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
-    for column in V.T:
-        size = np.abs(column)
-        if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
-            # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
-            column *= -1.0
-        budget.relax()
-    return V
+__getattr__ = renamed(__name__, {"signed": "fix_signs"})

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.linalg.orthogonal import combine, m_norms, m_orthonormal, remove
+from morembs.linalg.columns import complement, m_norms, multiply_into, project_out
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -149,7 +149,7 @@ class StreamedSVD:
         norms = m_norms(S, X @ S)
         self.energy += float((norms**2).sum())
         largest = max(float(norms.max(initial=0.0)), float(self.sigma.max(initial=0.0)))
-        C = remove(self.V[:, :r], S, X, budget=self.budget)
+        C = project_out(self.V[:, :r], S, X, budget=self.budget)
         rows, used = [C], r
         for _ in range(_PASSES):
             size = m_norms(S, X @ S)
@@ -158,10 +158,8 @@ class StreamedSVD:
             if not active.any() or not room:
                 break
             # Columns scaled up hold round-off of what was taken out before.
-            W = m_orthonormal(S[:, active] / size[active], X)
-            remove(self.V[:, :used], W, X, budget=self.budget)
-            W = m_orthonormal(W, X)[:, :room]
-            rows.append(remove(W, S, X))
+            W = complement(self.V[:, :used], S[:, active] / size[active], X, self.budget)[:, :room]
+            rows.append(project_out(W, S, X))
             self.V[:, used : used + W.shape[1]] = W
             used += W.shape[1]
             self.budget.relax()
@@ -169,5 +167,5 @@ class StreamedSVD:
         np.fill_diagonal(left, self.sigma)
         U, sigma, _ = sl.svd(np.hstack([left, np.vstack(rows)]), full_matrices=False)
         keep = int((sigma > NEGLIGIBLE * sigma.max(initial=0.0)).sum())
-        combine(self.V[:, :used], U[:, :keep], self.V[:, :keep], self.budget)
+        multiply_into(self.V[:, :used], U[:, :keep], self.V[:, :keep], self.budget)
         self.sigma = sigma[:keep]

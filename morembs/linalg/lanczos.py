@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
-from morembs.linalg.orthogonal import combine, m_norms, m_orthonormal, remove
+from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal, project_out
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ class BlockLanczos:
         self.V = budget.empty((M.shape[0], self.capacity), order="F")
         self.T = np.zeros((self.capacity, self.capacity))
         self.size = 0
-        self.pending = m_orthonormal(start, M)
+        self.pending = orthonormal(start, M)
         self.rest_vectors = np.zeros((M.shape[0], 0))
         self.rest = np.zeros((0, 0))
         self.last = slice(0, 0)
@@ -59,7 +59,7 @@ class BlockLanczos:
         W = self.flexibility(self.M @ Q)
         MW = self.M @ W
         norms = m_norms(W, MW)
-        H = remove(self.V[:, : k + b], W, self.M, MW, self.budget)
+        H = project_out(self.V[:, : k + b], W, self.M, MW, self.budget)
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
@@ -71,17 +71,12 @@ class BlockLanczos:
         self.pending = self._next(W, norms)
 
     def _next(self, W: Floats, norms: Floats) -> Floats:
-        Q = m_orthonormal(W, self.M, norms, self.rest)
+        Q = orthonormal(W, self.M, norms, self.rest)
         if Q.shape[1] < W.shape[1]:
             # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
             missing = self.block - Q.shape[1]
             fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
-            before = m_norms(fresh, self.M @ fresh)
-            remove(self.V[:, : self.size], fresh, self.M, budget=self.budget)
-            remove(Q, fresh, self.M)
-            Q = np.hstack([Q, m_orthonormal(fresh, self.M, before)])
-            remove(self.V[:, : self.size], Q, self.M, budget=self.budget)
-            Q = m_orthonormal(Q, self.M)
+            Q = np.hstack([Q, complement([self.V[:, : self.size], Q], fresh, self.M, self.budget)])
         return Q
 
     def ritz(self) -> tuple[Floats, Floats, Floats]:
@@ -96,7 +91,7 @@ class BlockLanczos:
     def restart(self, keep: int) -> None:
         """Keep the ``keep`` best Ritz vectors and go on from them."""
         theta, Y, _ = self.ritz()
-        combine(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep], self.budget)
+        multiply_into(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep], self.budget)
         self.T[:] = 0.0
         self.T[range(keep), range(keep)] = theta[:keep]
         self.size = keep
@@ -117,8 +112,7 @@ class BlockLanczos:
 
     def vectors(self, Y: Floats) -> Floats:
         """Columns V Y (N, j)."""
-        out = self.budget.empty((len(self.V), Y.shape[1]), order="F")
-        return combine(self.V[:, : self.size], Y, out, self.budget)
+        return multiply(self.V[:, : self.size], Y, self.budget)
 
 
 def largest(

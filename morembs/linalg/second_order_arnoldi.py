@@ -16,18 +16,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
+from morembs.linalg.columns import orthonormal, split
 
 Values = NDArray[Any]
 Solve = Callable[[Values], Values]
-# A column that keeps less than this part of its norm after orthogonalisation is dependent.
-DEPENDENT = 1e-10
-# Eigenvalues of a Gram matrix of unit columns below this are round-off.
-NOISE = 1e-14
+# Of orthonormalisations: blocks may have directions far below their others.
+PASSES = 3
 
 
 class SecondOrderArnoldi:
@@ -43,7 +41,7 @@ class SecondOrderArnoldi:
     ) -> None:  # fmt: skip
         self.M, self.D, self.scale, self.budget = M, D, scale, budget
         self.shift = complex(shift) if complex(shift).imag else complex(shift).real
-        Q = orthonormal(np.array(start), M)
+        Q = orthonormal(start, M, passes=PASSES)
         self.blocks: list[Values] = []
         self._add(Q)
         k = Q.shape[1]
@@ -70,30 +68,11 @@ class SecondOrderArnoldi:
         E = 2 * self.shift * (self.M @ newest) + self.D @ newest
         W = -solve(self.scale * E + self.scale**2 * (self.M @ before))
         del newest, before, E
-        coordinates, Q = self._outside(W)
+        coordinates, Q = split(self.blocks, W, self.M, self.budget, passes=PASSES)
+        coordinates = np.vstack([coordinates, Q.conj().T @ (self.M @ W)])
         self.deflated.append(W.shape[1] - Q.shape[1])
         self._add(Q)
         self._second_level(coordinates, np.vstack([upper, np.zeros((Q.shape[1], upper.shape[1]))]))
-
-    def _outside(self, W: Values) -> tuple[Values, Values]:
-        """Coordinates of ``W`` in [Q, new block], and the new block."""
-        start = _norms(W, self.M)
-        coordinates = self._remove(W)
-        Q = orthonormal(np.array(W), self.M, start)
-        # Scaling up what was small scaled up its part along Q too.
-        self._remove(Q)
-        Q = orthonormal(Q, self.M)
-        return np.vstack([coordinates, Q.conj().T @ (self.M @ W)]), Q
-
-    def _remove(self, W: Values) -> Values:
-        """Take span(Q) out of ``W`` in place, twice; returns the coordinates."""
-        total = np.zeros((self.size, W.shape[1]), dtype=W.dtype)
-        for _ in range(2):
-            MW = self.M @ W
-            part = np.vstack([block.conj().T @ MW for block in self.blocks])
-            W -= self._vectors(part)
-            total += part
-        return total
 
     def _second_level(self, upper: Values, lower: Values) -> None:
         """New columns of [S1; S2], orthonormalised against the known ones."""
@@ -103,8 +82,8 @@ class SecondOrderArnoldi:
         start = np.linalg.norm(T, axis=0)
         for _ in range(2):
             T = T - S @ (S.conj().T @ T)
-        T = orthonormal(T, None, start)
-        T = orthonormal(T - S @ (S.conj().T @ T), None)
+        T = orthonormal(T, None, start, passes=PASSES)
+        T = orthonormal(T - S @ (S.conj().T @ T), None, passes=PASSES)
         both = np.hstack([S, T])
         self.upper, self.lower = both[:k], both[k:]
         self.last = slice(known, known + T.shape[1])
@@ -120,46 +99,3 @@ class SecondOrderArnoldi:
 
     def _add(self, Q: Values) -> None:
         self.blocks.append(self.budget.store(np.asfortranarray(Q)))
-
-
-def orthonormal(W: Values, M: sp.sparray | None, reference: Values | None = None) -> Values:
-    """Basis of the columns of ``W`` (n, k), real or complex, orthonormal in x^H M y; dependent columns are dropped.
-
-    ``M`` None is the identity. ``reference`` (k,) gives the norms that the columns had before anything was taken
-    out of them. By eigenvectors of the Gram matrix (Stathopoulos and Wu 2002).
-    """
-    norms = _norms(W, M)
-    start = norms if reference is None else reference
-    Q = np.zeros((len(W), 0), dtype=W.dtype)
-    # What one pass cannot tell from round-off beside larger directions, the next one sees alone.
-    for _ in range(3):
-        keep = (norms > DEPENDENT * start) & (norms > 0)
-        if not keep.any():
-            break
-        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])[:, : W.shape[1]]
-        if Q.shape[1] == W.shape[1]:
-            break
-        for _ in range(2):
-            W = W - Q @ (Q.conj().T @ _weighted(W, M))
-        norms = _norms(W, M)
-    return Q
-
-
-def _by_gram(W: Values, M: sp.sparray | None) -> Values:
-    for _ in range(4):
-        G = W.conj().T @ _weighted(W, M)
-        if np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
-            break
-        values, U = sl.eigh(0.5 * (G + G.conj().T))
-        good = values > NOISE * values[-1]
-        W = W @ (U[:, good] / np.sqrt(values[good]))
-    return W
-
-
-def _weighted(W: Values, M: sp.sparray | None) -> Values:
-    return W if M is None else np.asarray(M @ W)
-
-
-def _norms(W: Values, M: sp.sparray | None) -> Values:
-    squares = np.einsum("ij,ij->j", W.conj(), _weighted(W, M)).real
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

@@ -18,10 +18,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
+from morembs.linalg.columns import dense, map_columns, project_out
 from morembs.linalg.dynamic_stiffness import held
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
-from morembs.linalg.orthogonal import remove
-from morembs.linalg.statics import NUDGES, Restricted, dense, room_for_factor, solved, unit_rows
+from morembs.linalg.statics import NUDGES, Restricted, room_for_factor, unit_rows
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ class Shifted:
         if pencil.mean_axes:
             self.below -= pencil.count
         elif self.rows is None:
-            self.X = solved(self.factor.solve, pencil.C, pencil.statics.budget)
+            self.X = map_columns(self.factor.solve, pencil.C, pencil.statics.budget)
             S = dense(pencil.C.T @ self.X)
             # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
             self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
@@ -131,7 +131,7 @@ def _slice(
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)
-        remove(locked, U, M, budget=budget)
+        project_out(locked, U, M, budget=budget)
         return U
 
     if not missing and limit <= shifted.sigma:

@@ -13,7 +13,6 @@ interface (C = B), whatever its coupling.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -24,10 +23,12 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
+from morembs.linalg.columns import map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.moved import renamed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -108,7 +109,7 @@ class Restricted:
     def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
         self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = solved(statics.apply, C, statics.budget)
+        self.X = map_columns(statics.apply, C, statics.budget)
         E = C.T @ self.X
         H = C.T @ Z
         c, r = H.shape
@@ -270,7 +271,7 @@ class Restricted:
             return solver.negative_eigenvalues(held(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:
             negative = factor.negative_pivots()
-            S = self.C.T @ solved(factor.solve, self.C, pencil.budget)
+            S = self.C.T @ map_columns(factor.solve, self.C, pencil.budget)
         scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
         return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
 
@@ -338,17 +339,4 @@ def _sizes(A: Floats) -> Floats:
     return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
 
 
-def dense(C: Floats | sp.csc_array) -> Floats:
-    """``C`` as a dense array."""
-    return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
-
-
-def solved(solve: Callable[[Floats], Floats], C: Floats | sp.csc_array, budget: Budget) -> Floats:
-    """solve(C) as a dense (N, c) array, the columns made dense a block at a time."""
-    X = budget.empty((C.shape[0], C.shape[1]), order="F")
-    width = budget.columns(C.shape[0])
-    for at in range(0, C.shape[1], width):
-        part = C[:, at : at + width]
-        X[:, at : at + width] = solve(dense(part))
-        budget.relax()
-    return X
+__getattr__ = renamed(__name__, {"solved": "map_columns"})

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
+from morembs.linalg.columns import hstack, multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.orthogonal import beside, combine, remove
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, elastic_basis, projected
+from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
 from morembs.reducers.second_order_balancing import (
@@ -73,7 +73,7 @@ class _Gramian:
         """Z C as columns (Nc, j)."""
         if self.reference is not None:
             return self.reference.vectors(Z @ C)
-        return combine(Z, C, problem.budget.empty((len(Z), C.shape[1]), order="F"), problem.budget)
+        return multiply(Z, C, problem.budget)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +349,7 @@ def _two_sided(
     left = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
     moved = None if cut.inertial is None else gramian.lift(gramian.Zv, cut.inertial, problem)
     for X in (right, left, *([] if moved is None else [moved])):
-        remove(Z, X, M)
+        project_out(Z, X, M)
     K = projected(right, problem.K, budget, left)
     r, n = Z.shape[1], right.shape[1]
     inertial = right if moved is None else moved
@@ -363,8 +363,8 @@ def _two_sided(
     whole = np.zeros((r + n, r + n))
     whole[r:, r:] = K
     return Basis(
-        V=beside(Z, right, budget=budget), kinds=("rigid",) * r + ("balanced",) * n, K=whole, rigid=np.eye(r + n, r),
-        left=beside(Z, left, budget=budget), inertial=None if moved is None else beside(Z, moved, budget=budget),
+        V=hstack(Z, right, budget=budget), kinds=("rigid",) * r + ("balanced",) * n, K=whole, rigid=np.eye(r + n, r),
+        left=hstack(Z, left, budget=budget), inertial=None if moved is None else hstack(Z, moved, budget=budget),
         notes={**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"},
     )  # fmt: skip
 

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.budget import Budget
 from morembs.errors import InputError, SolverError
-from morembs.linalg.eigen import graded_modes, signed
-from morembs.linalg.orthogonal import beside, combine, dot, m_norms, m_orthonormal, remove
+from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply, multiply_into, projected
+from morembs.linalg.eigen import graded_modes
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
@@ -258,7 +256,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, values[r]), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
     x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
-    Vx = combine(V, x[:, None], np.empty((len(V), 1)), problem.budget)
+    Vx = multiply_into(V, x[:, None], np.empty((len(V), 1)), problem.budget)
     given = K @ x
     true = dot(W, problem.K @ Vx, problem.budget)[:, 0]
     off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
@@ -297,43 +295,22 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
 
     ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
     """
-    V = elastic_columns(problem, X)
+    V = complement(problem.rigid, X, problem.M, problem.budget)
 
     def stiffness(Y: Floats) -> Floats:
-        some = combine(V, Y, problem.budget.empty((len(V), Y.shape[1]), order="F"), problem.budget)
-        return projected(some, problem.K, problem.budget)
+        return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
 
     values, Y = graded_modes(projected(V, problem.K, problem.budget), projected=stiffness)
-    combine(V, Y, V, problem.budget)
-    V = signed(V, problem.budget)
+    multiply_into(V, Y, V, problem.budget)
+    V = fix_signs(V, problem.budget)
     r, m = problem.rigid.shape[1], V.shape[1]
     return Basis(
-        V=beside(problem.rigid, V, budget=problem.budget),
+        V=hstack(problem.rigid, V, budget=problem.budget),
         kinds=("rigid",) * r + (kind,) * m,
         K=np.diag(np.concatenate([np.zeros(r), values])),
         rigid=np.eye(r + m, r),
         notes=notes or {},
     )
-
-
-def elastic_columns(problem: Problem, X: Floats) -> Floats:
-    """M-orthonormal basis (Nc, k) of span(X) without rigid-body motion; ``X`` (Nc, j) is overwritten."""
-    M = problem.M
-    before = m_norms(X, M @ X)
-    remove(problem.rigid, X, M)
-    V = m_orthonormal(X, M, before)
-    # Scaling up what was small scaled up the rigid round-off in it too.
-    remove(problem.rigid, V, M)
-    return m_orthonormal(V, M)
-
-
-def projected(V: Floats, A: sp.csr_array, budget: Budget, left: Floats | None = None) -> Floats:
-    """V' A V or ``left``' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
-    width = budget.columns(len(V))
-    test = V if left is None else left
-    parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
-    whole = np.hstack(parts) if parts else np.zeros((0, 0))
-    return 0.5 * (whole + whole.T) if left is None else whole
 
 
 def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to: Floats) -> Basis:
@@ -343,20 +320,17 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     stiffness. In exact arithmetic they are K-orthogonal to the basis; columns that are nearly dependent
     are not, so their coupling is projected, not assumed to be zero.
     """
-    MW = problem.M @ W
-    before = m_norms(W, MW)
-    remove(orthogonal_to, W, problem.M, MW)
-    W = m_orthonormal(W, problem.M, before)
+    W = complement(orthogonal_to, W, problem.M, problem.budget)
     if basis.holds_interfaces:
         # Scaling up nearly dependent columns scaled up the round-off of their interface motion too.
         constraint = basis.V[:, : basis.kinds.count("constraint")]
         W -= constraint @ (problem.B.T @ W)
     stiffness = W.T @ (problem.K @ W)
-    W = signed(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
+    W = fix_signs(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(
-        V=beside(basis.V, W, budget=problem.budget),
+        V=hstack(basis.V, W, budget=problem.budget),
         kinds=basis.kinds + ("attachment",) * W.shape[1],
         K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
         rigid=np.vstack([basis.rigid, np.zeros((W.shape[1], basis.rigid.shape[1]))]),

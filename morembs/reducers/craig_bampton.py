@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.errors import InputError
-from morembs.linalg.orthogonal import beside
+from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
@@ -85,7 +85,7 @@ class CraigBampton(OfModes):
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.internal.impose()
         basis = Basis(
-            V=beside(constraint, fixed.vectors, budget=problem.budget),
+            V=hstack(constraint, fixed.vectors, budget=problem.budget),
             kinds=("constraint",) * inputs + ("fixed-interface",) * len(fixed.eigenvalues),
             K=sl.block_diag(condensed, np.diag(fixed.eigenvalues)),
             # Rigid motion is that of the interfaces, without any internal coordinate.
@@ -118,7 +118,7 @@ class CraigBampton(OfModes):
                     "missing, and more under loads that vary within an interface"
                 )
             basis = Basis(
-                V=beside(problem.rigid, few.vectors, fixed.vectors, budget=problem.budget),
+                V=hstack(problem.rigid, few.vectors, fixed.vectors, budget=problem.budget),
                 kinds=("rigid",) * r + ("characteristic",) * (k - r) + ("fixed-interface",) * m,
                 K=np.diag(np.concatenate([np.zeros(r), few.eigenvalues, fixed.eigenvalues])),
                 rigid=np.eye(k + m, r),

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.linalg.orthogonal import beside
+from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, add_residual_modes
@@ -31,7 +31,7 @@ class FreeInterface(OfModes):
         Psi = problem.elastic.flexibility(problem.B.toarray())
         r, m = rigid.shape[1], Phi.shape[1]
         modes = Basis(
-            V=beside(rigid, Phi, budget=problem.budget),
+            V=hstack(rigid, Phi, budget=problem.budget),
             kinds=("rigid",) * r + ("elastic",) * m,
             K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues])),
             rigid=np.eye(r + m, r),

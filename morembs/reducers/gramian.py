@@ -25,6 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import (
     StreamedSVD,
     WeightedSVD,
@@ -33,8 +34,6 @@ from morembs.linalg.gramians import (
     resonant_panels,
     snapshot_factor,
 )
-from morembs.linalg.orthogonal import beside, m_norms, m_orthonormal, remove
-from morembs.linalg.statics import solved
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
@@ -158,7 +157,7 @@ class Gramian(OfResponses):
         M, budget = problem.M, problem.budget
         damping = problem.damping
         F = _loads(problem, self.inertia_loads)
-        G = solved(problem.elastic.flexibility, F, budget)
+        G = map_columns(problem.elastic.flexibility, F, budget)
         _scale(F, G, problem, G)
         X = sp.csr_array(problem.K + mu * M)
         damped = problem.D is not None or damping.is_rayleigh or damping.structural > 0
@@ -178,7 +177,7 @@ class Gramian(OfResponses):
         svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
         first, V = self._pod(snapshots(), G, X, svd, notes)
         notes |= {"quadrature_points": len(omega), "delta_1_per_s": delta}
-        return beside(first, V, budget=budget)
+        return hstack(first, V, budget=budget)
 
     def _factor(self, U: NDArray[Any], s: NDArray[Any], weights: Floats) -> Floats:
         """Snapshot factor of the states ``U`` (ns, n, p) at ``s`` (ns,), or of their velocities."""
@@ -189,11 +188,11 @@ class Gramian(OfResponses):
         notes: dict[str, object],
     ) -> tuple[Floats, Floats]:  # fmt: skip
         """Static directions that are kept (n, j) and the dominant ones of the rest, all X-orthonormal."""
-        first = m_orthonormal(statics, X) if self.static else np.zeros((len(statics), 0))
+        first = orthonormal(statics, X) if self.static else np.zeros((len(statics), 0))
         energy = 0.0
         for S in snapshots:
             energy += float((m_norms(S, X @ S) ** 2).sum())
-            remove(first, S, X)
+            project_out(first, S, X)
             svd.add(S)
         tail = np.sqrt(np.append(np.cumsum(svd.sigma[::-1] ** 2)[::-1], 0.0) / energy)
         fixed, most = first.shape[1], first.shape[1] + len(svd.sigma)
@@ -227,7 +226,7 @@ def _loads(problem: Problem, inertia: bool) -> Floats:
     """Elastic part (Nc, p) of unit loads at the interfaces and, behind them, of the inertia loads."""
     Z = problem.rigid
     parts = [problem.B.toarray(), *([inertia_loads(problem)] if inertia else [])]
-    F = beside(*parts, budget=problem.budget)
+    F = hstack(*parts, budget=problem.budget)
     F -= problem.M @ (Z @ (Z.T @ F))
     return F
 

@@ -21,10 +21,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.eigen import GAP, Modes, lowest_modes, signed
+from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.linalg.statics import Restricted, Statics
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
@@ -173,10 +173,10 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     if below is not None:
         kept = int((values <= below * (1 + GAP)).sum())
     out = problem.budget.empty((len(Psi), kept), order="F")
-    V = combine(Psi, scale[:, None] * (Q @ Y[:, :kept]), out, problem.budget)
-    remove(problem.rigid, V, problem.M)
+    V = multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out, problem.budget)
+    project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept], vectors=signed(V, problem.budget),
+        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget),
         next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
     )  # fmt: skip
 
@@ -200,9 +200,9 @@ def _lowest(
         lanczos.enlarge(_capacity(wanted, most))
     kept = count if count is not None else int((values <= below * (1 + GAP)).sum()) if below is not None else wanted
     V = V[:, :kept]
-    remove(problem.rigid, V, problem.M)
+    project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept], vectors=signed(V, problem.budget),
+        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget),
         next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
     )  # fmt: skip
 

@@ -17,7 +17,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.linalg.second_order_arnoldi import orthonormal
+from morembs.linalg.columns import orthonormal
+from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
@@ -184,7 +185,7 @@ class _Band:
         for s, b in zip(shifts.s, shifts.b, strict=True):
             x = self.states(np.array([s]), (self.B @ b)[:, None])[0]
             parts += [x.real, x.imag] if s.imag else [x.real]
-        return np.asarray(orthonormal(np.hstack(parts), None))
+        return np.asarray(orthonormal(np.hstack(parts), None, passes=PASSES))
 
     def error(self, X: Floats) -> float:
         """Relative H2 error in the band of the model on ``X``."""
@@ -219,7 +220,7 @@ def _mirrored_poles(E: Floats, A: Floats, F: Floats, shifts: _Shifts) -> _Shifts
     for s, b in zip(shifts.s, shifts.b, strict=True):
         x = np.linalg.solve(s * E - A, (F @ b)[:, None])
         parts += [x.real, x.imag] if s.imag else [x.real]
-    V = np.asarray(orthonormal(np.hstack(parts), None))
+    V = np.asarray(orthonormal(np.hstack(parts), None, passes=PASSES))
     poles, X = sl.eig(V.T @ A @ V, V.T @ E @ V)
     good = np.isfinite(poles) & (poles.imag >= 0)
     poles, G = poles[good], (X[:, good].T @ (V.T @ F)).conj()

@@ -17,17 +17,17 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.linalg.orthogonal import beside, combine, dot
+from morembs.linalg.columns import complement, dot, hstack, multiply_into, projected
+from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis, projected
+from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.shifts import (
     RIGID_LOAD,
     Wanted,
     apply,
     frequency,
-    outside,
     shift_at,
 )
 from morembs.responses.reference import inertia_loads
@@ -236,7 +236,9 @@ class _Side:
 
     def add(self, block: Floats) -> int:
         """Join the columns of ``block`` to the space; returns how many were in it already."""
-        new = outside([self.problem.rigid, self.V], np.array(block, order="F"), self.problem)
+        new = complement(
+            [self.problem.rigid, self.V], np.array(block, order="F"), self.problem.M, self.problem.budget, passes=PASSES
+        )
         self._room[:, self.size : self.size + new.shape[1]] = new
         self.size += new.shape[1]
         return int(block.shape[1] - new.shape[1])
@@ -287,7 +289,7 @@ class _Side:
             samples += [x.real / np.linalg.norm(x), x.imag / np.linalg.norm(x)]
         R = sl.qr(np.hstack(samples).T, mode="r")[0]
         directions = np.linalg.svd(R[: self.size])[2][:order].T
-        combine(self.V, sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
+        multiply_into(self.V, sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
                 self._room[:, :order], self.problem.budget)  # fmt: skip
         self.size = order
 
@@ -302,9 +304,9 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         # The smaller space takes directions of the other one, which loses no moment.
         small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
         missing = large.shape[1] - small.shape[1]
-        more = outside([small], np.array(large, order="F"), problem)[:, :missing]
+        more = complement(small, np.array(large, order="F"), problem.M, problem.budget, passes=PASSES)[:, :missing]
         notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
-        joined = beside(small, more, budget=problem.budget)
+        joined = hstack(small, more, budget=problem.budget)
         V, W = (joined, W) if small is V else (V, joined)
     U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
     if cosines[-1] < PAIRED:
@@ -327,6 +329,6 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
             "shifts, moments or damping"
         )
     return Basis(
-        V=beside(Z, V, budget=problem.budget), left=beside(Z, W, budget=problem.budget), K=K,
+        V=hstack(Z, V, budget=problem.budget), left=hstack(Z, W, budget=problem.budget), K=K,
         kinds=("rigid",) * r + ("krylov",) * n, rigid=np.eye(r + n, r), notes=notes,
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.errors import InputError, nearest
-from morembs.linalg.orthogonal import beside
+from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis
@@ -48,7 +48,7 @@ class Modal(OfModes):
             rigid, kind = problem.rigid, "elastic"
         r, m = rigid.shape[1], len(modes.eigenvalues)
         return Basis(
-            V=beside(rigid, modes.vectors, budget=problem.budget),
+            V=hstack(rigid, modes.vectors, budget=problem.budget),
             kinds=("rigid",) * r + (kind,) * m,
             K=np.diag(np.concatenate([np.zeros(r), modes.eigenvalues])),
             rigid=np.eye(r + m, r),

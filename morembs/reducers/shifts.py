@@ -9,7 +9,7 @@ At s = 0 the elastic flexibility stands for the inverse of K, with the factor th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +18,8 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.linalg.orthogonal import m_norms, remove
-from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi, orthonormal
-from morembs.linalg.statics import solved
+from morembs.linalg.columns import complement, map_columns
+from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -72,7 +71,7 @@ class Chain:
         budget = self.problem.budget
         W = solve(self.problem.M @ self.blocks[-1] if self.blocks else self.F)
         width = W.shape[1]
-        W = outside(self.blocks, W, problem=self.problem)
+        W = complement(self.blocks, W, self.problem.M, budget, passes=PASSES)
         self.deflated.append(width - W.shape[1])
         self.F = np.zeros((0, 0))
         self.blocks.append(budget.store(np.asfortranarray(W)))
@@ -144,7 +143,7 @@ class Shift:
     def _extend(self, wanted: Mapping[object, Wanted]) -> None:
         problem = self.problem
         if not self.at:
-            self._extend_with(lambda F: solved(problem.elastic.flexibility, F, problem.budget), wanted)
+            self._extend_with(lambda F: map_columns(problem.elastic.flexibility, F, problem.budget), wanted)
             return
         s = self.at if complex(self.at).imag else complex(self.at).real
         problem.budget.rest()
@@ -152,7 +151,7 @@ class Shift:
             kind = factor.dtype
 
             def solve(F: Values) -> Values:
-                X = _in_blocks(factor.solve, F, kind, problem)
+                X = map_columns(factor.solve, F, problem.budget, kind)
                 self._check(F, X)
                 return X
 
@@ -203,19 +202,6 @@ def shift_at(problem: Problem, s: complex) -> Shift:
     return problem.shared(("krylov shift", complex(s)), lambda: Shift(problem, complex(s)))
 
 
-def outside(known: Sequence[Floats], W: Floats, problem: Problem) -> Floats:
-    """M-orthonormal columns of what ``W`` adds to the M-orthonormal blocks ``known``; ``W`` is overwritten."""
-    M = problem.M
-    before = m_norms(W, M @ W)
-    for _ in range(2):
-        for Q in known:
-            remove(Q, W, M, budget=problem.budget)
-        # Scaling up what was small scales up its part along the known columns too: hence twice.
-        W = orthonormal(W, M, before)
-        before = np.ones(W.shape[1])
-    return W
-
-
 def frequency(s: complex) -> float:
     """|s| in Hz."""
     return float(abs(s) / (2 * np.pi))
@@ -227,13 +213,3 @@ def apply(problem: Problem, s: complex, X: Values) -> Values:
     s, square = (x.real if not complex(x).imag else x for x in (complex(s), complex(square)))
     out = problem.K @ X + square * (problem.M @ X)
     return np.asarray(out if problem.D is None else out + s * (problem.D @ X))
-
-
-def _in_blocks(solve: Solve, F: Values, kind: np.dtype[Any], problem: Problem) -> Values:
-    """solve(F), a block of columns at a time."""
-    X = problem.budget.empty(F.shape, kind, order="F")
-    width = problem.budget.columns(len(F))
-    for at in range(0, F.shape[1], width):
-        X[:, at : at + width] = solve(np.asarray(F[:, at : at + width]))
-        problem.budget.relax()
-    return X

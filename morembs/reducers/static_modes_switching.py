@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.interface import Interface
-from morembs.linalg.orthogonal import dot, subtract
+from morembs.linalg.columns import dot, subtract
 from morembs.model import FEModel
 from morembs.model.stress_operator import StressOperator
 from morembs.problem import Problem

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SolverError
-from morembs.linalg.orthogonal import beside, dot, m_norms, m_orthonormal, remove
+from morembs.linalg.columns import complement, dot, hstack, orthonormal, projected
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import Damping, Problem
 from morembs.progress import Progress
@@ -62,7 +62,7 @@ class DampedSpace:
         if len(F) <= DENSE:
             V = sl.null_space((problem.M @ problem.rigid).T) if problem.rigid.shape[1] else np.eye(len(F))
             self.scale = np.ones(F.shape[1])
-            self.V = m_orthonormal(V, problem.M)
+            self.V = orthonormal(V, problem.M)
             return
         start = problem.elastic.flexibility(np.hstack([F, _dampers(D)]))
         own = start[:, : F.shape[1]]
@@ -71,7 +71,7 @@ class DampedSpace:
         space = SecondOrderArnoldi(problem.M, D, start, shift=0.0, scale=float(omega.max()), budget=problem.budget)
         for _ in range(BLOCKS - 1):
             space.expand(problem.elastic.flexibility)
-        self.V = beside(*space.blocks, budget=problem.budget)
+        self.V = hstack(*space.blocks, budget=problem.budget)
 
     def until(
         self, omega: Floats, tolerance: float, progress: Progress
@@ -103,7 +103,9 @@ class DampedSpace:
             progress.update(f"frequency response: order {len(values)}, error {error:.1e} at {at / (2 * np.pi):.4g} Hz")
             if good == 2:
                 return self.V, values, Y, D, error
-            fresh = self._outside(np.hstack([U.real, U.imag]))
+            fresh = complement(
+                [self.problem.rigid, self.V], np.hstack([U.real, U.imag]), self.problem.M, self.problem.budget
+            )
             if not fresh.shape[1] or len(values) + fresh.shape[1] > MAX_ORDER:
                 # Where nothing is left to add, the rest is the round-off of the direct solution.
                 if good or (not fresh.shape[1] and error <= EXHAUSTED):
@@ -112,24 +114,12 @@ class DampedSpace:
                     f"the response reached an error of only {error:.1e} with {len(values)} vectors; lower the upper "
                     "frequency, or raise the tolerance"
                 )
-            self.V = beside(self.V, fresh, budget=self.problem.budget)
-
-    def _outside(self, X: Floats) -> Floats:
-        """M-orthonormal columns of what ``X`` adds to V."""
-        M, Z = self.problem.M, self.problem.rigid
-        size = m_norms(X, M @ X)
-        # Twice: scaling up what was small scales up the round-off along V and along rigid-body motion too.
-        for _ in range(2):
-            remove(Z, X, M)
-            remove(self.V, X, M, budget=self.problem.budget)
-            X = m_orthonormal(X, M, size)
-            size = np.ones(X.shape[1])
-        return X
+            self.V = hstack(self.V, fresh, budget=self.problem.budget)
 
     def _small(self) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues, vectors and damping of the pencil on V."""
-        K, M, D = (dot(self.V, A @ self.V, self.problem.budget) for A in (self.problem.K, self.problem.M, self.D))
-        values, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+        K, M, D = (projected(self.V, A, self.problem.budget) for A in (self.problem.K, self.problem.M, self.D))
+        values, Y = sl.eigh(K, M)
         D = Y.T @ D @ Y
         return values, Y, 0.5 * (D + D.T)
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SingularMatrixError
-from morembs.linalg.sparse.solver import Factorization
-from morembs.linalg.statics import solved
+from morembs.linalg.columns import map_columns
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -46,7 +45,7 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
             f"{abs(s) / (2 * np.pi):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
             "infinite; move the frequency or give the model damping"
         ) from error
-    U = _solved(problem, factor, F)
+    U = map_columns(factor.solve, F, problem.budget, factor.dtype)
     if not Z.shape[1]:
         return U if c == 1 else U / c
     if not problem.damps_rigid_motion:
@@ -54,7 +53,7 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
         U -= Z @ (Z.T @ (M @ U))
         return U if c == 1 else U / c
     # Damping couples it to the rest: it is held by forces M Z, as the mean axes of the body hold it.
-    X = _solved(problem, factor, M @ Z)
+    X = map_columns(factor.solve, M @ Z, problem.budget, factor.dtype)
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
 
 
@@ -75,19 +74,8 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
         progress.update(f"direct response: {j + 1} of {len(omega)}")
         if w == 0.0:
             # Structural damping acts at the lower end of the frequencies too.
-            H[j] = problem.B.T @ solved(problem.elastic.flexibility, problem.B, problem.budget)
+            H[j] = problem.B.T @ map_columns(problem.elastic.flexibility, problem.B, problem.budget)
             H[j] /= 1 + 1j * problem.damping.structural
         else:
             H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)
     return H
-
-
-def _solved(problem: Problem, factor: Factorization, F: Values) -> Values:
-    """factor.solve(F) (Nc, p), some columns at a time."""
-    X = problem.budget.empty(F.shape, factor.dtype, order="F")
-    width = problem.budget.columns(F.shape[0])
-    for at in range(0, F.shape[1], width):
-        part = F[:, at : at + width]
-        X[:, at : at + width] = factor.solve(np.asarray(part if isinstance(part, np.ndarray) else part.toarray()))
-        problem.budget.relax()
-    return X

@@ -23,9 +23,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
+from morembs.linalg.columns import dot, multiply, project_out, projected
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.linalg.orthogonal import combine, dot, remove
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
@@ -100,8 +100,7 @@ class Reference:
 
     def vectors(self, C: Floats) -> Floats:
         """Columns (Nc, j) in coupled dofs of the modal coordinates ``C`` (k, j)."""
-        out = self.problem.budget.empty((len(self.V), C.shape[1]), order="F")
-        return combine(self.V[:, : len(self.Y)], self.Y @ C, out, self.problem.budget)
+        return multiply(self.V[:, : len(self.Y)], self.Y @ C, self.problem.budget)
 
     def coordinates(self, X: Floats) -> Floats:
         """Modal coordinates (k, j) of the M-orthogonal projection of ``X`` (Nc, j) on this model."""
@@ -242,8 +241,7 @@ class _Growth:
         problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
 
         def stiffness(Y: Floats) -> Floats:
-            X = combine(V, Y, problem.budget.empty((len(V), Y.shape[1]), order="F"), problem.budget)
-            return dot(X, problem.K @ X, problem.budget)
+            return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
 
         values, Y = graded_modes(self.stiffness, projected=stiffness)
         F = Y.T @ dot(V, _loads(problem, self.inertia), problem.budget)
@@ -254,8 +252,7 @@ class _Growth:
         lanczos, M = self.lanczos, self.problem.M
         Q = lanczos.pending
         for _ in range(2):
-            remove(self.problem.rigid, Q, M)
-            remove(lanczos.V[:, : lanczos.size], Q, M, budget=self.problem.budget)
+            project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
             gram = Q.T @ (M @ Q)
             values, U = sl.eigh(0.5 * (gram + gram.T))
             # What was orthonormal keeps its length, unless it was rigid motion or round-off.

@@ -1,0 +1,205 @@
+"""Columns N x k, in memory or in files: products, orthonormalisation and complements, a block at a time.
+
+Columns are real or complex, and orthonormal in x^H M y (M None: the identity). Ranks are decided explicitly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.moved import renamed
+
+Floats = NDArray[np.float64]
+Values = NDArray[Any]
+# A column that keeps less than this part of its norm after orthogonalisation is dependent.
+DEPENDENT = 1e-10
+# Eigenvalues of a Gram matrix of unit columns below this are round-off.
+NOISE = 1e-14
+# Arrays that may lie in files are read in pieces: of columns, or of rows across all columns.
+_COLUMNS = 64
+_ROWS = 1 << 16
+
+
+def m_norms(W: Values, MW: Values) -> Floats:
+    """Norms (k,) of the columns of ``W`` in M, given M W."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,ij->j", W.conj(), MW).real, 0.0)))
+
+
+def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
+    """V^H W, a block of columns of ``V`` at a time."""
+    parts = []
+    for block in _blocks(V):
+        parts.append(V[:, block].conj().T @ W)
+        budget.relax()
+    return np.vstack(parts) if parts else np.zeros((0, W.shape[1]))
+
+
+def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> None:
+    """W -= V C in place, a block of columns of ``V`` at a time."""
+    for block in _blocks(V):
+        W -= V[:, block] @ C[block]
+        budget.relax()
+
+
+def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Floats:
+    """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
+    for first in range(0, len(V), _ROWS):
+        rows = slice(first, first + _ROWS)
+        out[rows] = V[rows] @ Y
+        budget.relax()
+    return out
+
+
+def multiply(V: Floats, Y: Floats, budget: Budget) -> Floats:
+    """V Y (N, k), where the budget wants it."""
+    return multiply_into(V, Y, budget.empty((len(V), Y.shape[1]), order="F"), budget)
+
+
+def hstack(*parts: Floats, budget: Budget) -> Floats:
+    """Columns of the ``parts`` (N, .) beside each other, where the budget wants them."""
+    V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
+    at = 0
+    for part in parts:
+        V[:, at : at + part.shape[1]] = part
+        at += part.shape[1]
+        budget.relax()
+    return V
+
+
+def map_columns(
+    apply: Callable[[Values], Values], F: Values | sp.csc_array, budget: Budget, dtype: Any = np.float64
+) -> Values:
+    """apply(F) (N, k) where the budget wants it, the columns of ``F`` (N, k) made dense a block at a time."""
+    X = budget.empty(F.shape, dtype, order="F")
+    width = budget.columns(F.shape[0])
+    for at in range(0, F.shape[1], width):
+        X[:, at : at + width] = apply(dense(F[:, at : at + width]))
+        budget.relax()
+    return X
+
+
+def dense(C: Values | sp.csc_array) -> Values:
+    """``C`` as a dense array."""
+    return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
+
+
+def projected(V: Floats, A: sp.csr_array, budget: Budget, W: Floats | None = None) -> Floats:
+    """V' A V or ``W``' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
+    width = budget.columns(len(V))
+    test = V if W is None else W
+    parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
+    whole = np.hstack(parts) if parts else np.zeros((0, 0))
+    return 0.5 * (whole + whole.T) if W is None else whole
+
+
+def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
+    """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
+    for column in V.T:
+        size = np.abs(column)
+        if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
+            # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
+            column *= -1.0
+        budget.relax()
+    return V
+
+
+def project_out(
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, MW: Values | None = None, budget: Budget = UNLIMITED
+) -> Values:
+    """Take span(V) (M-orthonormal, in one or several blocks) out of ``W`` in place; returns the coefficients V^H M W.
+
+    Done twice, or what is left of ``W`` would keep the round-off of what was taken out. ``MW`` saves the first product
+    where it is known.
+    """
+    known = [V] if isinstance(V, np.ndarray) else [*V]
+    if not sum(Q.shape[1] for Q in known):
+        return np.zeros((0, W.shape[1]))
+    first = _take_out(known, W, M @ W if MW is None else MW, budget)
+    return np.asarray(first + _take_out(known, W, M @ W, budget))
+
+
+def complement(
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
+) -> Values:
+    """M-orthonormal columns of what ``W`` (overwritten) adds to the M-orthonormal ``V``, in one or several blocks."""
+    return split(V, W, M, budget, passes=passes)[1]
+
+
+def split(
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
+) -> tuple[Values, Values]:
+    """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
+    before = m_norms(W, M @ W)
+    coefficients = project_out(V, W, M, budget=budget)
+    Q = orthonormal(W, M, before, passes=passes)
+    # Scaling up what was small scaled up its part along V too.
+    project_out(V, Q, M, budget=budget)
+    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes)
+
+
+def orthonormal(
+    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *, passes: int = 1
+) -> Values:
+    """Basis of the columns of ``W`` (n, k), orthonormal in x^H M y; dependent columns are dropped.
+
+    By eigenvectors of the Gram matrix (SVQB, Stathopoulos and Wu 2002). ``reference`` (k,) gives the norms that the
+    columns had before anything was taken out of them, ``gram`` W^H M W where it is known. What one pass cannot tell
+    from round-off beside larger directions, the next one sees alone: of use where columns have no other round-off.
+    """
+    G = W.conj().T @ _weighted(W, M) if gram is None else gram
+    norms = np.sqrt(np.maximum(np.diag(G).real, 0.0))
+    start = norms if reference is None else reference
+    keep = (norms > DEPENDENT * start) & (norms > 0)
+    Q = _by_gram(W[:, keep] / norms[keep], M, G[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]))
+    for _ in range(passes - 1):
+        if not 0 < Q.shape[1] < W.shape[1]:
+            break
+        for _ in range(2):
+            W = W - Q @ (Q.conj().T @ _weighted(W, M))
+        norms = m_norms(W, _weighted(W, M))
+        keep = (norms > DEPENDENT * start) & (norms > 0)
+        if not keep.any():
+            break
+        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])[:, : W.shape[1]]
+    return Q
+
+
+def _by_gram(Q: Values, M: sp.sparray | None, G: Values | None = None) -> Values:
+    """Orthonormal basis of unit columns ``Q`` (n, k), whose Gram matrix is ``G`` where it is known."""
+    for _ in range(4):
+        if G is None:
+            G = Q.conj().T @ _weighted(Q, M)
+        if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
+            break
+        values, U = sl.eigh(0.5 * (G + G.conj().T))
+        good = values > NOISE * values[-1]
+        Q, G = Q @ (U[:, good] / np.sqrt(values[good])), None
+    return Q
+
+
+def _take_out(known: Sequence[Values], W: Values, MW: Values, budget: Budget) -> Values:
+    parts = [dot(Q, MW, budget) for Q in known]
+    for Q, C in zip(known, parts, strict=True):
+        subtract(Q, C, W, budget)
+    return parts[0] if len(parts) == 1 else np.vstack(parts)
+
+
+def _weighted(W: Values, M: sp.sparray | None) -> Values:
+    return W if M is None else np.asarray(M @ W)
+
+
+def _blocks(V: Values) -> list[slice]:
+    return [slice(first, first + _COLUMNS) for first in range(0, V.shape[1], _COLUMNS)]
+
+
+__getattr__ = renamed(
+    __name__,
+    {"remove": "project_out", "combine": "multiply_into", "beside": "hstack", "m_orthonormal": "orthonormal"},
+)
