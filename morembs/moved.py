@@ -101,18 +101,6 @@ MOVED = {
 }
 
 
-def renamed(module: str, names: Mapping[str, Any]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a ``module`` in which other ``names`` took the places of these."""
-
-    def new(name: str) -> Any:
-        if name not in names:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        warnings.warn(f"{module}.{name} is now {names[name].__name__}", DeprecationWarning, stacklevel=2)
-        return names[name]
-
-    return new
-
-
 class _Moved(MetaPathFinder, Loader):
     """Finds the modules of ``MOVED``.
 
@@ -138,10 +126,10 @@ class _Moved(MetaPathFinder, Loader):
         module.__spec__ = self._spec
 
 
-def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], object]:
+def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     """``__getattr__`` of ``module``, which gives what it now calls ``names[old]`` for an old name, and warns."""
 
-    def find(name: str) -> object:
+    def find(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         new = names[name]

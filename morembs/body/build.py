@@ -96,4 +96,4 @@ def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progre
     return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening, progress))
 
 
-__getattr__ = renamed(__name__, {"Delivery": BodyOptions, "deliver": build_body})
+__getattr__ = renamed(__name__, {"Delivery": "BodyOptions", "deliver": "build_body"})

@@ -74,9 +74,9 @@ class _Check(TableCheck):
         coupling = self.file[f"{at}coupling"][()].decode()
         if coupling not in COUPLINGS:
             raise InputError(
-                f"{self.path}: interface {at.split('/')[1]} has the coupling {coupling!r}, which this installation does "
-                f"not know; expected {', '.join(COUPLINGS)}, or a package that is installed "
-                "beside morembs and defines it (an entry point morembs.couplings)"
+                f"{self.path}: interface {at.split('/')[1]} has the coupling {coupling!r}, which this installation "
+                f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed beside morembs and "
+                "defines it (an entry point morembs.couplings)"
             )
         self.within(f"{at}components", 0, 5)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)

@@ -130,4 +130,4 @@ __all__ = [
     "EXPORTERS", "ExportContext", "Exported", "Exporter", "choose_body", "default_path", "export_body", "make_exporter",
 ]  # fmt: skip
 
-__getattr__ = renamed(__name__, {"Task": ExportContext})
+__getattr__ = renamed(__name__, {"Task": "ExportContext"})

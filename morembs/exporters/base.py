@@ -243,4 +243,4 @@ def names_without_blanks(names: Iterable[str], longest: int, target: str) -> Non
             )
 
 
-__getattr__ = renamed(__name__, {"Task": ExportContext})
+__getattr__ = renamed(__name__, {"Task": "ExportContext"})

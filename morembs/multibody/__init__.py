@@ -55,7 +55,7 @@ from morembs.multibody.system import Assembly, State, System
 
 ground = Ground()
 
-_OLD_NAMES: dict[str, type] = {"Place": MarkerState, "Restart": RestartState, "Switch": EventHandler}
+_OLD_NAMES = {"Place": "MarkerState", "Restart": "RestartState", "Switch": "EventHandler"}
 
 __all__ = [
     "Activation",

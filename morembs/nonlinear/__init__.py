@@ -1,7 +1,5 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
-from typing import Any
-
 from morembs.moved import renamed
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
@@ -13,11 +11,11 @@ from morembs.nonlinear.solid import NonlinearSolid
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from morembs.nonlinear.statics import equilibrium
 
-_OLD_NAMES: dict[str, Any] = {
-    "Moment": MemberState,
-    "Motion": MechanismMotion,
-    "Settled": EquilibriumPath,
-    "settle": follow_equilibrium,
+_OLD_NAMES = {
+    "Moment": "MemberState",
+    "Motion": "MechanismMotion",
+    "Settled": "EquilibriumPath",
+    "settle": "follow_equilibrium",
 }
 
 __all__ = [
