@@ -33,6 +33,7 @@ from morembs.diagnostics.rigid import (
 )
 from morembs.diagnostics.units import estimate, unit_findings
 from morembs.errors import InputError
+from morembs.linalg.congruence import magnitudes
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.material import Material
@@ -319,7 +320,7 @@ def _grounded_damping(case: _Case, R: Floats) -> None:
     """A note where damping resists rigid motion."""
     if case.D is None:
         return
-    force, size = case.D @ R, matrices.sizes(case.D, R).max(axis=1)
+    force, size = case.D @ R, magnitudes(case.D, R).max(axis=1)
     held = np.flatnonzero(np.abs(force).max(axis=1) > 1e-6 * size)
     if len(held):
         labels, words = case.names.places(held)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.findings import Finding, Names, listed
+from morembs.linalg.congruence import magnitudes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,15 +57,6 @@ def pieces(A: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Floats]]:
         yield first, last, row, A.indices[begin:end], A.data[begin:end]
 
 
-def sizes(A: sp.csr_array, X: Floats) -> Floats:
-    """|A| |X| (N, k): what round-off in A X is measured by."""
-    X, result = np.abs(X), np.empty((A.shape[0], X.shape[1]))
-    for first, last, _, column, value in pieces(A):
-        indptr = A.indptr[first : last + 1] - A.indptr[first]
-        result[first:last] = sp.csr_array((np.abs(value), column, indptr), shape=(last - first, A.shape[1])) @ X
-    return result
-
-
 def values(A: sp.csr_array, name: str, names: Names) -> list[Finding]:
     """Entries that are not finite, and a matrix without any."""
     bad = [row[~np.isfinite(value)] for _, _, row, _, value in pieces(A)]
@@ -87,7 +79,7 @@ def symmetry(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_array, li
     Products with a random vector find a difference without a copy; only then are the triangles compared.
     """
     x = np.random.default_rng(3).uniform(0.5, 1.5, A.shape[0]) * _scale(A)
-    if (np.abs(A @ x - A.T @ x) <= SAME * np.maximum(sizes(A, x[:, None])[:, 0], sizes_of_columns(A, x))).all():
+    if (np.abs(A @ x - A.T @ x) <= SAME * np.maximum(magnitudes(A, x[:, None])[:, 0], sizes_of_columns(A, x))).all():
         return A, []
     half = half_stored(A)
     if half:
@@ -285,7 +277,7 @@ def _row_has_values(A: sp.csr_array) -> NDArray[np.bool_]:
 def duplicate_rows(K: sp.csr_array, names: Names) -> list[Finding]:
     """Dofs whose rows of K are equal: one dof written twice."""
     key = np.random.default_rng(6).uniform(1.0, 2.0, K.shape[0])
-    product, size = K @ key, sizes(K, key[:, None])[:, 0]
+    product, size = K @ key, magnitudes(K, key[:, None])[:, 0]
     order = np.lexsort((product, size))
     near = np.abs(np.diff(product[order])) <= 1e-12 * size[order][1:]
     near &= (size[order][1:] > 0) & (np.abs(np.diff(size[order])) <= 1e-12 * size[order][1:])

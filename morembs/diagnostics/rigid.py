@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.diagnostics.findings import Finding, Names, listed
-from morembs.diagnostics.matrices import pieces, sizes
+from morembs.diagnostics.matrices import pieces
+from morembs.linalg.congruence import magnitudes
 from morembs.model import DofMap, Nodes, rigid_motion, skew
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, sizes(K, R).max(axis=1)
+    force, size = K @ R, magnitudes(K, R).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 
@@ -124,7 +125,7 @@ def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, Dof
 
     def forces(order: DofMap, above: float) -> float:
         R, _, _ = motion(nodes, order)
-        ratio = np.abs(some @ R).max(axis=1) / np.maximum(sizes(some, R).max(axis=1), np.finfo(float).tiny)
+        ratio = np.abs(some @ R).max(axis=1) / np.maximum(magnitudes(some, R).max(axis=1), np.finfo(float).tiny)
         return float((ratio > above).mean())
 
     share = forces(dofs, WRONG)
@@ -143,7 +144,7 @@ def rotation_factor(K: sp.csr_array, found: Residual, dofs: DofMap) -> float | N
     arms, turns = found.R[:, 3:].copy(), found.R[:, 3:].copy()
     arms[turning], turns[~turning] = 0.0, 0.0
     a, b = K @ arms, K @ turns
-    size = sizes(K, arms).max(axis=1) + sizes(K, turns).max(axis=1)
+    size = magnitudes(K, arms).max(axis=1) + magnitudes(K, turns).max(axis=1)
     weight = np.divide(1.0, size, out=np.zeros(len(size)), where=size > 0)[:, None]
     a, b = a * weight, b * weight
     # The rows of rotations see a single factor, whatever their own units.
@@ -171,7 +172,7 @@ def rotation_finding(factor: float) -> Finding:
 def doubled_diagonal(K: sp.csr_array, found: Residual) -> bool:
     """Whether half the diagonal would fit the geometry: a triangle was added to its mirror image."""
     force = found.force - 0.5 * K.diagonal()[:, None] * found.R
-    size = sizes(K, found.R).max(axis=1)
+    size = magnitudes(K, found.R).max(axis=1)
     good = np.abs(force).max(axis=1) <= STRAINED * size
     return bool(found.bad.mean() > MOST and good.mean() > 0.95)
 

@@ -26,7 +26,7 @@ from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
-from morembs.responses.damped_reference import why_no_response
+from morembs.responses.direct import why_no_response
 from morembs.units import Units, parse_units
 
 # How many interface motions make sense where the responses to all of them are followed at once.

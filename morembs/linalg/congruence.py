@@ -52,9 +52,9 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array
 
 def magnitudes(A: sp.csr_array, X: NDArray[np.float64]) -> NDArray[np.float64]:
     """|A| |X| (n, k): what round-off in A X is measured by. |A| is made piece by piece."""
-    X, result, rows = np.abs(X), np.empty((A.shape[0], X.shape[1])), np.arange(A.shape[0])
-    for part in _pieces(A, rows):
-        result[part] = abs(A[rows[part]]) @ X
+    X, result = np.abs(X), np.empty((A.shape[0], X.shape[1]))
+    for part in _pieces(A, np.arange(A.shape[0])):
+        result[part] = abs(A[part]) @ X
     return result
 
 

@@ -14,19 +14,19 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
-from morembs.linalg.columns import hstack, multiply, project_out, projected
+from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
+from morembs.reducers.petrov_galerkin import two_sided_basis
 from morembs.reducers.second_order_balancing import (
     ONE_SIDED,
     VARIANTS,
@@ -38,6 +38,7 @@ from morembs.reducers.second_order_balancing import (
     truncated,
     usable_order,
 )
+from morembs.responses.band import checked_band
 from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
@@ -55,8 +56,6 @@ SETTLED, DOUBLINGS = 1e-6, 8
 BESIDE = 0.01
 # Test and trial spaces whose angle has a smaller cosine do not belong together.
 PERPENDICULAR = 1e-3
-# A pole this far to the right, as part of its size, is unstable.
-GROWING = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,12 +110,8 @@ class Balanced(OfResponses):
                 raise InputError(f"{name} = {value} was given; expected a number between 0 and 1, such as 1e-8")
         if self.adi_steps < 1:
             raise InputError(f"adi_steps = {self.adi_steps} was given; expected one or more")
-        if self.band_hz is not None and (
-            len(self.band_hz) != 2 or not 0 <= self.band_hz[0] < self.band_hz[1] < MOST_HZ
-        ):
-            raise InputError(
-                f"band_hz = {self.band_hz} was given; expected [lower, upper] limits in Hz, such as [0, 500]"
-            )
+        if self.band_hz is not None:
+            checked_band(self.band_hz)
 
     @property
     def two_sided(self) -> bool:
@@ -345,47 +340,13 @@ def _two_sided(
     problem: Problem, gramian: _Gramian, cut: Truncation, right: Floats, notes: Mapping[str, object], variant: str
 ) -> Basis:
     """Rigid-body modes beside the elastic columns of trial, test and inertial spaces; refused where unstable."""
-    M, Z, budget = problem.M, problem.rigid, problem.budget
+    M, Z = problem.M, problem.rigid
     left = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
     moved = None if cut.inertial is None else gramian.lift(gramian.Zv, cut.inertial, problem)
     for X in (right, left, *([] if moved is None else [moved])):
         project_out(Z, X, M)
-    K = projected(right, problem.K, budget, left)
-    r, n = Z.shape[1], right.shape[1]
-    inertial = right if moved is None else moved
-    mass = projected(inertial, M, budget, left)
-    # Velocities are expanded with the inertial columns, so stiffness damping acts on those.
-    slow = K if moved is None else projected(moved, problem.K, budget, left)
-    D = problem.damping.matrix(mass, slow, np.zeros((n, 0)), False)
-    if problem.D is not None:
-        D = D + projected(inertial, problem.D, budget, left)
-    _refuse_unstable(mass, D, K, variant)
-    whole = np.zeros((r + n, r + n))
-    whole[r:, r:] = K
-    return Basis(
-        V=hstack(Z, right, budget=budget), kinds=("rigid",) * r + ("balanced",) * n, K=whole, rigid=np.eye(r + n, r),
-        left=hstack(Z, left, budget=budget), inertial=None if moved is None else hstack(Z, moved, budget=budget),
-        notes={**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"},
+    notes = {**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"}
+    return two_sided_basis(
+        problem, right, left, "balanced", notes, inertial=moved, what=f'variant = "{variant}"',
+        instead='take variant = "fv" or "pv", which are always stable, or another order',
     )  # fmt: skip
-
-
-def _refuse_unstable(M: Floats, D: Floats, K: Floats, variant: str) -> None:
-    """Raise where M q'' + D q' + K q = 0 grows.
-
-    Raises:
-        SolverError: the message names the pole.
-    """
-    n = len(M)
-    # Time in units of the mean frequency, or K and M differ by many powers of ten.
-    unit = np.sqrt(np.linalg.norm(K) / np.linalg.norm(M))
-    inverse = np.linalg.solve(M, np.hstack([K / unit**2, D / unit]))
-    poles = unit * sl.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inverse[:, :n], -inverse[:, n:]]]))
-    growth = poles.real / np.maximum(np.abs(poles), np.finfo(float).tiny)
-    worst = int(np.argmax(growth))
-    if growth[worst] > GROWING:
-        pole = poles[worst]
-        raise SolverError(
-            f'variant = "{variant}" gives an unstable reduced model at order {n}: a motion of '
-            f"{abs(pole.imag) / (2 * np.pi):.6g} Hz grows at {pole.real:.6g} per second; take variant = "
-            '"fv" or "pv", which are always stable, or another order'
-        )

@@ -18,6 +18,7 @@ from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts
+from morembs.responses.band import MOST_HZ as MOST_HZ
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_HZ = 1e12
 # Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
 STIFFNESS_ERROR = 1e-2
 # Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
@@ -253,7 +253,8 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
     noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR
-    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, values[r]), noise), np.finfo(float).tiny))
+    lowest = values[r] if n > r else 0.0
+    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
     x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
     Vx = multiply_into(V, x[:, None], np.empty((len(V), 1)), problem.budget)
@@ -265,12 +266,12 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
             f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
-    if not coupled:
+    if not coupled or n == r:
         return
     lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
     lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
-    size = np.maximum(values, LOW**2 * values[r])
+    size = np.maximum(values, LOW**2 * lowest)
     if not (lost <= LOST * size).all():
         k = int(np.argmax(lost / size))
         what = f"its mode {k - r + 1}" if k >= r else f"its rigid motion at {LOW:g} of its lowest frequency"

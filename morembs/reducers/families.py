@@ -11,7 +11,7 @@ from morembs.errors import InputError
 from morembs.reducers.base import MOST_HZ, Reducer
 from morembs.reducers.cost import mode_seconds, response_seconds
 from morembs.reducers.facts import Facts
-from morembs.responses.damped_reference import why_no_response
+from morembs.responses.direct import why_no_response
 
 
 @dataclass(frozen=True, kw_only=True)

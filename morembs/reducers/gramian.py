@@ -36,11 +36,11 @@ from morembs.linalg.gramians import (
 )
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
-from morembs.responses.damped_reference import why_no_response
-from morembs.responses.direct import elastic_states
+from morembs.responses.band import checked_band
+from morembs.responses.direct import elastic_states, why_no_response
 from morembs.responses.reference import Reference, inertia_loads, reference_model
 
 Floats = NDArray[np.float64]
@@ -84,11 +84,7 @@ class Gramian(OfResponses):
     inertia_loads: bool = False
 
     def __post_init__(self) -> None:
-        band = self.band_hz
-        if len(band) != 2 or not 0 <= band[0] < band[1] < MOST_HZ:
-            raise InputError(
-                f"band_hz = {list(band)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH < {MOST_HZ:g}"
-            )
+        checked_band(self.band_hz)
         if (self.order is None) == (self.tolerance is None):
             raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
         if self.order is not None and self.order < 1:

@@ -21,9 +21,10 @@ from morembs.linalg.columns import orthonormal
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.reducers.base import MOST_HZ, Basis, elastic_basis
+from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
+from morembs.responses.band import checked_band
 from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
@@ -62,8 +63,7 @@ class Irka(OfResponses):
     def __post_init__(self) -> None:
         if self.order < 1:
             raise InputError(f"order = {self.order} was given; expected a positive number of elastic coordinates")
-        if len(self.band_hz) != 2 or not 0 <= self.band_hz[0] < self.band_hz[1] < MOST_HZ:
-            raise InputError(f"band_hz = {self.band_hz} was given; expected [low, high] in Hz")
+        checked_band(self.band_hz)
         if self.max_steps < 1 or not 0 < self.tolerance < 1:
             raise InputError(
                 f"max_steps = {self.max_steps}, tolerance = {self.tolerance} were given; expected at least one step "

@@ -23,6 +23,7 @@ from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts
+from morembs.reducers.petrov_galerkin import two_sided_basis
 from morembs.reducers.shifts import (
     RIGID_LOAD,
     Wanted,
@@ -38,8 +39,6 @@ MOST_COLUMNS = 500
 CARRIED = 1e-7
 # Cosine between spaces of inputs and outputs below which they cannot be paired.
 PAIRED = 1e-6
-# Growth of motion, relative to its frequency, that is instability and not round-off.
-UNSTABLE = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,7 +297,8 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
     """[rigid, V] tested with [rigid, W], paired so that W' M V = I.
 
     Raises:
-        InputError: the two spaces cannot be paired, or the result is unstable.
+        InputError: the two spaces cannot be paired.
+        SolverError: the result is unstable.
     """
     if V.shape[1] != W.shape[1]:
         # The smaller space takes directions of the other one, which loses no moment.
@@ -315,20 +315,7 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
             "other shifts"
         )
     V, W = V @ (T.T / np.sqrt(cosines)), W @ (U / np.sqrt(cosines))
-    Z, n = problem.rigid, V.shape[1]
-    r = Z.shape[1]
-    K = np.zeros((r + n, r + n))
-    K[r:, r:] = projected(V, problem.K, problem.budget, W)
-    D = problem.damping.matrix(np.eye(n), K[r:, r:], np.zeros((n, 0)), symmetric=False)
-    if problem.D is not None:
-        D = D + projected(V, problem.D, problem.budget, W)
-    s = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K[r:, r:], -D]]))
-    if (s.real > UNSTABLE * np.abs(s)).any():
-        raise InputError(
-            f"the two-sided model is unstable (it grows at {s.real.max():.3g} 1/s); leave two_sided out, or take other "
-            "shifts, moments or damping"
-        )
-    return Basis(
-        V=hstack(Z, V, budget=problem.budget), left=hstack(Z, W, budget=problem.budget), K=K,
-        kinds=("rigid",) * r + ("krylov",) * n, rigid=np.eye(r + n, r), notes=notes,
+    return two_sided_basis(
+        problem, V, W, "krylov", notes, what="two_sided = true",
+        instead="leave two_sided out, or take other shifts, moments or damping",
     )  # fmt: skip

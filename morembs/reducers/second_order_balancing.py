@@ -17,6 +17,8 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.linalg.gramians import modal_poles
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
@@ -188,11 +190,8 @@ def band_nodes(values: Floats, damping: Floats, band: tuple[float, float], delta
     The band is cut halfway between resonances; omega = b + a sinh t in each piece, with b the resonance and a its
     half width, makes the integrand smooth in t, where Gauss' rule converges geometrically.
     """
-    root = np.sqrt((0.5 * damping) ** 2 - values + 0j)
-    # The slow pole of an overdamped mode, without cancellation.
-    half = 0.5 * damping + root.real
-    width = np.where(root.imag > 0, half, values / np.where(root.imag > 0, 1.0, half))
-    at = root.imag
+    poles = modal_poles(values, damping)
+    at, width = poles.real, poles.imag
     order = np.lexsort((width, at))
     at, width = at[order], width[order] + delta
     first = np.append(True, np.diff(at) > 0)

@@ -53,7 +53,10 @@ def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
         InputError: not two ascending frequencies.
     """
     if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ:
-        raise InputError(f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH")
+        raise InputError(
+            f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH < {MOST_HZ:g}, such "
+            "as [0, 500]"
+        )
     return float(band_hz[0]), float(band_hz[1])
 
 

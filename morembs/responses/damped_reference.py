@@ -17,17 +17,15 @@ from numpy.typing import NDArray
 from morembs.errors import SolverError
 from morembs.linalg.columns import complement, dot, hstack, orthonormal, projected
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
-from morembs.problem import Damping, Problem
+from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.responses.direct import elastic_states
+from morembs.responses.direct import DENSE, elastic_states
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 MAX_ORDER = 2000
 # Blocks of the second-order Krylov space to begin with.
 BLOCKS = 4
-# Models up to this size are taken whole.
-DENSE = 400
 # Damping matrices that touch no more rows than this are sets of dampers.
 FEW_ROWS = 200
 # Frequencies at which changes are looked for.
@@ -36,22 +34,6 @@ LOOKED_AT = 100
 EXHAUSTED = 1e-8
 # Nearer to each other than this part of the highest two frequencies count as one.
 NEAR = 5e-3
-
-
-def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
-    """Why a model of ``size`` coupled dofs has no frequency response with this ``damping``; "" where it has one.
-
-    ``own`` says that the model has a damping matrix; ``size`` None stands for direct solutions, which take Rayleigh
-    damping beside a matrix at no size.
-    """
-    small = size is not None and size <= DENSE
-    if not own or not (damping.is_modal or (damping.is_rayleigh and not small)):
-        return ""
-    kind = "modal" if damping.is_modal else "Rayleigh"
-    return (
-        f"{kind} damping beside a damping matrix of the model has no frequency response here; add alpha M + beta K to "
-        "the matrix, or leave one of them out"
-    )
 
 
 class DampedSpace:

@@ -9,12 +9,30 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns
-from morembs.problem import Problem
+from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+# Models with a damping matrix are taken whole up to this size.
+DENSE = 400
+
+
+def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
+    """Why a model of ``size`` coupled dofs has no frequency response with this ``damping``; "" where it has one.
+
+    ``own`` says that the model has a damping matrix; ``size`` None stands for direct solutions, which take Rayleigh
+    damping beside a matrix at no size.
+    """
+    small = size is not None and size <= DENSE
+    if not own or not (damping.is_modal or (damping.is_rayleigh and not small)):
+        return ""
+    kind = "modal" if damping.is_modal else "Rayleigh"
+    return (
+        f"{kind} damping beside a damping matrix of the model has no frequency response here; add alpha M + beta K to "
+        "the matrix, or leave one of them out"
+    )
 
 
 def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
@@ -30,10 +48,9 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
     damping, M, Z = problem.damping, problem.M, problem.rigid
     if damping.is_modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
-    if problem.D is not None and damping.is_rayleigh:
-        raise InputError(
-            "Rayleigh damping beside a damping matrix of the model is not solved directly; add it to the matrix D"
-        )
+    reason = why_no_response(damping, problem.D is not None, None)
+    if reason:
+        raise InputError(reason)
     c, g = damping.proportional(s)
     at = s if not (damping.is_rayleigh or damping.structural) else np.sqrt(complex(g / c))
     if not complex(at).imag:

@@ -30,6 +30,7 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.damped_reference import DampedSpace
+from morembs.responses.direct import why_no_response
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -137,11 +138,9 @@ def _damped(
     problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool, progress: Progress
 ) -> Reference:
     """Reference of a model with a damping matrix of its own."""
-    if problem.damping.is_modal:
-        raise InputError(
-            "modal damping beside a damping matrix of the model has no frequency response; replace it by rayleigh "
-            "damping added to the matrix, or leave one of them out"
-        )
+    reason = why_no_response(problem.damping, True, problem.K.shape[0])
+    if reason:
+        raise InputError(reason)
     F = _loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, seen, error = space.until(omega, tolerance, progress)

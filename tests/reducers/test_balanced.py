@@ -11,7 +11,7 @@ from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers.balanced import Balanced
-from morembs.reducers.balanced import _refuse_unstable as refuse_unstable
+from morembs.reducers.petrov_galerkin import refuse_unstable
 from morembs.reducers.second_order_balancing import VARIANTS, band_factor, lyapunov_factor
 from tests.linalg.test_adi import dense_gramians, difference
 from tests.support.meshes import box, steel, where
@@ -172,7 +172,7 @@ def test_unstable_or_perpendicular_reductions_are_refused():
         Balanced(variant="p", order=24, band_hz=[0.0, 3500.0]).reduce(problem)
     # Negative stiffness that only a test space other than the trial space can give.
     with pytest.raises(SolverError, match=r"unstable reduced model at order 2: a motion of .* Hz grows"):
-        refuse_unstable(np.eye(2), 1e-3 * np.eye(2), np.array([[4.0, 3.0], [-3.0, 4.0]]), "so")
+        refuse_unstable(np.eye(2), 1e-3 * np.eye(2), np.array([[4.0, 3.0], [-3.0, 4.0]]), "it", "take another order")
 
 
 def test_what_cannot_be_integrated_is_refused():

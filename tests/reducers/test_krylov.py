@@ -239,7 +239,7 @@ def test_two_sided_refuses_what_is_one_sided_or_unstable():
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="same interfaces"):
             Krylov(two_sided=True, inputs=["left", "right"]).reduce(problem)
-        with pytest.raises(InputError, match="unstable"):
+        with pytest.raises(SolverError, match="unstable"):
             Krylov(two_sided=True, moments=2, inputs=["left"], outputs=["right"]).reduce(problem)
 
 

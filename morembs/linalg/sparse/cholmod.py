@@ -10,38 +10,29 @@ import time
 from dataclasses import dataclass
 from typing import ClassVar
 
-from morembs.linalg.sparse.cholmod_library import Library, cholmod_library
+from morembs.linalg.sparse.cholmod_library import cholmod_library
 from morembs.linalg.sparse.cholmod_session import Session, sparse
 from morembs.linalg.sparse.ordering import metis_ordering
+from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
 from morembs.linalg.sparse.solver import (
     Analysis,
     Factorization,
-    FactorStats,
     Forecast,
     ForeignSolver,
     Values,
-    refuse_beyond_memory,
 )
 from morembs.linalg.sparse.symmetric import Lower
 
 
-class _CholmodAnalysis(Analysis):
+class _CholmodAnalysis(SessionAnalysis):
     """The symbolic factor, which takes the values of one matrix after the other."""
 
-    def __init__(self, solver: Cholmod, library: Library, A: Lower, structure: str) -> None:
-        super().__init__(A, structure)
-        self.solver = solver
-        self.session = Session(library)
-        try:
-            self.session.analyse(sparse(library, A, values=False), metis_ordering(A), solver.progress)
-            self._forecast = self._demand()
-            refuse_beyond_memory(solver, self._forecast, "CHOLMOD", "can keep it on disk")
-        except BaseException:
-            self.close()
-            raise
+    instead = "can keep it on disk"
+    session: Session
 
-    def _demand(self) -> Forecast:
+    def _demand(self, A: Lower) -> Forecast:
         """What the symbolic factor says."""
+        self.session.analyse(sparse(self.session.library, A, values=False), metis_ordering(A), self.solver.progress)
         factor, common = self.session.factor, self.session.common
         entries = int(factor.xsize)
         held = 8 * entries + int(common.memory_inuse)
@@ -52,26 +43,17 @@ class _CholmodAnalysis(Analysis):
             memory=held + matrix + 8 * int(factor.maxcsize), kept=held,
         )  # fmt: skip
 
-    @property
-    def forecast(self) -> Forecast:
-        return self._forecast
-
     def _factorize(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         news = f"factorising ({self._forecast.flops:.2g} operations)"
         self.session.factorize(sparse(self.session.library, A), self.solver.progress, news)
         return _CholmodFactor(self.session, self._stats(start, int(self.session.factor.xsize)))
 
-    def _release(self) -> None:
-        self.session.close()
 
-
-class _CholmodFactor(Factorization):
+class _CholmodFactor(SessionFactor):
     """The factor that an analysis holds."""
 
-    def __init__(self, session: Session, stats: FactorStats) -> None:
-        super().__init__(stats)
-        self._session = session
+    _session: Session
 
     def _solve(self, B: Values) -> Values:
         self._session.solve(B)
@@ -79,9 +61,6 @@ class _CholmodFactor(Factorization):
 
     def _negative_pivots(self) -> int | None:
         return 0
-
-    def _release(self) -> None:
-        self._session.forget()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,4 +73,4 @@ class Cholmod(ForeignSolver):
     library = staticmethod(cholmod_library)
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        return _CholmodAnalysis(self, self._loaded(), A, structure)
+        return _CholmodAnalysis(self, A, structure, Session(self._loaded()))

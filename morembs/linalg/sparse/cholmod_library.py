@@ -22,6 +22,7 @@ from morembs.linalg.sparse.foreign import (
     refuse_missing,
     struct_fields,
     structure,
+    with_header,
     without_comments,
 )
 
@@ -163,12 +164,6 @@ def cholmod_library() -> Library | str:
     path = find_library("cholmod")
     if path is None:
         return f"no CHOLMOD library (libcholmod) was found; get it with: {HINT}"
-    reason = f"its header {_HEADERS[0]} was not found"
-    for header in (Path(folder) / name for folder in _FOLDERS for name in _HEADERS):
-        if not header.is_file() or "cholmod_common_struct" not in header.read_text(encoding="latin-1"):
-            continue
-        try:
-            return _open(path, header)
-        except UnusableError as error:
-            reason = str(error)
-    return f"{path} cannot be used: {reason}; get both with: {HINT}"
+    headers = [header for folder in _FOLDERS for name in _HEADERS if (header := Path(folder) / name).is_file()]
+    headers = [one for one in headers if "cholmod_common_struct" in one.read_text(encoding="latin-1")]
+    return with_header(path, headers, lambda header: _open(path, header), _HEADERS[0], HINT)

@@ -11,10 +11,11 @@ import ctypes.util
 import os
 import re
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+Library = TypeVar("Library")
 Fields = list[tuple[str, Any]]
 
 
@@ -112,3 +113,21 @@ def _sized(kind: Any, length: str | None, defined: Mapping[str, str]) -> Any:
         return kind * sum(int(defined.get(term.strip(), term)) for term in length.split("+"))
     except ValueError:
         raise UnusableError(f"its header has an array length that is not understood: {length!r}") from None
+
+
+def with_header(
+    path: str, headers: Iterable[Path], opened: Callable[[Path], Library], name: str, hint: str
+) -> Library | str:
+    """What ``opened`` gives of the first of ``headers`` that fits the library at ``path``, or why none does.
+
+    ``name`` is that of the header, ``hint`` a command that installs both.
+    """
+    reason = f"its header {name} was not found"
+    for header in headers:
+        if not header.is_file():
+            continue
+        try:
+            return opened(header)
+        except UnusableError as error:
+            reason = str(error)
+    return f"{path} cannot be used: {reason}; get both with: {hint}"

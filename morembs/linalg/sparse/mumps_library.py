@@ -22,6 +22,7 @@ from morembs.linalg.sparse.foreign import (
     refuse_missing,
     struct_fields,
     structure,
+    with_header,
     without_comments,
 )
 
@@ -143,16 +144,11 @@ def system_library(dtype: str = "float64") -> Library | str:
     if path is None:
         return f"no sequential MUMPS library (lib{letter}mumps_seq) was found; get it with: {SYSTEM_HINT}"
     folders = [Path(sys.prefix) / "include"] if own else [Path("/usr/local/include"), Path("/usr/include")]
-    places = [folder / sub for folder in folders for sub in ("mumps_seq", "MUMPS", "")]
-    reason = f"its header {letter}mumps_c.h was not found"
-    for place in places:
-        if not (place / f"{letter}mumps_c.h").is_file():
-            continue
-        try:
-            return _open(path, place, letter, low_rank=own is not None)
-        except UnusableError as error:
-            reason = str(error)
-    return f"{path} cannot be used: {reason}; get both with: {SYSTEM_HINT}"
+    name = f"{letter}mumps_c.h"
+    headers = [folder / sub / name for folder in folders for sub in ("mumps_seq", "MUMPS", "")]
+    return with_header(
+        path, headers, lambda header: _open(path, header.parent, letter, low_rank=own is not None), name, SYSTEM_HINT
+    )
 
 
 @cache

@@ -17,10 +17,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
-from morembs.linalg.sparse.cholmod_session import Fill, fill_of
+from morembs.linalg.sparse.cholmod_session import fill_of
 from morembs.linalg.sparse.foreign import find_library, open_deep
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
+from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
 from morembs.linalg.sparse.solver import (
     MECHANISM,
     Analysis,
@@ -29,7 +30,6 @@ from morembs.linalg.sparse.solver import (
     Forecast,
     ForeignSolver,
     Values,
-    refuse_beyond_memory,
 )
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import Progress
@@ -168,30 +168,24 @@ class _Session(ForeignObject):
         self._function("free_symbolic")(ctypes.byref(self._symbolic))
 
 
-class _UmfpackAnalysis(Analysis):
+class _UmfpackAnalysis(SessionAnalysis):
     """The symbolic factor and the way from the lower triangle to the whole matrix."""
 
-    def __init__(self, solver: Umfpack, library: ctypes.CDLL, A: Lower, structure: str) -> None:
-        super().__init__(A, structure)
-        self.solver = solver
-        # Numbers from one, because zeros would be dropped: where in the triangle each entry comes from.
-        numbered = Lower(A.indptr, A.indices, np.arange(1, A.nnz + 1)).full()
-        self._source = numbered.data.astype(np.int64) - 1
-        self.pattern = numbered
-        self.session = _Session(library, numbered, structure)
-        try:
-            order = metis_ordering(A)
-            fill = fill_of(A, order)
-            # A postorder keeps fewer fronts alive at the same time.
-            self.session.analyse(order if fill is None else fill.order, solver.progress)
-            self._forecast = self._demand(fill)
-            refuse_beyond_memory(solver, self._forecast, "UMFPACK", "needs half and can keep it on disk")
-        except BaseException:
-            self.close()
-            raise
+    instead = "needs half and can keep it on disk"
+    session: _Session
 
-    def _demand(self, fill: Fill | None) -> Forecast:
+    def __init__(self, solver: Umfpack, library: ctypes.CDLL, A: Lower, structure: str) -> None:
+        # Numbers from one, because zeros would be dropped: where in the triangle each entry comes from.
+        self.pattern = Lower(A.indptr, A.indices, np.arange(1, A.nnz + 1)).full()
+        self._source = self.pattern.data.astype(np.int64) - 1
+        super().__init__(solver, A, structure, _Session(library, self.pattern, structure))
+
+    def _demand(self, A: Lower) -> Forecast:
         """From the fill with pivots on the diagonal; else the bound of UMFPACK, several times too high."""
+        order = metis_ordering(A)
+        fill = fill_of(A, order)
+        # A postorder keeps fewer fronts alive at the same time.
+        self.session.analyse(order if fill is None else fill.order, self.solver.progress)
         results, size = self.session.results, 16 if self.session.complex else 8
         if fill is None:
             entries, flops = int(results[_L_ESTIMATE] + results[_U_ESTIMATE]), float(results[_FLOPS_ESTIMATE])
@@ -208,10 +202,6 @@ class _UmfpackAnalysis(Analysis):
             memory=max(peak + matrix + values, kept), kept=kept,
         )  # fmt: skip
 
-    @property
-    def forecast(self) -> Forecast:
-        return self._forecast
-
     def _factorize(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         session = self.session
@@ -225,16 +215,14 @@ class _UmfpackAnalysis(Analysis):
             whole = sp.csc_array((values, self.pattern.indices, self.pattern.indptr), shape=(self.n, self.n))
         return _UmfpackFactor(session, stats, values.dtype, whole)
 
-    def _release(self) -> None:
-        self.session.close()
 
-
-class _UmfpackFactor(Factorization):
+class _UmfpackFactor(SessionFactor):
     """The factor that an analysis holds. ``whole`` is the matrix, for a correction where pivots may be small."""
 
+    _session: _Session
+
     def __init__(self, session: _Session, stats: FactorStats, dtype: Any, whole: sp.csc_array | None) -> None:
-        super().__init__(stats, dtype)
-        self._session = session
+        super().__init__(session, stats, dtype)
         self._A = whole
 
     def _solve(self, B: Values) -> Values:
@@ -259,7 +247,7 @@ class _UmfpackFactor(Factorization):
 
     def _release(self) -> None:
         self._A = None
-        self._session.forget()
+        super()._release()
 
 
 @dataclass(frozen=True, kw_only=True)
