@@ -22,6 +22,7 @@ lint: setup
 	@$(RUN)/ruff check .
 	@$(RUN)/lint-imports
 	@$(RUN)/python scripts/imports.py
+	@$(RUN)/python scripts/schema.py --check
 	@$(RUN)/mypy
 
 # For example: make benchmark CASES="small modes --quick"

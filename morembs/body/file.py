@@ -183,7 +183,7 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
         checksums.Checksums(place, file).verify(lambda name: whole or not _LATER.match(name))
         if "provenance" in file:
             checksums.Checksums(place, file["provenance"]).verify()
-        return stored_bodies(file, read_basis, switching)
+        return stored_bodies(file, read_basis=read_basis, read_switching=switching)
 
 
 __all__ = [

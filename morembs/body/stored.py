@@ -137,13 +137,11 @@ class StoredBodies:
     warnings: tuple[str, ...] = ()
 
 
-def stored_bodies(
-    file: Any, read_basis: Callable[[str, slice], Floats], read_switching: Callable[[str], Switching],
-) -> StoredBodies:  # fmt: skip
-    """Everything but the bases and the static modes of an open body file, which ``check_file`` has seen."""
+def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:
+    """Everything in an open body file, which ``check_file`` has seen, but what the ``readers`` of a body read later."""
     values = read_rows(file, FILE)
     names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
-    bodies = {name: _body(name, file[f"bodies/{name}"], kinds, read_basis, read_switching) for name in names}
+    bodies = {name: _body(name, file[f"bodies/{name}"], kinds, readers) for name in names}
     shown = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
     return StoredBodies(
         interfaces=ByName("interface", shown), bodies=ByName("body", bodies),
@@ -181,15 +179,11 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     return block
 
 
-def _body(
-    name: str, group: Any, kinds: Sequence[str], read_basis: Callable[[str, slice], Floats],
-    read_switching: Callable[[str], Switching],
-) -> StoredBody:  # fmt: skip
+def _body(name: str, group: Any, kinds: Sequence[str], readers: Mapping[str, Any]) -> StoredBody:
     values = read_rows(group, BODY)
     values.setdefault("output_matrix", values["input_matrix"].T)
     values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
     return StoredBody(
-        name=name, read_basis=read_basis, read_switching=read_switching, has_recovery="recovery" in group,
-        certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None,
-        has_switching="switching" in group, **values,
+        name=name, has_recovery="recovery" in group, has_switching="switching" in group,
+        certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None, **values, **readers,
     )  # fmt: skip

@@ -14,6 +14,7 @@ from morembs.errors import InputError
 from morembs.floating.frame import FRAMES
 from morembs.interface import COUPLINGS
 from morembs.model.elements import FACES, TYPES
+from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
 
 Floats = NDArray[np.float64]
@@ -31,7 +32,7 @@ def check_file(path: Path, file: Any) -> None:
     check, sizes = _Check(path, file, "body file"), dict[str, tuple[int, str]]()
     check.table("", FILE, sizes)
     check.one_of("unit_system", ("SI",))
-    bodies, interfaces = check.names("body_names"), check.names("interface_names")
+    bodies, interfaces = (KINDS["text"].decode(file[name][()]) for name in ("body_names", "interface_names"))
     for name in interfaces:
         check.interface(f"interfaces/{name}/")
     check.within("inputs/interface_index", 0, len(interfaces) - 1, ", places in /interface_names")
@@ -47,10 +48,6 @@ def check_file(path: Path, file: Any) -> None:
 
 
 class _Check(TableCheck):
-    def names(self, name: str) -> list[str]:
-        """Names of groups."""
-        return [line.decode() for line in self.file[name][()].tolist()]
-
     def within(self, name: str, least: int, most: int, why: str = "") -> None:
         """Integers from ``least`` to ``most``."""
         values = np.ravel(self.file[name][()])

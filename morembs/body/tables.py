@@ -32,10 +32,6 @@ def _stiffening_parts(stiffening: Stiffening) -> Mapping[str, object]:
     return vars(stiffening) | {name: row or None for name, row in rows.items()}
 
 
-def _frame(interfaces: tuple[str, ...] = (), **values: Any) -> FloatingFrame:
-    return FloatingFrame(interfaces=interfaces, **values)
-
-
 def _frame_parts(frame: FloatingFrame) -> Mapping[str, object]:
     return vars(frame) | {"interfaces": frame.interfaces or None}
 
@@ -144,7 +140,7 @@ FRAME = Table((
     Row("markers/*", MARKER),
     Row("notes", "notes", doc="what is not exact"),
     Row("stiffening", STIFFENING, doc="geometric stiffening, if that was asked for: see below", when="if"),
-), build=_frame, parts=_frame_parts)  # fmt: skip
+), build=FloatingFrame, parts=_frame_parts)  # fmt: skip
 
 RANKING = Table((
     Row("terms", "text", "terms", "inertia terms, those that matter most first"),

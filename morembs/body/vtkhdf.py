@@ -22,14 +22,10 @@ BLOCK_BYTES = 8 * 2**20
 
 def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:
     """Fill the HDF5 ``group`` with the mesh; ``points`` (n, 3) is a dataset of the same file, hard-linked."""
-    group.attrs["Version"] = np.array(VERSION, dtype=np.int64)
-    group.attrs["Type"] = np.bytes_("UnstructuredGrid")
     group["Points"] = points
     n_cells = sum(len(c.connectivity) for c in cells)
     n_links = sum(c.connectivity.size for c in cells)
-    counts = {"Points": len(points), "Cells": n_cells, "ConnectivityIds": n_links}
-    for name, count in counts.items():
-        group.create_dataset(f"NumberOf{name}", data=np.array([count], dtype=np.int64))
+    write_head(group, VERSION, len(points), n_cells, n_links)
     connectivity = group.create_dataset("Connectivity", (n_links,), np.int64)
     offsets = group.create_dataset("Offsets", (n_cells + 1,), np.int64)
     types = group.create_dataset("Types", (n_cells,), np.uint8)
@@ -44,6 +40,14 @@ def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:
         cell, link = cell + count, link + count * size
     group.create_group("PointData")
     group.create_group("FieldData")
+
+
+def write_head(group: Any, version: tuple[int, int], points: int, cells: int, links: int) -> None:
+    """What makes an HDF5 ``group`` an unstructured grid, and its numbers of points, cells and nodes of cells."""
+    group.attrs["Version"] = np.array(version, dtype=np.int64)
+    group.attrs["Type"] = np.bytes_("UnstructuredGrid")
+    for name, count in (("Points", points), ("Cells", cells), ("ConnectivityIds", links)):
+        group.create_dataset(f"NumberOf{name}", data=np.array([count], dtype=np.int64))
 
 
 def shown_modes(reduced: ReducedModel) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stress_shapes import Recovery, read_recovery
+from morembs.body.vtkhdf import write_head
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage.checksums import Checksums
@@ -97,7 +98,9 @@ def write_series(
     with writing(target, sealed=False) as out:
         out.doing("the mesh")
         group = out.file.create_group("VTKHDF")
-        _write_grid(group, grid)
+        write_head(group, VERSION, n, len(grid.types), len(grid.connectivity))
+        for name, values in vars(grid).items():
+            group.create_dataset(name.capitalize(), data=values)
         _write_steps(group, times, fields, n)
         data = {}
         for name, width in fields.items():
@@ -114,16 +117,6 @@ def write_series(
         if lines := notes():
             out.put("notes", text(*lines))
     return target
-
-
-def _write_grid(group: Any, grid: Grid) -> None:
-    group.attrs["Version"] = np.array(VERSION, dtype=np.int64)
-    group.attrs["Type"] = np.bytes_("UnstructuredGrid")
-    counts = {"Points": len(grid.points), "Cells": len(grid.types), "ConnectivityIds": len(grid.connectivity)}
-    for name, count in counts.items():
-        group.create_dataset(f"NumberOf{name}", data=np.array([count], dtype=np.int64))
-    for name in ("points", "connectivity", "offsets", "types"):
-        group.create_dataset(name.capitalize(), data=getattr(grid, name))
 
 
 def _write_steps(group: Any, times: Floats, fields: Mapping[str, int], n: int) -> None:

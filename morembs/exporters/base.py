@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
-from morembs.moved import renamed
 from morembs.problem.damping import frequency_domain_only
 
 if TYPE_CHECKING:
@@ -241,6 +240,3 @@ def names_without_blanks(names: Iterable[str], longest: int, target: str) -> Non
                 f"the name {name!r} does not fit {target}; expected up to {longest} ASCII characters without blanks, "
                 "rename it in the job"
             )
-
-
-__getattr__ = renamed(__name__, {"Task": "ExportContext"})

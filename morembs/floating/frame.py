@@ -54,7 +54,7 @@ class FloatingFrame:
     """
 
     kind: str
-    interfaces: tuple[str, ...]
+    interfaces: tuple[str, ...] = ()
     origin: Floats
     elastic: Floats
     rigid: Floats

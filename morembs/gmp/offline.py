@@ -61,7 +61,7 @@ class Tabulated:
 
     def grown(self, name: str) -> Floats:
         """(count, count, ...) of a part of the equilibria."""
-        values = np.array([getattr(one, name) for one in self.equilibria])
+        values = np.array([getattr(equilibrium, name) for equilibrium in self.equilibria])
         return values.reshape(self.count, self.count, *values.shape[1:])
 
 
@@ -107,8 +107,8 @@ class Sampling:
         """t (2,)."""
         return np.array([self.reach * np.sin(np.pi * part.numerator / part.denominator) for part in key])
 
-    def _image(self, one: Symmetry, key: Key) -> Key:
-        (a, b), (c, d) = one.turn.tolist()
+    def _image(self, symmetry: Symmetry, key: Key) -> Key:
+        (a, b), (c, d) = symmetry.turn.tolist()
         return a * key[0] + b * key[1], c * key[0] + d * key[1]
 
     def ensure(self, keys: Iterable[Key]) -> None:
@@ -123,7 +123,7 @@ class Sampling:
         before = {key: self.angles(key) for key in self.equilibria}
         wanted: list[Key] = []
         for key in keys:
-            best = max([key, *(self._image(one, key) for one in self.group)])
+            best = max([key, *(self._image(symmetry, key) for symmetry in self.group)])
             if best not in self.equilibria and best not in wanted:
                 wanted.append(best)
         new = {key: self._stored(key) for key in wanted}
@@ -134,21 +134,21 @@ class Sampling:
             near = self.equilibria[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, one in self.pool.each("toward", tasks):
-            if isinstance(one, NotFollowedError):
-                failures[number] = one
+        for number, solution in self.pool.each("toward", tasks):
+            if isinstance(solution, NotFollowedError):
+                failures[number] = solution
                 if self.pool.workers == 1:
                     break
                 continue
-            new[open_[number]], self.solved = one, self.solved + 1
+            new[open_[number]], self.solved = solution, self.solved + 1
             self.progress.update(f"equilibria: {self.solved + self.restored}")
             if self.store is not None:
-                self.store.add(_numbers(open_[number]), X=one.X, W=one.W, moments=one.moments, modes=one.modes)
+                self.store.add(_numbers(open_[number]), **vars(solution))
         if failures:
             raise failures[min(failures)]
-        for key, one in new.items():
-            if one is not None:
-                self._take(key, one)
+        for key, solution in new.items():
+            if solution is not None:
+                self._take(key, solution)
 
     def _stored(self, key: Key) -> Equilibrium | None:
         values = None if self.store is None else self.store.equilibria.get(_numbers(key))
@@ -157,13 +157,14 @@ class Sampling:
         self.restored += 1
         return Equilibrium(X=values["X"], W=float(values["W"]), moments=values["moments"], modes=values["modes"])
 
-    def _take(self, key: Key, one: Equilibrium) -> None:
-        self.equilibria[key] = one
+    def _take(self, key: Key, solution: Equilibrium) -> None:
+        self.equilibria[key] = solution
         for g in self.group:
             image = self._image(g, key)
             if image not in self.equilibria:
                 self.equilibria[image] = Equilibrium(
-                    X=g.moved(one.X), W=one.W, moments=g.turn @ one.moments, modes=g.modes(one.modes)
+                    X=g.moved(solution.X), W=solution.W, moments=g.turn @ solution.moments,
+                    modes=g.modes(solution.modes),
                 )
 
     def sampled(self, keys: Sequence[Key]) -> list[Any]:
@@ -184,7 +185,7 @@ class Sampling:
             return Table.through(self.reach, array.reshape(count, count, *array.shape[1:]))
 
         straight = self.equilibria[Fraction(0), Fraction(0)].X
-        X, W = through([one.X - straight for one in equilibria]), through([one.W for one in equilibria])
+        X, W = through([s.X - straight for s in equilibria]), through([s.W for s in equilibria])
         laws = {name: through([getattr(s, name)[: len(s.H)] if name == "c" else getattr(s, name) for s in samples])
                 for name in ("k", "c", "H")}  # fmt: skip
         worst = dict.fromkeys(("shapes", "modes", "energy", "moments", "k", "c", "H"), 0.0)
@@ -195,11 +196,11 @@ class Sampling:
             sizes[name] = max(sizes[name], float(np.abs(exact).max(initial=0.0)))
 
         for key in (*inside, *outside):
-            t, one = self.angles(key), self.equilibria[key]
+            t, solution = self.angles(key), self.equilibria[key]
             shape, energy = X.at(t), W.at(t)
             for name, value, exact in (
-                ("shapes", shape[0], one.X - straight), ("modes", shape[1].T, one.modes),
-                ("energy", energy[0], one.W), ("moments", energy[1], one.moments),
+                ("shapes", shape[0], solution.X - straight), ("modes", shape[1].T, solution.modes),
+                ("energy", energy[0], solution.W), ("moments", energy[1], solution.moments),
             ):  # fmt: skip
                 seen(name, value, exact)
         for key, sample in zip(outside, checks, strict=True):
@@ -306,9 +307,9 @@ def _options(plan: Plan, group: tuple[Symmetry, ...]) -> str:
 
 def _signature(work: Member) -> Floats:
     """Numbers (k,) that tell a component from others: its shape, energies and forces of two deflections."""
-    one, random = work.component, np.random.default_rng(5)
-    numbers = [float(one.size), work.length, float(one.reference @ random.uniform(1, 2, one.size))]
+    component, random = work.component, np.random.default_rng(5)
+    numbers = [float(component.size), work.length, float(component.reference @ random.uniform(1, 2, component.size))]
     for size in (1e-3, 2e-2):
-        x = one.reference + size * work.length * random.uniform(-1, 1, one.size)
-        numbers += [work.energy(x), float(np.abs(one.force(x)) @ random.uniform(1, 2, one.size))]
+        x = component.reference + size * work.length * random.uniform(-1, 1, component.size)
+        numbers += [work.energy(x), float(np.abs(component.force(x)) @ random.uniform(1, 2, component.size))]
     return np.array(numbers)

@@ -81,14 +81,12 @@ def _checked(path: Path, group: Any) -> Parameterised:
     data: Parameterised = read_rows(group, MEMBER)
     if data.formulation not in get_args(Formulation):
         raise check.refuse(f"{at}formulation", f"is {data.formulation!r}", f"one of {_FORMULATIONS}")
-    size, every, width = data.fields.size, len(data.squares), data.table.coefficients.shape[-1]
+    size, every = data.fields.size, len(data.squares)
     if not 0 <= data.count <= every:
         raise check.refuse(f"{at}count", f"is {data.count}", f"0 to {every}, the length of squares")
-    wanted = 2 * size + 2 + every + data.count**2
-    if len(data.fields.M) != size or width != wanted:
-        what, rows = ("table", wanted) if len(data.fields.M) == size else ("M", size)
-        shape = group[what].shape
-        raise check.refuse(f"{at}{what}", f"has the shape {shape}", f"{rows} along the last axis by U, Ur and count")
+    for name, columns in (("M", size), ("table", 2 * size + 2 + every + data.count**2)):
+        if group[name].shape[-1] != columns:
+            raise check.refuse(f"{at}{name}", f"has the shape {group[name].shape}", f"{columns} along the last axis")
     return data
 
 

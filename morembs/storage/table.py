@@ -44,14 +44,6 @@ def _value(value: Any) -> Any:
     return value if np.ndim(value) else value.item()
 
 
-def _whole(value: Any) -> Any:
-    return _value(_integers(value))
-
-
-def _real(value: Any) -> Any:
-    return _value(_floats(value))
-
-
 def _lines(value: Any) -> Any:
     """A text, or a tuple of them."""
     return tuple(line.decode() for line in value.tolist()) if np.ndim(value) else value.decode()
@@ -74,10 +66,10 @@ def _sentences(value: Any) -> tuple[str, ...]:
 
 KINDS = {
     # Finite numbers; any, also infinite ones and NaN; those that are looked at when they are read.
-    "real": Kind("f8", "real numbers", "iuf", _floats, _real),
+    "real": Kind("f8", "real numbers", "iuf", _floats, lambda value: _value(_floats(value))),
     "any": Kind("f8", "real numbers", "iuf", _floats, _value),
     "later": Kind("f8", "real numbers", "f", _floats, _value),
-    "whole": Kind("i8", "integers", "iu", _integers, _whole),
+    "whole": Kind("i8", "integers", "iu", _integers, lambda value: _value(_integers(value))),
     # A few of them, as a tuple; those that keep their width.
     "few": Kind("i8", "integers", "iu", _integers, lambda value: tuple(value.tolist())),
     "index": Kind("i4 or i8", "integers", "iu", np.asarray, _value),

@@ -48,13 +48,9 @@ class TableCheck:
                 missing.append(place)
             elif item is not None:
                 raise self.refuse(place, "is a group", "a dataset")
-        self.refuse_missing(missing)
-
-    def refuse_missing(self, names: Sequence[str]) -> None:
-        """Raise an error that names what is missing, if anything is."""
-        if names:
-            missing = ", ".join(f"/{name}" for name in names)
-            raise InputError(f"{self.path} is an incomplete {self.what}; missing: {missing}; {self.cure}")
+        if missing:
+            names = ", ".join(f"/{place}" for place in missing)
+            raise InputError(f"{self.path} is an incomplete {self.what}; missing: {names}; {self.cure}")
 
     def _row(self, name: str, item: Any, row: Row, sizes: Sizes) -> None:
         """One group, or one dataset: its kind, its shape, and what it holds."""

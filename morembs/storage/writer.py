@@ -70,11 +70,8 @@ class Writer:
         if self.safe is not None:
             self.safe.check()
 
-    def put(self, name: str, value: object, about: str = "", units: str = "") -> None:
+    def put(self, name: str, data: Any, about: str = "", units: str = "") -> None:
         """Store one dataset with what it is and its units."""
-        self._store(name, storable(value), about, units)
-
-    def _store(self, name: str, data: Any, about: str, units: str) -> None:
         self.doing(name)
         self._mark(self.file.create_dataset(name, data=data), about, units)
 
@@ -103,7 +100,7 @@ class Writer:
         """Store ``whole`` by its ``table`` in the group ``at``, a path with a slash behind it."""
         source = table.parts(whole)
         for row in table:
-            value: Any = source.get(row.key) if isinstance(source, Mapping) else getattr(source, row.key)
+            value: Any = source[row.key] if isinstance(source, Mapping) else getattr(source, row.key)
             if row.when and value is None:
                 continue
             for name, part in row.parts(value):
@@ -112,7 +109,7 @@ class Writer:
                 elif row.columns:
                     self.columns(at + name, part, row.about, row.units)
                 else:
-                    self._store(at + name, KINDS[row.kind].encode(part), row.about, row.units)
+                    self.put(at + name, KINDS[row.kind].encode(part), row.about, row.units)
 
     def tree(self, name: str, value: object) -> None:
         """Store nested mappings as groups; None is left out, rows of equal keys become columns."""
@@ -126,4 +123,4 @@ class Writer:
             for key, inner in value.items():
                 self.tree(f"{name}/{str(key).replace('/', '_').strip('.') or '_'}", inner)
         elif value is not None:
-            self.put(name, value)
+            self.put(name, storable(value))
