@@ -92,7 +92,7 @@ def recover(
 
 
 def _print_recovered(done: Recovered, as_json: bool) -> None:
-    peak, worst = (_placed(one, key) for one, key in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
+    peak, worst = (_placed(*each) for each in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
     if as_json:
         if peak is not None:
             peak["jump_pa"] = done.peak_jump
@@ -118,6 +118,6 @@ def _print_recovered(done: Recovered, as_json: bool) -> None:
         typer.echo(f"note: {note}")
 
 
-def _placed(found: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
+def _placed(largest: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
     """A largest value with its node and its time, by their names."""
-    return None if found is None else dict(zip((key, "node", "time_s"), found, strict=True))
+    return None if largest is None else dict(zip((key, "node", "time_s"), largest, strict=True))

@@ -75,19 +75,19 @@ def compare(
             check_writable(picture)
         loaded = load_job(path)
         if picture is not None and picture.resolve() in {
-            one.resolve() for one in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if one is not None
+            file.resolve() for file in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if file
         }:
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
-        if loaded.tables.certify is None and not any(one.certified_band for one in loaded.reducers.values()):
+        if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
-        found = contenders(run_job(loaded, progress, warn))
+        compared = contenders(run_job(loaded, progress, warn))
         if picture is not None:
-            draw_contenders(picture, found, path.name)
+            draw_contenders(picture, compared, path.name)
         document = {
             "job": str(path),
-            "contenders": [{key: without_nan(value) for key, value in asdict(one).items()} for one in found],
+            "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
         }
-        return document, lambda: print_contenders(console(), str(path), found)
+        return document, lambda: print_contenders(console(), str(path), compared)
 
     each_job([job], as_json, work, quiet)
 
@@ -129,11 +129,11 @@ def solvers(as_json: AsJson = False) -> None:
     from morembs.linalg.sparse.select import available_solvers
 
     with messages(), printing():
-        found = available_solvers()
+        known = available_solvers()
         if as_json:
-            print_json({name: {"available": not reason, "reason": reason} for name, reason in found.items()})
+            print_json({name: {"available": not reason, "reason": reason} for name, reason in known.items()})
             return
-        for name, reason in found.items():
+        for name, reason in known.items():
             typer.echo(f"{name}: {reason or 'available'}")
 
 

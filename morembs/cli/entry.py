@@ -50,15 +50,15 @@ def _exit_code() -> int:
         if number is not None:
             # A library made another exception of the signal that came while it called back.
             return 128 + number
-        found = failure(error)
-        tell(f"error: {found.message}")
-        return found.code
+        fault = failure(error)
+        tell(f"error: {fault.message}")
+        return fault.code
     return 0
 
 
 def _work(arguments: Sequence[str]) -> None:
     """Do what the ``arguments`` say: here where they are as plain as can be, else as the verbs of ``commands`` do."""
-    plain = [one for one in arguments if one != "--json"]
+    plain = [argument for argument in arguments if argument != "--json"]
     if list(arguments) == ["--version"]:
         echo(f"morembs {VERSION}")
     elif plain[:1] == ["info"] and len(plain) == 2 and not plain[1].startswith("-") and len(arguments) - len(plain) < 2:

@@ -85,8 +85,9 @@ def import_model(
 
 def _document(done: ImportResult) -> dict[str, Any]:
     from morembs.cli.report import without_nan
+    from morembs.cli.report_stored import findings_json
 
-    model, found = done.model, done.diagnosis
+    model = done.model
     return {
         "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),
         "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
@@ -97,10 +98,7 @@ def _document(done: ImportResult) -> dict[str, Any]:
         },
         "warnings": list(done.warnings),
         "sets": sorted(model.nodes.sets), "couplings": list(model.couplings), "notes": list(model.notes),
-        "findings": [] if found is None else [
-            {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
-            for one in found.findings
-        ],
+        "findings": findings_json(done.diagnosis),
     }  # fmt: skip
 
 

@@ -75,10 +75,10 @@ def result_json(result: JobResult) -> dict[str, Any]:
     }
 
 
-def _certificate_json(its: Certificate) -> dict[str, Any]:
-    values = {name: value for name, value in asdict(its).items() if name != "notes"}
+def _certificate_json(certificate: Certificate) -> dict[str, Any]:
+    values = {name: value for name, value in asdict(certificate).items() if name != "notes"}
     values = {name: without_nan(value) for name, value in values.items()}
-    return {**values, "absolute_error": its.absolute_error, "notes": list(its.notes)}
+    return {**values, "absolute_error": certificate.absolute_error, "notes": list(certificate.notes)}
 
 
 def without_nan(value: Any) -> Any:
@@ -137,12 +137,13 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
     table = plain_table(
         "body", "order", "error, max", "mean", "bound, max", "", "block, max", "static", "modes off by", "MAC"
     )
-    for body, its in known:
+    for body, certificate in known:
         table.add_row(
-            body.name, str(body.reduced.order), f"{its.error.max():.1e}", f"{its.error.mean():.1e}",
-            "-" if its.bound_kind == "none" else f"{its.bound.max():.1e}",
-            its.bound_kind.replace("none", ""), f"{its.block_error.max(initial=0.0):.1e}", f"{its.static_error:.1e}",
-            f"{np.nanmax(its.mode_deviation, initial=0.0):.1e}", f"{its.mode_mac.min(initial=1.0):.4f}",
+            body.name, str(body.reduced.order), f"{certificate.error.max():.1e}", f"{certificate.error.mean():.1e}",
+            "-" if certificate.bound_kind == "none" else f"{certificate.bound.max():.1e}",
+            certificate.bound_kind.replace("none", ""), f"{certificate.block_error.max(initial=0.0):.1e}",
+            f"{certificate.static_error:.1e}",
+            f"{np.nanmax(certificate.mode_deviation, initial=0.0):.1e}", f"{certificate.mode_mac.min(initial=1.0):.4f}",
         )  # fmt: skip
     titled(console, f"certificate: relative errors at {len(hz)} frequencies, {hz[0]:,.4g} to {hz[-1]:,.4g} Hz", table)
     console.print(
@@ -150,10 +151,10 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
         "only the kind \"bound\" is proven",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-    for body, its in known:
-        if its.error.max() > 1:
+    for body, certificate in known:
+        if certificate.error.max() > 1:
             console.print(f"  {body.name}: the error exceeds 1; it does not serve in this band", highlight=False)
-        for note in [*its.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
+        for note in [*certificate.notes, *([str(body.recipe["choice"])] if "choice" in body.recipe else [])]:
             console.print(f"  {body.name}: {note}", highlight=False, soft_wrap=True)
 
 
@@ -184,15 +185,16 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
         console.print(f"[yellow]warning:[/] {escape(text)}", highlight=False, soft_wrap=True)
 
 
-def print_contenders(console: Console, job: str, found: Sequence[Contender]) -> None:
+def print_contenders(console: Console, job: str, compared: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
     heads = ("order", "error", "mean", "bound", "static", "held, median", "seconds", "peak memory")
     table = plain_table("body", *heads)
-    for one in found:
+    for contender in compared:
+        known = contender.bound, contender.static_error, contender.held_error
         table.add_row(
-            ("* " if one.best else "  ") + one.name, str(one.order), f"{one.error:.1e}", f"{one.mean_error:.1e}",
-            *("-" if value is None else f"{value:.1e}" for value in (one.bound, one.static_error, one.held_error)),
-            f"{one.seconds:.2f}", bytes_words(one.peak_memory_bytes),
+            ("* " if contender.best else "  ") + contender.name, str(contender.order), f"{contender.error:.1e}",
+            f"{contender.mean_error:.1e}", *("-" if value is None else f"{value:.1e}" for value in known),
+            f"{contender.seconds:.2f}", bytes_words(contender.peak_memory_bytes),
         )  # fmt: skip
     titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     console.print(

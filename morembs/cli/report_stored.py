@@ -28,16 +28,16 @@ def show(file: str | Path, *, as_json: bool) -> None:
         OutputError: standard output cannot be written.
     """
     stored = read_body(file, whole=True)
-    found = stored_findings(stored)
+    diagnoses = stored_findings(stored)
     with printing():
         if as_json:
-            print_json(stored_json(str(file), stored, found))
+            print_json(stored_json(str(file), stored, diagnoses))
         else:
-            print_stored(console(), str(file), stored, found)
-    refuse_unsound(str(file), found)
+            print_stored(console(), str(file), stored, diagnoses)
+    refuse_unsound(str(file), diagnoses)
 
 
-def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> dict[str, Any]:
+def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> dict[str, Any]:
     """A body file as plain values, SI units; ``found`` says for each body what is wrong with it."""
     first = next(iter(stored.bodies.values()))
     origin = stored.provenance
@@ -56,12 +56,12 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
         "full_frequencies_hz": None if first.full_frequencies_hz is None else first.full_frequencies_hz.tolist(),
         "interfaces": {
             name: {
-                "coupling": one.coupling,
-                "components": list(one.components),
-                "point": one.point.tolist(),
-                "nodes": len(one.node_ids),
+                "coupling": interface.coupling,
+                "components": list(interface.components),
+                "point": interface.point.tolist(),
+                "nodes": len(interface.node_ids),
             }
-            for name, one in stored.interfaces.items()
+            for name, interface in stored.interfaces.items()
         },
         "bodies": {
             name: {
@@ -74,10 +74,7 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
                 "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
                 "stress_recovery": body.has_recovery,
                 "switching": body.has_switching,
-                "findings": [
-                    {"severity": one.severity, "code": one.code, "sentence": one.sentence, "cure": one.cure}
-                    for one in found[name].findings
-                ],
+                "findings": findings_json(diagnoses[name]),
             }
             for name, body in stored.bodies.items()
         },
@@ -87,21 +84,27 @@ def stored_json(path: str, stored: StoredBodies, found: Mapping[str, Diagnosis])
     }
 
 
-def print_stored(console: Console, path: str, stored: StoredBodies, found: Mapping[str, Diagnosis]) -> None:
+def findings_json(diagnosis: Diagnosis | None) -> list[dict[str, str]]:
+    """Findings as plain values."""
+    keys = ("severity", "code", "sentence", "cure")
+    return [] if diagnosis is None else [{key: getattr(each, key) for key in keys} for each in diagnosis.findings]
+
+
+def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
     """What a body file holds, and warnings of what is ``found`` wrong with each body."""
     from rich.markup import escape
 
     from morembs.cli.tables import frame_words, mass_table, ranking_words, titled, words
 
-    values = stored_json(path, stored, found)
+    values = stored_json(path, stored, diagnoses)
     console.print(
         f"[bold]{path}[/]: {values['source'] or 'model'}, "
         + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
         + f"{values['stored_nodes']:,} nodes stored",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-    for name, one in values["interfaces"].items():
-        console.print(f"  interface {name}: {one['coupling']}, {one['nodes']:,} nodes", highlight=False)
+    for name, interface in values["interfaces"].items():
+        console.print(f"  interface {name}: {interface['coupling']}, {interface['nodes']:,} nodes", highlight=False)
     for name, body in stored.bodies.items():
         console.print(f"  {name}: {words(body.mode_kind)}", highlight=False)
         elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
@@ -122,8 +125,8 @@ def print_stored(console: Console, path: str, stored: StoredBodies, found: Mappi
                 f"    certificate: error at most {error.max():.1e}{known} from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
                 highlight=False, soft_wrap=True,
             )  # fmt: skip
-        for one in found[name].warnings:
-            console.print(f"    {escape(str(one))}", highlight=False, soft_wrap=True)
+        for finding in diagnoses[name].warnings:
+            console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
     for warning in stored.warnings:
         console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

@@ -72,9 +72,9 @@ def frame_words(frame: FloatingFrame) -> str:
     at = f" at {' and '.join(frame.interfaces)}" if frame.interfaces else ""
     words = f"{frame.kind} frame{at}, {frame.count} elastic coordinates"
     if frame.stiffening is not None:
-        its = frame.stiffening
-        kept = sum(share > 0 and name not in its.dropped for name, share in its.share.items())
-        words += f", geometric stiffening ({kept} of {len(its.share)} terms matter)"
+        stiffening = frame.stiffening
+        kept = sum(share > 0 and name not in stiffening.dropped for name, share in stiffening.share.items())
+        words += f", geometric stiffening ({kept} of {len(stiffening.share)} terms matter)"
     return words
 
 

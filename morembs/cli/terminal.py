@@ -142,11 +142,11 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
     except Exception as error:
         # What a library makes of a signal that comes in the midst of it is no error of its own.
         stopping.check()
-        found = failure(error)
-        tell(f"error: {prefix}{found.message}")
+        fault = failure(error)
+        tell(f"error: {prefix}{fault.message}")
         if failed is None:
-            raise typer.Exit(found.code) from None
-        failed.append(found)
+            raise typer.Exit(fault.code) from None
+        failed.append(fault)
 
 
 def each_job(
@@ -170,7 +170,7 @@ def each_job(
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json(documents if len(jobs) > 1 else documents[0])
     if failed:
-        raise typer.Exit(min(one.code for one in failed))
+        raise typer.Exit(min(fault.code for fault in failed))
 
 
 def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:

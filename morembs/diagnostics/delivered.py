@@ -90,8 +90,8 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
         markers={
-            one.name: np.arange(r.B.shape[1])[part.columns[one.name]]
-            for one in part.interfaces if one.kind.framed and tuple(one.components) == tuple(range(6))
+            interface.name: np.arange(r.B.shape[1])[part.columns[interface.name]]
+            for interface in part.interfaces if interface.kind.framed and tuple(interface.components) == tuple(range(6))
         },
     )  # fmt: skip
 
@@ -116,8 +116,8 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
         markers={
             name: np.flatnonzero(file.input_interface == which)
-            for which, (name, one) in enumerate(kept)
-            if one.kind.framed and tuple(one.components) == tuple(range(6))
+            for which, (name, interface) in enumerate(kept)
+            if interface.kind.framed and tuple(interface.components) == tuple(range(6))
         },
     )  # fmt: skip
 

@@ -56,38 +56,38 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
         InputError: a stored body without its file, or a reduced model without its part.
     """
     given = delivered(body, part)
-    found: list[Finding] = []
+    findings: list[Finding] = []
     facts: dict[str, Any] = {}
-    if not _finite(given, found):
-        return Diagnosis(findings=tuple(found))
-    _symmetry(given, found)
-    _definite(given, found, facts)
-    if any(one.code == "indefinite" and "M " in one.sentence for one in found):
-        return Diagnosis(findings=tuple(found), facts=facts)
+    if not _finite(given, findings):
+        return Diagnosis(findings=tuple(findings))
+    _symmetry(given, findings)
+    _definite(given, findings, facts)
+    if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
+        return Diagnosis(findings=tuple(findings), facts=facts)
     try:
         values, Y = _modes(given)
     except np.linalg.LinAlgError as error:
         sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
-        found.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
-        return Diagnosis(findings=tuple(found), facts=facts)
-    _frequencies(given, values, found, facts)
-    ways = _rigid(given, values, Y, found, facts)
+        findings.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
+        return Diagnosis(findings=tuple(findings), facts=facts)
+    _frequencies(given, values, findings, facts)
+    ways = _rigid(given, values, Y, findings, facts)
     if given.symmetric and ways and len(given.C):
-        _effective(given, next(iter(ways.values())), found, facts)
-    _damping(given, values, Y, found, facts)
-    found += frame_findings(given)
-    return Diagnosis(findings=tuple(found), facts=facts)
+        _effective(given, next(iter(ways.values())), findings, facts)
+    _damping(given, values, Y, findings, facts)
+    findings += frame_findings(given)
+    return Diagnosis(findings=tuple(findings), facts=facts)
 
 
 def _named(given: Delivered) -> dict[str, Floats]:
     return {"M": given.M, "K": given.K, "D": given.D}
 
 
-def _finite(given: Delivered, found: list[Finding]) -> bool:
+def _finite(given: Delivered, findings: list[Finding]) -> bool:
     bad = [name for name, A in {**_named(given), "B": given.B}.items() if not np.isfinite(A).all()]
     if bad:
         sentence = f"{', '.join(bad)} of the reduced body hold entries that are not finite numbers"
-        found.append(Finding(code="not-finite", severity="error", sentence=sentence, cure="reduce it again"))
+        findings.append(Finding(code="not-finite", severity="error", sentence=sentence, cure="reduce it again"))
     return not bad
 
 
@@ -96,11 +96,11 @@ def _scale(A: Floats) -> Floats:
     return np.asarray(np.sqrt(np.where(d > 0, d, np.abs(A).max(axis=1, initial=0.0))))
 
 
-def _symmetry(given: Delivered, found: list[Finding]) -> None:
+def _symmetry(given: Delivered, findings: list[Finding]) -> None:
     if not given.symmetric:
         sentence = "the reduced matrices are not symmetric (two bases), so energy is not conserved exactly"
         cure = "check that the target takes such bodies"
-        found.append(Finding(code="two-sided", severity="note", sentence=sentence, cure=cure))
+        findings.append(Finding(code="two-sided", severity="note", sentence=sentence, cure=cure))
         return
     for name, A in _named(given).items():
         size = np.maximum(np.outer(_scale(A), _scale(A)), np.finfo(float).tiny)
@@ -108,10 +108,10 @@ def _symmetry(given: Delivered, found: list[Finding]) -> None:
         if off.max(initial=0.0) > SYMMETRIC:
             i, j = np.unravel_index(int(off.argmax()), off.shape)
             sentence = f"{name} is not symmetric: entries ({i + 1}, {j + 1}) are {A[i, j]:.6g} and {A[j, i]:.6g}"
-            found.append(Finding(code="not-symmetric", severity="error", sentence=sentence, cure="write it again"))
+            findings.append(Finding(code="not-symmetric", severity="error", sentence=sentence, cure="write it again"))
 
 
-def _definite(given: Delivered, found: list[Finding], facts: dict[str, Any]) -> None:
+def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
     """M positive definite, K and D positive semidefinite."""
     for name, A in _named(given).items():
         if not given.symmetric and name != "M":
@@ -126,7 +126,7 @@ def _definite(given: Delivered, found: list[Finding], facts: dict[str, Any]) -> 
             what = "positive definite" if name == "M" else "positive semidefinite"
             cure = "it feeds energy into a simulation; check the damping" if name == "D" else "check the full matrix"
             sentence = f"{name} of the reduced body is not {what} (lowest scaled eigenvalue {lowest:.2e})"
-            found.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
+            findings.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
 
 
 def _round_off(A: Floats, given: Delivered) -> bool:
@@ -148,11 +148,11 @@ def _modes(given: Delivered) -> tuple[Floats, Floats]:
         return _eigh(0.5 * (given.K + given.K.T), 0.5 * (given.M + given.M.T))
     import scipy.linalg as sl
 
-    found, vectors = sl.eig(given.K, given.M)
-    order = np.argsort(found.real, kind="stable")
+    roots, vectors = sl.eig(given.K, given.M)
+    order = np.argsort(roots.real, kind="stable")
     Y = vectors[:, order].real
     modal = np.einsum("in,ij,jn->n", Y, given.M, Y)
-    return found.real[order], Y / np.sqrt(np.maximum(np.abs(modal), np.finfo(float).tiny))
+    return roots.real[order], Y / np.sqrt(np.maximum(np.abs(modal), np.finfo(float).tiny))
 
 
 def _eigh(K: Floats, M: Floats) -> tuple[Floats, Floats]:
@@ -163,20 +163,20 @@ def _eigh(K: Floats, M: Floats) -> tuple[Floats, Floats]:
     return values, np.linalg.solve(L.T, Z)
 
 
-def _frequencies(given: Delivered, values: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
+def _frequencies(given: Delivered, values: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     hz = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
     hz[: given.rigid_count] = 0.0
     facts["free_hz"] = hz
     if given.rigid_count < 6:
         sentence = f"the body is held to the ground: {given.rigid_count} of 6 rigid-body motions are free"
         cure = "multibody programs expect a free body; reduce a model without supports"
-        found.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
+        findings.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
     elastic = slice(given.rigid_count, None)
     squares = (2 * np.pi * given.hz) ** 2
     slack = 2 * FREQUENCY * np.maximum(values, 0.0) + ROUND_OFF * np.abs(values).max(initial=0.0)
     if given.hz.shape != hz.shape or not (np.abs(squares - values) <= slack)[elastic].all():
         sentence = "the frequencies that come with the body are not those of its matrices"
-        found.append(Finding(code="frequencies", severity="error", sentence=sentence, cure="write it again"))
+        findings.append(Finding(code="frequencies", severity="error", sentence=sentence, cure="write it again"))
     if given.full_hz is None or not given.symmetric:
         return
     count = min(len(given.full_hz), len(hz))
@@ -189,7 +189,7 @@ def _frequencies(given: Delivered, values: Floats, found: list[Finding], facts: 
             "which no projection does"
         )
         cure = "check that body and model belong together"
-        found.append(Finding(code="below-full-model", severity="error", sentence=sentence, cure=cure))
+        findings.append(Finding(code="below-full-model", severity="error", sentence=sentence, cure=cure))
 
 
 def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
@@ -242,7 +242,7 @@ def _reference(given: Delivered) -> Ints | None:
 
 
 def _rigid(
-    given: Delivered, values: Floats, Y: Floats, found: list[Finding], facts: dict[str, Any]
+    given: Delivered, values: Floats, Y: Floats, findings: list[Finding], facts: dict[str, Any]
 ) -> dict[str, Floats]:
     """Energy, ground force and mass of rigid motion found in three ways."""
     if given.rigid_count < 6 or len(values) < 6:
@@ -250,7 +250,7 @@ def _rigid(
     ways = rigid_coordinates(given, Y)
     if not ways:
         sentence = "rigid-body motion could not be checked: fewer than six interface degrees of freedom and no frame"
-        found.append(Finding(code="rigid-unchecked", severity="note", sentence=sentence))
+        findings.append(Finding(code="rigid-unchecked", severity="note", sentence=sentence))
         return ways
     first = np.sqrt(max(values[6], 0.0)) / (2 * np.pi) if len(values) > 6 else 0.0
     shift = np.eye(6)
@@ -267,14 +267,14 @@ def _rigid(
         hz = float(np.sqrt(max(_eigh(energy / np.outer(d, d), modal / np.outer(d, d))[0][-1], 0.0)) / (2 * np.pi))
         facts["rigid_hz"][way] = hz
         if first and hz > SOFT * first:
-            _ground(given, way, centred, hz, first, found)
-        _mass(given, way, q, found, facts)
+            _ground(given, way, centred, hz, first, findings)
+        _mass(given, way, q, findings, facts)
     if given.frame is not None and "geometry" in ways:
-        _interfaces_follow(given, ways["geometry"], found)
+        _interfaces_follow(given, ways["geometry"], findings)
     return ways
 
 
-def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, found: list[Finding]) -> None:
+def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, findings: list[Finding]) -> None:
     energy = 0.5 * np.diag(q.T @ given.K @ q)
     motions = np.flatnonzero(energy > 1e-3 * energy.max())
     sentence = (
@@ -282,7 +282,7 @@ def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, foun
         f"{first:.4g} Hz; most energy {energy.max():.4g} J per unit motion, in "
         + ", ".join(MOTIONS[k] for k in motions)
     )
-    found.append(
+    findings.append(
         Finding(
             code="grounded", severity="error" if hz > GROUNDED * first else "warning", sentence=sentence,
             cure="look for springs to the ground in the model, or for interface points that are not where K has them",
@@ -291,7 +291,7 @@ def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, foun
     )  # fmt: skip
 
 
-def _mass(given: Delivered, way: str, q: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
+def _mass(given: Delivered, way: str, q: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     """Mass, centre and inertia of q' M q against those of the model."""
     root = np.linalg.cholesky(0.5 * (given.M + given.M.T)).T
     mass, center, inertia = mass_properties(np.eye(len(q)), root @ q, np.zeros(3))
@@ -310,10 +310,10 @@ def _mass(given: Delivered, way: str, q: Floats, found: list[Finding], facts: di
         sentence = f"rigid motion (by {way}) has another mass than the model: {words} ({both})"
         cure = "check units, the mass matrix, and that body and model belong together"
         severity = "error" if max(wrong.values()) > 1e-3 else "warning"
-        found.append(Finding(code="mass", severity=severity, sentence=sentence, cure=cure, where=tuple(wrong)))
+        findings.append(Finding(code="mass", severity=severity, sentence=sentence, cure=cure, where=tuple(wrong)))
 
 
-def _interfaces_follow(given: Delivered, q: Floats, found: list[Finding]) -> None:
+def _interfaces_follow(given: Delivered, q: Floats, findings: list[Finding]) -> None:
     """Interfaces must move with the body as their points say."""
     if given.frame is None:
         return
@@ -328,10 +328,10 @@ def _interfaces_follow(given: Delivered, q: Floats, found: list[Finding]) -> Non
         labels = tuple(given.motions[row] for row in bad.tolist())
         sentence = f"{len(bad)} interface degrees of freedom do not follow rigid motion of the body: {listed(labels)}"
         cure = "check the points of these interfaces and the input matrix"
-        found.append(Finding(code="interfaces", severity="error", sentence=sentence, cure=cure, where=labels))
+        findings.append(Finding(code="interfaces", severity="error", sentence=sentence, cure=cure, where=labels))
 
 
-def _effective(given: Delivered, rigid: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
+def _effective(given: Delivered, rigid: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     """Effective masses of the modes with all interface degrees of freedom fixed (Clough and Penzien 1975)."""
     s = np.maximum(np.abs(given.C).max(axis=1, keepdims=True), np.finfo(float).tiny)
     _, sizes, rows = np.linalg.svd(given.C / s)
@@ -349,10 +349,10 @@ def _effective(given: Delivered, rigid: Floats, found: list[Finding], facts: dic
         words = ", ".join(f"{value:.0%}" for value in share[:3])
         sentence = f"modes with fixed interfaces carry {words} of the mass along x, y, z"
         cure = "if loads come from moving interfaces, keep more modes; mass at the interfaces is not in this sum"
-        found.append(Finding(code="effective-mass", severity="note", sentence=sentence, cure=cure))
+        findings.append(Finding(code="effective-mass", severity="note", sentence=sentence, cure=cure))
 
 
-def _damping(given: Delivered, values: Floats, Y: Floats, found: list[Finding], facts: dict[str, Any]) -> None:
+def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     """Damping ratios of the elastic modes, and damping of rigid motion."""
     elastic = slice(given.rigid_count, None)
     omega = np.sqrt(np.maximum(values[elastic], np.finfo(float).tiny))
@@ -364,18 +364,18 @@ def _damping(given: Delivered, values: Floats, Y: Floats, found: list[Finding], 
             f"elastic mode {k + 1} at {omega[k] / (2 * np.pi):.4g} Hz has a negative damping ratio of {ratios[k]:.3g}"
         )
         cure = "a simulation would gain energy; check the damping matrix"
-        found.append(Finding(code="negative-damping", severity="error", sentence=sentence, cure=cure))
+        findings.append(Finding(code="negative-damping", severity="error", sentence=sentence, cure=cure))
     elif len(ratios):
         k = int(ratios.argmin())
         words = "no damping" if ratios.max() <= 0 else f"damping ratios from {ratios.min():.3g} to {ratios.max():.3g}"
         sentence = f"elastic modes have {words}, the lowest at {omega[k] / (2 * np.pi):.4g} Hz"
-        found.append(Finding(code="damping", severity="note", sentence=sentence))
+        findings.append(Finding(code="damping", severity="note", sentence=sentence))
     rigid = Y[:, : given.rigid_count]
     per_second = np.einsum("in,ij,jn->n", rigid, given.D, rigid)
     if len(per_second) and len(omega) and np.abs(per_second).max() > 1e-9 * omega[0]:
         sentence = f"damping slows rigid-body motion (up to {np.abs(per_second).max():.3g} 1/s)"
         cure = "leave out damping that is proportional to mass, unless the ground is meant"
-        found.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))
+        findings.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))
 
 
 def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
@@ -383,12 +383,13 @@ def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
     return {name: check_delivery(body, file) for name, body in file.bodies.items()}
 
 
-def refuse_unsound(path: str, found: Mapping[str, Diagnosis]) -> None:
+def refuse_unsound(path: str, diagnoses: Mapping[str, Diagnosis]) -> None:
     """Stop at bodies that contradict themselves.
 
     Raises:
         InputError: there are some; all errors are in the message.
     """
-    wrong = [f"body {name!r}: {'; '.join(sentences(one.errors))}" for name, one in found.items() if one.errors]
+    errors = {name: diagnosis.errors for name, diagnosis in diagnoses.items() if diagnosis.errors}
+    wrong = [f"body {name!r}: {'; '.join(sentences(findings))}" for name, findings in errors.items()]
     if wrong:
         raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")

@@ -53,7 +53,7 @@ class _Case:
     nodes: Nodes | None
     dofs: DofMap | None
     budget: Budget
-    found: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -94,23 +94,23 @@ def examine(
         return case
     _matrices(case)
     names = case.names
-    case.found += matrices.empty_and_massless(case.K, case.M, names) + matrices.duplicate_rows(case.K, names)
+    case.findings += matrices.empty_and_massless(case.K, case.M, names) + matrices.duplicate_rows(case.K, names)
     _ordered(case)
     part = part_of_dofs(case.K, case.dofs)
     case.facts["parts"] = int(part.max(initial=-1)) + 1
-    case.found += parts_findings(case.K, part, case.nodes, case.dofs, case.names, mesh)
+    case.findings += parts_findings(case.K, part, case.nodes, case.dofs, case.names, mesh)
     if mesh is not None:
-        case.found += double_elements(mesh)
+        case.findings += double_elements(mesh)
     if case.nodes is not None and case.dofs is not None:
         _geometry(case, mesh, tuple(materials), units, declared)
-    if deep and not any(one.severity == "error" and one.code in _BLOCKING for one in case.found):
-        found, facts = mode_findings(
+    if deep and not any(finding.severity == "error" and finding.code in _BLOCKING for finding in case.findings):
+        of_modes, facts = mode_findings(
             case.K, case.M, nodes=case.nodes, dofs=case.dofs, solver=solver, up_to_hz=up_to_hz, time=units.time,
             expected=case.facts.get("free_motions"), parts=case.facts["parts"], rounding=_rounding(case), budget=budget,
         )  # fmt: skip
-        case.found += found
+        case.findings += of_modes
         case.facts |= facts
-    return Diagnosis(findings=tuple(case.found), facts=case.facts)
+    return Diagnosis(findings=tuple(case.findings), facts=case.facts)
 
 
 # Findings that leave nothing to factorise.
@@ -119,7 +119,7 @@ _BLOCKING = ("indefinite", "empty-dofs", "no-stiffness", "zero-matrix", "duplica
 
 def _rounding(case: _Case) -> float:
     """Relative error of the entries of K, as rigid motion shows it; 0 where it shows something else."""
-    codes = {one.code for one in case.found}
+    codes = {finding.code for finding in case.findings}
     return float(case.facts.get("rigid_residual", 0.0)) if "few-digits" in codes else 0.0
 
 
@@ -185,57 +185,57 @@ def _opened(
     mapped = _map_findings(nodes, dofs)
     if mapped:
         return _hopeless(*mapped)
-    found, ready = [], {}
+    findings, ready = [], {}
     for name, A in named.items():
         ready[name], notes = matrices.canonical(A, name)
-        found += notes
-        found += matrices.values(ready[name], name, Names(nodes=nodes, dofs=dofs))
-    if any(one.severity == "error" for one in found):
-        return _hopeless(*found)
-    case = _Case(K=ready["K"], M=ready["M"], D=ready.get("D"), nodes=nodes, dofs=dofs, budget=budget, found=found)
+        findings += notes
+        findings += matrices.values(ready[name], name, Names(nodes=nodes, dofs=dofs))
+    if any(finding.severity == "error" for finding in findings):
+        return _hopeless(*findings)
+    case = _Case(K=ready["K"], M=ready["M"], D=ready.get("D"), nodes=nodes, dofs=dofs, budget=budget, findings=findings)
     case.facts |= {"dofs": N} | ({} if nodes is None else {"nodes": len(nodes)})
     return case
 
 
-def _hopeless(*found: Finding) -> Diagnosis:
-    return Diagnosis(findings=found)
+def _hopeless(*findings: Finding) -> Diagnosis:
+    return Diagnosis(findings=findings)
 
 
 def _map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
     """Mistakes in the map of the dofs and in the nodes themselves."""
-    found = []
+    findings = []
     if nodes is not None:
         bad = np.flatnonzero(~np.isfinite(nodes.xyz).all(axis=1))
         if len(bad):
             labels = Names(nodes=nodes).node_labels(bad)
             sentence = f"{listed(labels, len(bad), 'node')} has no finite coordinates"
-            found.append(
+            findings.append(
                 Finding(code="coordinates", severity="error", sentence=sentence, cure="mend them", where=labels)
             )
         ids, count = np.unique(nodes.ids, return_counts=True)
         if (count > 1).any():
             labels = tuple(map(str, ids[count > 1][:1000].tolist()))
             sentence = f"labels are used twice: {listed(labels, int((count > 1).sum()), 'node')}"
-            found.append(Finding(code="labels", severity="error", sentence=sentence, cure="renumber", where=labels))
+            findings.append(Finding(code="labels", severity="error", sentence=sentence, cure="renumber", where=labels))
     if dofs is None or not len(dofs):
-        return found
+        return findings
     top = len(nodes) if nodes is not None else np.inf
     outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > 5)
     if outside.any():
         sentence = (
             f"{int(outside.sum())} dofs name nodes or motions that do not exist (row {np.flatnonzero(outside)[0] + 1})"
         )
-        found.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="motions are 0 to 5"))
-        return found
+        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="motions are 0 to 5"))
+        return findings
     key = np.sort(6 * dofs.node + dofs.component)
     twice = np.unique(key[1:][key[1:] == key[:-1]])
     if len(twice):
         labels = Names(nodes=nodes).node_labels(twice // 6)
         sentence = f"{len(twice)} dofs appear twice in the map, the first at node {labels[0]}"
-        found.append(
+        findings.append(
             Finding(code="dof-map", severity="error", sentence=sentence, cure="map each dof once", where=labels)
         )
-    return found
+    return findings
 
 
 def _matrices(case: _Case) -> None:
@@ -244,9 +244,9 @@ def _matrices(case: _Case) -> None:
         A = getattr(case, name)
         if A is None:
             continue
-        whole, found = matrices.symmetry(A, name, case.names)
+        whole, findings = matrices.symmetry(A, name, case.names)
         setattr(case, name, whole)
-        case.found += found + matrices.definiteness(whole, name, case.names, case.budget)
+        case.findings += findings + matrices.definiteness(whole, name, case.names, case.budget)
 
 
 def _ordered(case: _Case) -> None:
@@ -259,12 +259,12 @@ def _ordered(case: _Case) -> None:
         if N % n or not 1 <= N // n <= 6 or N // n not in (3, 6):
             sentence = f"{N} dofs of {n} nodes are not 3 or 6 each, so the map of the dofs cannot be guessed"
             cure = "give the dof map; geometry was not checked"
-            case.found.append(Finding(code="no-dof-map", severity="warning", sentence=sentence, cure=cure))
+            case.findings.append(Finding(code="no-dof-map", severity="warning", sentence=sentence, cure=cure))
             return
         at = np.arange(N, dtype=np.int64)
         given = DofMap(node=at // (N // n), component=at % (N // n))
-    found = residual(case.K, case.nodes, given)
-    share = 0.0 if mounted(found, case.nodes, given) else float(found.bad.mean())
+    residuals = residual(case.K, case.nodes, given)
+    share = 0.0 if mounted(residuals, case.nodes, given) else float(residuals.bad.mean())
     other = fitting_order(case.K, case.nodes, given) if share > MANY else None
     if case.dofs is None:
         case.dofs = given if other is None else other[1]
@@ -274,12 +274,12 @@ def _ordered(case: _Case) -> None:
             case.dofs = None
             sentence = "no known order of the dofs fits the geometry"
             cure = "give the dof map; and check that the coordinates belong to these matrices"
-            case.found.append(Finding(code="no-dof-map", severity="warning", sentence=sentence, cure=cure))
+            case.findings.append(Finding(code="no-dof-map", severity="warning", sentence=sentence, cure=cure))
     elif other is not None:
         sentence = f"the order of the dofs is not the given one: K fits the geometry {other[0]}"
         cure = "map the dofs in this order"
         case.facts["dof_order"] = other[0]
-        case.found.append(Finding(code="dof-order", severity="error", sentence=sentence, cure=cure))
+        case.findings.append(Finding(code="dof-order", severity="error", sentence=sentence, cure=cure))
         case.dofs = other[1]
 
 
@@ -291,29 +291,29 @@ def _geometry(
     if nodes is None or dofs is None:
         return
     names = case.names
-    found = residual(case.K, nodes, dofs)
-    free = free_motions(found, mounted(found, nodes, dofs))
-    case.facts |= {"rigid_residual": float(found.worst.max(initial=0.0)), "free_motions": free}
-    case.facts["length"] = 2 * found.length
-    factor = rotation_factor(case.K, found, dofs)
+    residuals = residual(case.K, nodes, dofs)
+    free = free_motions(residuals, mounted(residuals, nodes, dofs))
+    case.facts |= {"rigid_residual": float(residuals.worst.max(initial=0.0)), "free_motions": free}
+    case.facts["length"] = 2 * residuals.length
+    factor = rotation_factor(case.K, residuals, dofs)
     if factor is not None:
-        case.found.append(rotation_finding(factor))
+        case.findings.append(rotation_finding(factor))
     else:
-        case.found += rigid_findings(case.K, found, nodes, dofs, names)
-    _grounded_damping(case, found.R)
+        case.findings += rigid_findings(case.K, residuals, nodes, dofs, names)
+    _grounded_damping(case, residuals.R)
     massive, facts = mass_findings(case.M, nodes, dofs, names)
-    case.found += massive
+    case.findings += massive
     case.facts |= facts
     if mesh is not None and materials and "mass" in case.facts:
         try:
-            case.found += against_mesh(case.facts, mesh, materials)
+            case.findings += against_mesh(case.facts, mesh, materials)
         except InputError as error:
-            case.found.append(Finding(code="mesh", severity="error", sentence=str(error)))
+            case.findings.append(Finding(code="mesh", severity="error", sentence=str(error)))
     estimated = estimate(case.K, case.M, nodes, dofs)
     if estimated is not None:
         case.facts["speed_of_sound"], case.facts["density"] = estimated
     extent = np.ptp(nodes.xyz[np.unique(dofs.node)], axis=0)
-    case.found += unit_findings(estimated, materials, extent, units, declared, float(case.facts.get("mass", np.nan)))
+    case.findings += unit_findings(estimated, materials, extent, units, declared, float(case.facts.get("mass", np.nan)))
 
 
 def _grounded_damping(case: _Case, R: Floats) -> None:
@@ -326,4 +326,5 @@ def _grounded_damping(case: _Case, R: Floats) -> None:
         labels, words = case.names.places(held)
         sentence = f"the damping matrix D resists rigid motion at {words}"
         cure = "leave out damping that is proportional to mass, or dampers to the ground, unless that is meant"
-        case.found.append(Finding(code="grounded-damping", severity="note", sentence=sentence, cure=cure, where=labels))
+        code = "grounded-damping"
+        case.findings.append(Finding(code=code, severity="note", sentence=sentence, cure=cure, where=labels))

@@ -25,9 +25,9 @@ def close_pairs(xyz: Floats) -> Ints:
     reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny)
     # The nearest few are enough: a search for all pairs grows without bounds where many nodes coincide.
     distance, other = cKDTree(xyz).query(xyz, k=min(4, len(xyz)), distance_upper_bound=reach)
-    one, column = np.nonzero(np.isfinite(distance))
-    two = other[one, column]
-    return np.asarray(np.unique(np.sort(np.stack([one, two], axis=1)[one != two], axis=1), axis=0), dtype=np.int64)
+    row, column = np.nonzero(np.isfinite(distance))
+    two = other[row, column]
+    return np.asarray(np.unique(np.sort(np.stack([row, two], axis=1)[row != two], axis=1), axis=0), dtype=np.int64)
 
 
 def bodies_of_nodes(mesh: Mesh, count: int) -> Ints:
@@ -69,18 +69,18 @@ def double_elements(mesh: Mesh) -> list[Finding]:
     if not len(same):
         return []
     same = same[np.argsort(order[same], kind="stable")]
-    one, two = order[same], order[same + 1]
-    shared = int((nodes[one] == nodes[two]).sum())
+    first, second = order[same], order[same + 1]
+    shared = int((nodes[first] == nodes[second]).sum())
     on = "on the same nodes" if shared == len(same) else "on copies of their nodes"
     if 0 < shared < len(same):
         on = f"{shared} on the same nodes, the others on copies of them"
-    words = [f"{a} and {b}" for a, b in zip(ids[one][:KEPT].tolist(), ids[two][:KEPT].tolist(), strict=True)]
+    words = [f"{a} and {b}" for a, b in zip(ids[first][:KEPT].tolist(), ids[second][:KEPT].tolist(), strict=True)]
     sentence = (
         f"{len(same)} solid elements lie in the place of others, {on}, so that mass and stiffness count twice there: "
         f"elements {listed(words, len(same))}"
     )
     cure = "delete the copies (a part may be in the model twice), unless elements are overlaid on purpose"
-    where = tuple(str(label) for pair in zip(ids[one].tolist(), ids[two].tolist(), strict=True) for label in pair)
+    where = tuple(str(label) for pair in zip(ids[first].tolist(), ids[second].tolist(), strict=True) for label in pair)
     return [Finding(code="double-elements", severity="warning", sentence=sentence, cure=cure, where=where[:KEPT])]
 
 
@@ -114,9 +114,9 @@ def _in_one_element(mesh: Mesh, pairs: Ints) -> NDArray[np.bool_]:
     """(k,) whether some element has both nodes of a pair."""
     n, touched = len(mesh.nodes), np.zeros(len(mesh.nodes), dtype=bool)
     touched[pairs] = True
-    found = [np.empty(0, dtype=np.int64)]
+    codes = [np.empty(0, dtype=np.int64)]
     for block in mesh.blocks:
         near = block.nodes[touched[block.nodes].sum(axis=1) > 1]
         low, high = np.minimum(near[:, :, None], near[:, None, :]), np.maximum(near[:, :, None], near[:, None, :])
-        found.append((low * n + high).ravel())
-    return np.isin(pairs[:, 0] * n + pairs[:, 1], np.concatenate(found))
+        codes.append((low * n + high).ravel())
+    return np.isin(pairs[:, 0] * n + pairs[:, 1], np.concatenate(codes))

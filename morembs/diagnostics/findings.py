@@ -47,24 +47,24 @@ class Diagnosis:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        order = sorted(self.findings, key=lambda one: SEVERITIES.index(one.severity))
+        order = sorted(self.findings, key=lambda finding: SEVERITIES.index(finding.severity))
         object.__setattr__(self, "findings", tuple(order))
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
 
     @property
     def errors(self) -> tuple[Finding, ...]:
         """Findings that make results wrong."""
-        return tuple(one for one in self.findings if one.severity == "error")
+        return tuple(finding for finding in self.findings if finding.severity == "error")
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
         """Findings that most likely are mistakes."""
-        return tuple(one for one in self.findings if one.severity == "warning")
+        return tuple(finding for finding in self.findings if finding.severity == "warning")
 
     @property
     def codes(self) -> tuple[str, ...]:
         """Codes of all findings."""
-        return tuple(one.code for one in self.findings)
+        return tuple(finding.code for finding in self.findings)
 
     def text(self) -> str:
         """All findings, a line each."""
@@ -101,8 +101,8 @@ class Names:
             return tuple(f"row {row + 1}" for row in rows.tolist())
         node = self.node_labels(self.dofs.node[rows])
         return tuple(
-            f"node {one} {MOTIONS[motion]}"
-            for one, motion in zip(node, self.dofs.component[rows].tolist(), strict=True)
+            f"node {label} {MOTIONS[motion]}"
+            for label, motion in zip(node, self.dofs.component[rows].tolist(), strict=True)
         )
 
     def of_dofs(self, rows: Ints) -> Ints:

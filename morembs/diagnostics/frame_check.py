@@ -22,13 +22,13 @@ def frame_findings(given: Delivered) -> list[Finding]:
     frame = given.floating
     if frame is None:
         return []
-    E, R, its = frame.elastic, frame.rigid, frame.integrals
+    E, R, integrals = frame.elastic, frame.rigid, frame.integrals
     pairs: list[tuple[str, Floats, Floats, Floats, Floats]] = [
         ("Ke", frame.Ke, E, given.K, E),
         ("De", frame.De, E, given.D, E),
-        ("integrals/Me", its.Me, E, given.M, E),
-        ("integrals/Ct and Cr", np.hstack([its.Ct, its.Cr]), E, given.M, R),
-        ("integrals/mass, first and inertia", its.rigid, R, given.M, R),
+        ("integrals/Me", integrals.Me, E, given.M, E),
+        ("integrals/Ct and Cr", np.hstack([integrals.Ct, integrals.Cr]), E, given.M, R),
+        ("integrals/mass, first and inertia", integrals.rigid, R, given.M, R),
     ]
     wrong = [
         name for name, held, left, A, right in pairs

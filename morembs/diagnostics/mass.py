@@ -41,22 +41,22 @@ def mass_findings(M: sp.csr_array, nodes: Nodes, dofs: DofMap, names: Names) -> 
     off = float(np.abs(G[:3, :3] - mass * np.eye(3)).max()) / mass
     if off > ISOTROPIC:
         return [_anisotropic(M, nodes, dofs, along, off)], facts
-    found = []
+    findings = []
     used = nodes.xyz[np.unique(dofs.node)]
     low, high = used.min(axis=0), used.max(axis=0)
     reach = OUTSIDE * float(np.linalg.norm(high - low))
     if (center_of_mass < low - reach).any() or (center_of_mass > high + reach).any():
         sentence = f"the centre of mass ({_numbers(center_of_mass)}) m lies outside the nodes"
         cure = "check that coordinates and dof map belong to the mass matrix"
-        found.append(Finding(code="center-outside", severity="warning", sentence=sentence, cure=cure))
+        findings.append(Finding(code="center-outside", severity="warning", sentence=sentence, cure=cure))
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     if np.linalg.eigvalsh(second)[0] < -1e-6 * max(float(np.trace(inertia)), np.finfo(float).tiny):
         principal = np.asarray(np.linalg.eigvalsh(inertia), dtype=np.float64)
         words = f"principal moments of inertia {_numbers(principal)} kg m2"
         sentence = f"{words} are impossible: one exceeds the sum of the others"
         cure = "check the coordinates, and the inertias of point masses"
-        found.append(Finding(code="impossible-inertia", severity="warning", sentence=sentence, cure=cure))
-    return found, facts
+        findings.append(Finding(code="impossible-inertia", severity="warning", sentence=sentence, cure=cure))
+    return findings, facts
 
 
 def _anisotropic(M: sp.csr_array, nodes: Nodes, dofs: DofMap, along: Floats, off: float) -> Finding:
@@ -78,7 +78,7 @@ def _anisotropic(M: sp.csr_array, nodes: Nodes, dofs: DofMap, along: Floats, off
 def against_mesh(facts: dict[str, Any], mesh: Mesh, materials: Sequence[Material]) -> list[Finding]:
     """The mass of M against density times volume, with the volume among the facts."""
     owner = material_of_elements(mesh, materials)
-    density = np.array([one.density for one in materials])
+    density = np.array([material.density for material in materials])
     volume = mass = 0.0
     first = np.zeros(3)
     for block, rows in chunks(mesh):

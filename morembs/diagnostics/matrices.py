@@ -33,19 +33,19 @@ MOST = 1000
 
 def canonical(A: sp.sparray, name: str) -> tuple[sp.csr_array, list[Finding]]:
     """``A`` as real CSR with sorted indices and no duplicates, copied only where needed."""
-    found = []
+    findings = []
     if np.iscomplexobj(A.data):
         imaginary = float(np.abs(A.data.imag).max(initial=0.0))
         if imaginary:
             sentence = f"{WORDS[name]} has complex values (imaginary parts up to {imaginary:.3g})"
             cure = "only the real parts are examined; give structural damping as a loss factor"
-            found.append(Finding(code="complex", severity="note", sentence=sentence, cure=cure))
+            findings.append(Finding(code="complex", severity="note", sentence=sentence, cure=cure))
         A = A.real
     whole = A if isinstance(A, sp.csr_array) and A.dtype == np.float64 else sp.csr_array(A, dtype=np.float64)
     if not whole.has_canonical_format:
         whole = whole.copy() if whole is A else whole
         whole.sum_duplicates()
-    return whole, found
+    return whole, findings
 
 
 def pieces(A: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Floats]]:
@@ -236,7 +236,7 @@ def lowest(A: sp.csr_array, budget: Budget = UNLIMITED) -> tuple[float, Floats]:
 def empty_and_massless(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Finding]:
     """Dofs without stiffness, without mass, or without both."""
     stiff, heavy = (_row_has_values(A) for A in (K, M))
-    found = []
+    findings = []
     groups = (
         ("empty-dofs", ~stiff & ~heavy, "neither stiffness nor mass"),
         ("no-stiffness", ~stiff & heavy, "mass but no stiffness, so nothing holds it"),
@@ -247,8 +247,8 @@ def empty_and_massless(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[F
             labels, places = names.places(rows)
             sentence = f"{len(rows)} dofs have {words}: {places}"
             cure = "leave these dofs out, or join their nodes to the structure"
-            found.append(Finding(code=code, severity="error", sentence=sentence, cure=cure, where=labels))
-    return found + _massless(np.flatnonzero(stiff & ~heavy), names)
+            findings.append(Finding(code=code, severity="error", sentence=sentence, cure=cure, where=labels))
+    return findings + _massless(np.flatnonzero(stiff & ~heavy), names)
 
 
 def _massless(rows: Ints, names: Names) -> list[Finding]:
@@ -288,8 +288,8 @@ def duplicate_rows(K: sp.csr_array, names: Names) -> list[Finding]:
     ]
     if not pairs:
         return []
-    one, two = names.dof_labels(np.array(pairs[0]))
+    first = listed(names.dof_labels(np.array(pairs[0])))
     labels = names.places(np.unique(np.array(pairs).ravel()))[0]
-    sentence = f"{len(pairs)} pairs of dofs have equal rows in the stiffness matrix K, the first {listed((one, two))}"
+    sentence = f"{len(pairs)} pairs of dofs have equal rows in the stiffness matrix K, the first {first}"
     cure = "leave one dof of each pair out"
     return [Finding(code="duplicate-dofs", severity="error", sentence=sentence, cure=cure, where=labels)]

@@ -58,24 +58,25 @@ def mode_findings(
         sentence = f"{WORDS['K']} cannot be factorised: {error}"
         return [Finding(code="singular", severity="error", sentence=sentence, cure="look for a mechanism")], {}
     facts: dict[str, Any] = {"zero_modes": zeros, "frequencies_hz": hz}
-    found = []
+    findings = []
     usual = 6 * parts if expected is None or parts > 1 else expected
     if zeros > usual and 10 * rounding > SHIFT:
         sentence = f"K has too few digits to tell elastic from rigid motion: {zeros} motions have next to no energy"
-        found.append(Finding(code="unclear-modes", severity="note", sentence=sentence, cure="export it with 15 digits"))
+        cure = "export it with 15 digits"
+        findings.append(Finding(code="unclear-modes", severity="note", sentence=sentence, cure=cure))
     elif zeros > usual:
-        found.append(_mechanism(K, M, Z, zeros, usual, nodes, dofs))
+        findings.append(_mechanism(K, M, Z, zeros, usual, nodes, dofs))
     if counted is not None and up_to_hz is not None:
         facts["modes_below"] = counted
         words = f"expect {zeros} rigid-body and {counted} elastic modes below {up_to_hz:.6g} Hz"
-        found.append(Finding(code="modes", severity="note", sentence=words))
+        findings.append(Finding(code="modes", severity="note", sentence=words))
     elif len(hz):
         words = (
             f"expect {zeros} rigid-body modes, the first elastic one at about {hz[0]:.4g} Hz, and about {len(hz)} of "
             f"these up to {hz[-1]:.4g} Hz"
         )
-        found.append(Finding(code="modes", severity="note", sentence=words))
-    return found, facts
+        findings.append(Finding(code="modes", severity="note", sentence=words))
+    return findings, facts
 
 
 def _below(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver) -> int:
@@ -159,7 +160,7 @@ def _pieces(K: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> tuple[Int
         left &= ~best
     if not pieces or left.all():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    pieces.sort(key=lambda one: -int(one.sum()))
+    pieces.sort(key=lambda piece: -int(piece.sum()))
     moving = np.flatnonzero(~pieces[0])
     shared = np.flatnonzero(np.sum(pieces, axis=0) > 1) if len(pieces) > 1 else np.flatnonzero(pieces[0])
     alone = np.full(len(used), -1)
@@ -175,10 +176,10 @@ def _pieces(K: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> tuple[Int
 
 def _neighbours(K: sp.csr_array, rows: Ints, dofs: DofMap) -> Ints:
     """Nodes that are coupled to the node with these dofs, itself among them."""
-    found = [
+    neighbours = [
         K.indices[K.indptr[row] : K.indptr[row + 1]][K.data[K.indptr[row] : K.indptr[row + 1]] != 0] for row in rows
     ]
-    return np.unique(dofs.node[np.concatenate(found)])
+    return np.unique(dofs.node[np.concatenate(neighbours)])
 
 
 def _moving_alike(U: Floats, xyz: Floats, patch: Ints) -> Bools:

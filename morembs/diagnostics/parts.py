@@ -54,7 +54,7 @@ def parts_findings(
         return [Finding(code="uncoupled-dofs", severity="note", sentence=sentence, cure=cure)]
     size = np.bincount(part[part >= 0])
     biggest = np.sort(size)[::-1][:5]
-    first = [names.of_dofs(np.flatnonzero(part == one))[:1] for one in np.argsort(-size, kind="stable")[:5]]
+    first = [names.of_dofs(np.flatnonzero(part == number))[:1] for number in np.argsort(-size, kind="stable")[:5]]
     labels = names.node_labels(np.concatenate(first))
     words = ", ".join(map(str, biggest))
     sentence = f"the model falls into {count} unconnected parts (of {words} dofs, at nodes {listed(labels)})"
@@ -74,15 +74,15 @@ def _seams(pairs: Ints, names: Names, nodes: Nodes | None, mesh: Mesh | None) ->
     if mesh is not None:
         body = bodies_of_nodes(mesh, len(nodes))
         open_ = body[pairs[:, 0]] == body[pairs[:, 1]]
-    found = []
+    findings = []
     if open_.any():
-        found.append(seam_finding(*_pairs(pairs[open_], names), int(open_.sum())))
+        findings.append(seam_finding(*_pairs(pairs[open_], names), int(open_.sum())))
     if not open_.all():
         labels, words = _pairs(pairs[~open_], names)
         sentence = f"{int((~open_).sum())} pairs of nodes of bodies that touch are at one place and not joined: {words}"
         cure = "merge them if the bodies are one; a contact is not in a linear model"
-        found.append(Finding(code="touching-bodies", severity="note", sentence=sentence, cure=cure, where=labels))
-    return found
+        findings.append(Finding(code="touching-bodies", severity="note", sentence=sentence, cure=cure, where=labels))
+    return findings
 
 
 def _pairs(pairs: Ints, names: Names) -> tuple[tuple[str, ...], str]:
@@ -108,7 +108,7 @@ def _joined(K: sp.csr_array, pairs: Ints, dofs: DofMap) -> NDArray[np.bool_]:
     """(k,) whether K couples the nodes of each pair."""
     width = int(dofs.node.max(initial=0)) + 1
     both = np.flatnonzero(np.isin(dofs.node, pairs))
-    found = sp.coo_array(K[both, :])
-    row, column = dofs.node[both[found.coords[0]]], dofs.node[found.coords[1]]
-    low, high = np.minimum(row, column)[found.data != 0], np.maximum(row, column)[found.data != 0]
+    entries = sp.coo_array(K[both, :])
+    row, column = dofs.node[both[entries.coords[0]]], dofs.node[entries.coords[1]]
+    low, high = np.minimum(row, column)[entries.data != 0], np.maximum(row, column)[entries.data != 0]
     return np.isin(pairs[:, 0] * width + pairs[:, 1], low * width + high)

@@ -78,15 +78,15 @@ def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 
 
-def mounted(found: Residual, nodes: Nodes, dofs: DofMap) -> bool:
+def mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
     """Whether springs between nodes and the ground explain all force under rigid motion.
 
     Then turning gives the force that the same springs give under the displacement which turning means at their node.
     In a wrong order of the dofs it does not.
     """
-    rows = np.flatnonzero(found.bad & (dofs.component < 3))
-    arms = -skew(nodes.xyz[dofs.node[rows]] - found.center) / found.length
-    force = found.force[rows]
+    rows = np.flatnonzero(residuals.bad & (dofs.component < 3))
+    arms = -skew(nodes.xyz[dofs.node[rows]] - residuals.center) / residuals.length
+    force = residuals.force[rows]
     left = np.abs(force[:, 3:] - np.einsum("nc,ncr->nr", force[:, :3], arms)).max(axis=1, initial=0.0)
     return bool(len(rows) and (left > LEFT * np.abs(force).max(axis=1)).mean() <= FEW)
 
@@ -132,16 +132,16 @@ def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, Dof
     if share <= MANY:
         return None
     tried = [(forces(other, STRAINED), words, other) for words, other in orders(nodes, dofs)]
-    best = min(tried, key=lambda one: one[0], default=None)
+    best = min(tried, key=lambda trial: trial[0], default=None)
     return best[1:] if best is not None and best[0] < 0.1 * share else None
 
 
-def rotation_factor(K: sp.csr_array, found: Residual, dofs: DofMap) -> float | None:
+def rotation_factor(K: sp.csr_array, residuals: Residual, dofs: DofMap) -> float | None:
     """The factor on the rotations of all nodes that makes K fit the geometry; None where none does."""
     turning = dofs.component > 2
-    if not turning.any() or turning.all() or not found.bad.any():
+    if not turning.any() or turning.all() or not residuals.bad.any():
         return None
-    arms, turns = found.R[:, 3:].copy(), found.R[:, 3:].copy()
+    arms, turns = residuals.R[:, 3:].copy(), residuals.R[:, 3:].copy()
     arms[turning], turns[~turning] = 0.0, 0.0
     a, b = K @ arms, K @ turns
     size = magnitudes(K, arms).max(axis=1) + magnitudes(K, turns).max(axis=1)
@@ -153,7 +153,7 @@ def rotation_factor(K: sp.csr_array, found: Residual, dofs: DofMap) -> float | N
     left = np.abs(a + factor * b).max(axis=1)
     scale = np.abs(a).max(axis=1) + abs(factor) * np.abs(b).max(axis=1)
     bad = left > 1e-4 * np.maximum(scale, 1e-6 * scale.max())
-    return factor if factor > 0 and abs(factor - 1) > 1e-4 and bad.sum() <= 0.1 * found.bad.sum() else None
+    return factor if factor > 0 and abs(factor - 1) > 1e-4 and bad.sum() <= 0.1 * residuals.bad.sum() else None
 
 
 def rotation_finding(factor: float) -> Finding:
@@ -162,57 +162,57 @@ def rotation_finding(factor: float) -> Finding:
     words = ""
     if abs(factor * np.pi / 180 - 1) < 1e-2:
         words, cure = ", as if they were in degrees", "give rotations in radians"
-    elif any(abs(factor / one - 1) < 1e-2 for one in (1e-3, 1e3, 1e-2, 1e2, 0.0254, 1 / 0.0254)):
+    elif any(abs(factor / usual - 1) < 1e-2 for usual in (1e-3, 1e3, 1e-2, 1e2, 0.0254, 1 / 0.0254)):
         words = ", as if coordinates and matrices were in two units of length"
         cure = "give coordinates and matrices in the same units"
     sentence = f"the rotations in K fit the geometry only when scaled by {factor:.4g}{words}"
     return Finding(code="rotation-scale", severity="error", sentence=sentence, cure=cure)
 
 
-def doubled_diagonal(K: sp.csr_array, found: Residual) -> bool:
+def doubled_diagonal(K: sp.csr_array, residuals: Residual) -> bool:
     """Whether half the diagonal would fit the geometry: a triangle was added to its mirror image."""
-    force = found.force - 0.5 * K.diagonal()[:, None] * found.R
-    size = magnitudes(K, found.R).max(axis=1)
+    force = residuals.force - 0.5 * K.diagonal()[:, None] * residuals.R
+    size = magnitudes(K, residuals.R).max(axis=1)
     good = np.abs(force).max(axis=1) <= STRAINED * size
-    return bool(found.bad.mean() > MOST and good.mean() > 0.95)
+    return bool(residuals.bad.mean() > MOST and good.mean() > 0.95)
 
 
-def rigid_findings(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> list[Finding]:
+def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> list[Finding]:
     """Why K carries force under rigid motion, in an order of dofs that is right."""
-    bad, share = found.bad, float(found.bad.mean())
-    worst = float(found.worst.max(initial=0.0))
+    bad, share = residuals.bad, float(residuals.bad.mean())
+    worst = float(residuals.worst.max(initial=0.0))
     if worst <= ROUNDED:
         return []
     if not bad.any():
         sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel: rounded numbers"
         cure = "export with 15 digits if low frequencies matter"
         return [Finding(code="few-digits", severity="note", sentence=sentence, cure=cure)]
-    if doubled_diagonal(K, found):
+    if doubled_diagonal(K, residuals):
         cure = "subtract the diagonal once where a triangle is added to its mirror image"
         sentence = "the diagonal of the stiffness matrix K counts twice"
         return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
-    held = mounted(found, nodes, dofs)
+    held = mounted(residuals, nodes, dofs)
     if share > MOST and worst < FEW_DIGITS and not held:
         sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel, all over the model"
         cure = "export it with more digits (15); or a preload is in it, which is no mistake"
         return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
-    shifted = float(found.ratio[:, :3].max())
+    shifted = float(residuals.ratio[:, :3].max())
     if shifted < 1e-3 * worst or shifted <= STRAINED < worst:
-        return [_misplaced(K, found, nodes, dofs, names)]
-    return [_grounded(K, found, nodes, dofs, names, held)]
+        return [_misplaced(K, residuals, nodes, dofs, names)]
+    return [_grounded(K, residuals, nodes, dofs, names, held)]
 
 
-def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names, held: bool) -> Finding:
-    rows = np.flatnonzero(found.bad)
-    labels, words = names.places(rows[np.argsort(-found.worst[rows], kind="stable")])
-    turned = local_systems(K, found, nodes, dofs)
+def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names, held: bool) -> Finding:
+    rows = np.flatnonzero(residuals.bad)
+    labels, words = names.places(rows[np.argsort(-residuals.worst[rows], kind="stable")])
+    turned = local_systems(K, residuals, nodes, dofs)
     if len(turned):
         labels = names.node_labels(turned)
         sentence = f"displacements of {listed(labels, len(labels), 'node')} are not along the axes of the model"
         cure = "export without local coordinate systems, or turn these dofs"
         return Finding(code="local-axes", severity="error", sentence=sentence, cure=cure, where=labels)
-    share = float(found.bad.mean())
-    hold = found.R[:, :3].T @ found.force[:, :3]
+    share = float(residuals.bad.mean())
+    hold = residuals.R[:, :3].T @ residuals.force[:, :3]
     if share > MOST and not held:
         sentence = (
             f"the stiffness matrix K does not fit the geometry: {share:.0%} of the dofs carry force under rigid motion"
@@ -223,7 +223,7 @@ def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, name
         )
         return Finding(code="not-this-geometry", severity="error", sentence=sentence, cure=cure, where=labels)
     stiff = ", ".join(f"{value:.3g}" for value in np.diag(hold))
-    free = free_motions(found, held)
+    free = free_motions(residuals, held)
     sentence = (
         f"the body is held to the ground: rigid motion gives force at {words}, {stiff} N/m against translations along "
         f"x, y, z; {free} of 6 rigid-body motions are free"
@@ -234,22 +234,23 @@ def _grounded(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, name
     return Finding(code="grounded", severity="warning", sentence=sentence, cure=cure, where=labels)
 
 
-def free_motions(found: Residual, held: bool) -> int:
+def free_motions(residuals: Residual, held: bool) -> int:
     """How many of the six rigid motions give no force, round-off and few digits aside; ``held`` as ``mounted``."""
-    worst, bad = float(found.worst.max(initial=0.0)), found.bad
+    worst, bad = float(residuals.worst.max(initial=0.0)), residuals.bad
     if not bad.any() or (bad.mean() > MOST and worst < FEW_DIGITS and not held):
         return 6
+    force, ratio = residuals.force, residuals.ratio
     with np.errstate(over="ignore"):
-        size = np.divide(found.ratio, np.abs(found.force), out=np.zeros_like(found.ratio), where=found.force != 0)
-    s = np.linalg.svd(found.force * size.max(axis=1)[:, None], compute_uv=False)
+        size = np.divide(ratio, np.abs(force), out=np.zeros_like(ratio), where=force != 0)
+    s = np.linalg.svd(force * size.max(axis=1)[:, None], compute_uv=False)
     return int((s < (STRAINED if worst > STRAINED else ROUNDED)).sum())
 
 
-def _misplaced(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
+def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
     """Translations fit and rotations do not: some nodes are not where their coordinates say."""
-    culprits, places = misplaced_nodes(K, found, nodes, dofs)
+    culprits, places = misplaced_nodes(K, residuals, nodes, dofs)
     if not len(culprits):
-        labels, words = names.places(np.flatnonzero(found.bad))
+        labels, words = names.places(np.flatnonzero(residuals.bad))
         sentence = f"translations fit the stiffness matrix K but rotations do not: force at {words}"
         cure = "check that the coordinates belong to these matrices; a preload would do the same"
         return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
@@ -266,29 +267,29 @@ def _misplaced(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap, nam
     return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
 
 
-def misplaced_nodes(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
+def misplaced_nodes(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
     """Rows of nodes whose coordinates do not fit K, and where K has them (k, 3); empty where that is not clear.
 
     Only nodes whose neighbours all carry force can be wrong; their motion under rotation says where they are.
     """
-    columns, change = _motion_from_stiffness(K, found, nodes, dofs)
+    columns, change = _motion_from_stiffness(K, residuals, nodes, dofs)
     moved = np.full((len(nodes), 3), np.nan)
     at, component = dofs.node[columns], dofs.component[columns]
-    shift = change[:, 3:] * found.length
+    shift = change[:, 3:] * residuals.length
     # Rotation about z moves y by x, about x moves z by y, about y moves x by z.
     for axis, (moving, about) in enumerate(((1, 2), (2, 0), (0, 1))):
         pick = component == moving
         moved[at[pick], axis] = shift[pick, about]
     moved = np.nan_to_num(moved)
-    culprits = np.flatnonzero(np.linalg.norm(moved, axis=1) > 1e-5 * found.length)
+    culprits = np.flatnonzero(np.linalg.norm(moved, axis=1) > 1e-5 * residuals.length)
     return culprits, nodes.xyz[culprits] + moved[culprits]
 
 
-def local_systems(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> Ints:
+def local_systems(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap) -> Ints:
     """Rows of nodes whose displacements K has along axes of their own; empty where that is not clear."""
-    columns, change = _motion_from_stiffness(K, found, nodes, dofs)
+    columns, change = _motion_from_stiffness(K, residuals, nodes, dofs)
     table = np.full((len(nodes), 3, 3), np.nan)
-    table[dofs.node[columns], dofs.component[columns]] = (found.R[columns] + change)[:, :3]
+    table[dofs.node[columns], dofs.component[columns]] = (residuals.R[columns] + change)[:, :3]
     rows = np.flatnonzero(np.isfinite(table).all(axis=(1, 2)))
     Q = table[rows]
     if not len(rows) or np.abs(Q @ Q.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
@@ -296,14 +297,14 @@ def local_systems(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) 
     return np.asarray(rows[np.abs(Q - np.eye(3)).max(axis=(1, 2)) > 1e-5])
 
 
-def _motion_from_stiffness(K: sp.csr_array, found: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
+def _motion_from_stiffness(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
     """Displacement dofs of suspects and the change (k, 6) of their rigid motion that makes K R vanish.
 
     Suspects are nodes whose neighbours all carry force. Empty where there are none, too many, or no such change.
     """
     none = np.empty(0, dtype=np.int64), np.empty((0, 6))
     touched = np.zeros(len(nodes), dtype=bool)
-    touched[dofs.node[found.bad]] = True
+    touched[dofs.node[residuals.bad]] = True
     # By symmetry of the mesh some dofs of a node may stay free of force: nodes count.
     bad, clear = touched[dofs.node], np.zeros(len(dofs), dtype=bool)
     for _, _, row, column, value in pieces(K):
@@ -314,8 +315,8 @@ def _motion_from_stiffness(K: sp.csr_array, found: Residual, nodes: Nodes, dofs:
     if not len(columns) or len(rows) * len(columns) > DENSE:
         return none
     part = K[rows, :][:, columns].toarray()
-    change, *_ = np.linalg.lstsq(part, -found.force[rows], rcond=1e-12)
-    left = np.abs(found.force[rows] + part @ change)
-    if (left > 1e-5 * np.abs(found.force).max()).any():
+    change, *_ = np.linalg.lstsq(part, -residuals.force[rows], rcond=1e-12)
+    left = np.abs(residuals.force[rows] + part @ change)
+    if (left > 1e-5 * np.abs(residuals.force).max()).any():
         return none
     return columns, change

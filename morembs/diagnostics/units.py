@@ -96,7 +96,7 @@ class Outlook:
         """A line for people."""
         known = f", {self.mass:.4g} kg" if np.isfinite(self.mass) else ""
         hz = f", first elastic frequency about {_one_digit(self.first_hz)} Hz" if np.isfinite(self.first_hz) else ""
-        return f"{' x '.join(f'{one:.4g}' for one in self.extent)} m{known}{hz}"
+        return f"{' x '.join(f'{side:.4g}' for side in self.extent)} m{known}{hz}"
 
 
 def _one_digit(value: float) -> str:
@@ -119,7 +119,8 @@ def model_outlook(
 ) -> Outlook:
     """``outlook`` of a model (SI), by its materials where it has some, else by its matrices."""
     estimated = None if materials else estimate(K, M, nodes, dofs)
-    speed = float(np.mean([wave_speed(one) for one in materials])) if materials else (estimated or (np.nan,))[0]
+    speeds = [wave_speed(material) for material in materials]
+    speed = float(np.mean(speeds)) if speeds else (estimated or (np.nan,))[0]
     along = (dofs.component == 0).astype(float)
     used = nodes.xyz[np.unique(dofs.node)]
     return outlook(speed, np.ptp(used, axis=0) if len(used) else np.zeros(3), float((along @ (M @ along)).real))
@@ -140,7 +141,7 @@ def unit_findings(
     """
     size = float(np.linalg.norm(extent))
     if materials:
-        pairs = [(wave_speed(one), one.density) for one in materials]
+        pairs = [(wave_speed(material), material.density) for material in materials]
         speeds, densities = MATERIAL_SPEED, MATERIAL_DENSITY
     elif estimated is not None:
         pairs, speeds, densities = [estimated], SPEED, DENSITY

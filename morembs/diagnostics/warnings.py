@@ -39,13 +39,13 @@ def diagnosis_of(
         dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
     if not np.ptp(model.nodes.xyz, axis=0).any():
         # All in one point: matrices without a place in space.
-        found = examine(K, M, D, deep=deep, budget=budget)
+        diagnosis = examine(K, M, D, deep=deep, budget=budget)
     else:
-        found = examine(
+        diagnosis = examine(
             K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget
         )
     told = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
-    return Diagnosis(findings=(*told, *found.findings), facts=found.facts)
+    return Diagnosis(findings=(*told, *diagnosis.findings), facts=diagnosis.facts)
 
 
 def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
     refuse_complex(model)
     diagnosis = diagnosis_of(model, declared=declared, budget=budget)
     # Interfaces may join parts; the coupled model is looked at later.
-    Diagnosis(findings=tuple(one for one in diagnosis.errors if one.code != "parts")).refuse_errors()
+    Diagnosis(findings=tuple(finding for finding in diagnosis.errors if finding.code != "parts")).refuse_errors()
     refuse_unsymmetric(model)
     return sentences(diagnosis.warnings)
 
@@ -71,10 +71,10 @@ def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, .
     What its reader warned of is among them, and a body of more than a hundred metres: coordinates in mm beside a
     material in SI units; and elements that are there twice, and nodes that were not merged.
     """
-    found = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
+    findings = unit_findings(None, model.materials, np.ptp(model.nodes.xyz, axis=0), Units(), declared)
     if model.mesh is not None:
-        found += [*double_elements(model.mesh), *open_seams(model.mesh)]
-    units = sentences(tuple(one for one in found if one.severity == "warning" or one.code == "size"))
+        findings += [*double_elements(model.mesh), *open_seams(model.mesh)]
+    units = sentences(tuple(finding for finding in findings if finding.severity == "warning" or finding.code == "size"))
     return (*model.warnings, *units)
 
 
@@ -88,8 +88,8 @@ def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
     if not np.ptp(model.nodes.xyz, axis=0).any() or np.iscomplexobj(model.K.data) or np.iscomplexobj(model.M.data):
         return model.warnings
     estimated = estimate(model.K, model.M, model.nodes, model.dofs)
-    found = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
-    return (*model.warnings, *sentences([one for one in found if one.severity == "warning"]))
+    findings = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
+    return (*model.warnings, *sentences([finding for finding in findings if finding.severity == "warning"]))
 
 
 def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
@@ -98,10 +98,10 @@ def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
     Raises:
         SolverError: a body that is wrong.
     """
-    found: list[str] = []
+    warnings: list[str] = []
     for body in bodies:
         diagnosis = check_delivery(body)
         if diagnosis.errors:
             raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(sentences(diagnosis.errors))}")
-        found += [f"{body.name}: {sentence}" for sentence in sentences(diagnosis.warnings)]
-    return tuple(found)
+        warnings += [f"{body.name}: {sentence}" for sentence in sentences(diagnosis.warnings)]
+    return tuple(warnings)

@@ -18,7 +18,7 @@ from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.formulations import DIALECTS, abaqus_warnings
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import Mesh
 
 Ints = NDArray[np.int64]
@@ -63,16 +63,13 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
     assembly = Assembly(deck)
     if not assembly.blocks:
         raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
-    found = Constraints(assembly)
-    found.surfaces()
-    found.constraints()
-    found.point_masses()
+    constraints = Constraints(assembly)
+    constraints.surfaces()
+    constraints.constraints()
+    constraints.point_masses()
     materials, material_notes, lacking = materials_of(deck, assembly)
-    got = found.found
-    ends = [np.array([one.node for one in got.masses], dtype=np.int64)]
-    ends += [np.append(one.slaves, one.master) for one in got.rigid]
-    ends += [np.append(one.nodes, one.reference) for one in got.average]
-    mesh, nodes, row = mesh_of(assembly, np.unique(np.concatenate(ends)))
+    got = constraints.found
+    mesh, nodes, row = mesh_of(assembly, nodes_of([*got.rigid, *got.average, *got.masses]))
     surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in got.surfaces.items()}
     for instance in deck.instances.values():
         if instance.moves:
@@ -82,9 +79,9 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
         nodes=nodes,
         mesh=_with_warnings(mesh, deck, dialect),
         materials=materials,
-        rigid=tuple(replace(one, master=int(row[one.master]), slaves=row[one.slaves]) for one in got.rigid),
-        average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in got.average),
-        masses=tuple(replace(one, node=int(row[one.node])) for one in got.masses),
+        rigid=on_rows(got.rigid, row),
+        average=on_rows(got.average, row),
+        masses=on_rows(got.masses, row),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
         notes=(*_notes(deck), *assembly.notes, *material_notes, *got.notes),
         incomplete=lacking,

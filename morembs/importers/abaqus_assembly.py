@@ -34,11 +34,11 @@ class Placed:
 
     def sets(self, kind: str) -> dict[str, list[NamedSet]]:
         """Node or element sets under their names in capitals; a part and its instance may both add to one."""
-        found: dict[str, list[NamedSet]] = {}
+        sets: dict[str, list[NamedSet]] = {}
         for scope in self.contents:
-            for name, one in (scope.node_sets if kind == "node" else scope.element_sets).items():
-                found.setdefault(name, []).append(one)
-        return found
+            for name, given in (scope.node_sets if kind == "node" else scope.element_sets).items():
+                sets.setdefault(name, []).append(given)
+        return sets
 
 
 class Assembly:
@@ -114,8 +114,8 @@ class Assembly:
             np.array([n for scope in placed.contents for n, *_ in scope.points], dtype=np.int64) for placed in scopes
         ]
         own = [
-            np.concatenate([*(rows[:, 0] for rows in found.values()), extra])
-            for found, extra in zip(per_scope, point_labels, strict=True)
+            np.concatenate([*(rows[:, 0] for rows in by_type.values()), extra])
+            for by_type, extra in zip(per_scope, point_labels, strict=True)
         ]
         for placed, labels in zip(scopes, own, strict=True):
             order = np.argsort(labels, kind="stable")
@@ -130,7 +130,7 @@ class Assembly:
         shifts = self._shifts(own, "element")
         number = [np.empty(len(labels), dtype=np.int64) for labels in own]
         filled, count, blocks = [0] * len(scopes), 0, []
-        for kind in dict.fromkeys(kind for found in per_scope for kind in found):
+        for kind in dict.fromkeys(kind for by_type in per_scope for kind in by_type):
             nodes, ids = [], []
             for j, placed in enumerate(scopes):
                 rows = per_scope[j].pop(kind, None)
@@ -215,7 +215,7 @@ class Assembly:
         if name.upper() not in sets:
             raise InputError(
                 f"{self.deck}: {name!r}{_of(placed)} is neither a label nor a set of {kind}s; "
-                f"{nearest(name, [one[0].name for one in sets.values()])}"
+                f"{nearest(name, [named[0].name for named in sets.values()])}"
             )
         key = (id(placed), kind, name.upper())
         if name.upper() in seen or len(seen) > _DEEPEST:
@@ -223,8 +223,8 @@ class Assembly:
         if key not in self._cache:
             pieces = [
                 self._part(kind, placed, part, name, (*seen, name.upper()))
-                for one in sets[name.upper()]
-                for part in one.parts
+                for named in sets[name.upper()]
+                for part in named.parts
             ]
             self._cache[key] = np.unique(np.concatenate(pieces)) if pieces else _NONE
         return self._cache[key]
@@ -277,13 +277,13 @@ class Assembly:
         """
         names: dict[str, tuple[Placed, str]] = {}
         taken = set()
-        for one in self.top.sets(kind).values():
-            names[one[0].name] = (self.top, one[0].name)
-            taken.add(one[0].name.upper())
+        for named in self.top.sets(kind).values():
+            names[named[0].name] = (self.top, named[0].name)
+            taken.add(named[0].name.upper())
         for placed in self.placed.values():
-            for key, one in placed.sets(kind).items():
+            for key, named in placed.sets(kind).items():
                 plain = len(self.placed) == 1 and key not in taken
-                names[one[0].name if plain else f"{placed.name}.{one[0].name}"] = (placed, one[0].name)
+                names[named[0].name if plain else f"{placed.name}.{named[0].name}"] = (placed, named[0].name)
         return names
 
     def final_name(self, kind: str, placed: Placed, text: str) -> str:

@@ -100,7 +100,7 @@ class Constraints:
 
     def _faces(self, numbers: Ints, side: str, card: Card) -> list[tuple[str, Ints]]:
         """Type and nodes (nf, k) of the faces ``side`` (S1, ...) of elements; of their free faces if it is empty."""
-        found, start = [], 0
+        blocks, start = [], 0
         for kind, nodes, _ in self.assembly.blocks:
             own = numbers[(numbers >= start) & (numbers < start + len(nodes))] - start
             start += len(nodes)
@@ -108,7 +108,7 @@ class Constraints:
                 continue
             if not side:
                 for face, local in TYPES[kind].face_nodes:
-                    found.append((face, self._free(face, nodes[own][:, local])))
+                    blocks.append((face, self._free(face, nodes[own][:, local])))
                 continue
             table = _FACES[kind[0]]
             at = int(side[1:]) - 1 if side[:1] == "S" and side[1:].isdigit() and len(side) < 4 else -1
@@ -116,8 +116,8 @@ class Constraints:
                 raise InputError(f"{card}: the face {side!r} was given; a {kind} has the faces S1 to S{len(table)}")
             for face, local in TYPES[kind].face_nodes:
                 if set(local[: len(table[at])].tolist()) == set(table[at]):
-                    found.append((face, nodes[own][:, local]))
-        return found
+                    blocks.append((face, nodes[own][:, local]))
+        return blocks
 
     def _free(self, kind: str, faces: Ints) -> Ints:
         """Those of ``faces`` that no other element has."""
@@ -245,7 +245,7 @@ class Constraints:
     def _title(self, placed: Placed, name: str) -> str:
         """A name that is not taken yet."""
         title = f"{placed.name}.{name}" if placed.name and len(self.assembly.placed) > 1 else name
-        taken = {one.name for one in self.found.rigid} | {one.name for one in self.found.average}
+        taken = {element.name for element in self.found.rigid} | {element.name for element in self.found.average}
         count, first = 1, title
         while title in taken:
             count += 1
@@ -278,13 +278,13 @@ class Constraints:
 
 def _components(rows: Rows, card: Card) -> tuple[int, ...]:
     """Components 0 to 5 of lines "first, last"; all of them without a line."""
-    found: set[int] = set()
+    components: set[int] = set()
     for row in rows:
         ends = [int(text) if text in ("1", "2", "3", "4", "5", "6") else 0 for text in row[:2]]
         if not ends or 0 in ends or ends[0] > ends[-1]:
             raise InputError(f"{card}: {', '.join(row)!r} was given; expected the first and the last direction, 1 to 6")
-        found |= set(range(ends[0] - 1, ends[-1]))
-    return tuple(sorted(found)) if found else _ALL
+        components |= set(range(ends[0] - 1, ends[-1]))
+    return tuple(sorted(components)) if components else _ALL
 
 
 def _point_value(placed: Placed, card: Card, rows: Rows) -> Floats:

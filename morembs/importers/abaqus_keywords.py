@@ -82,11 +82,11 @@ def _stream(
         while (star := _next_keyword(text, at)) >= 0:
             yield from _data(card, text[at:star], path, swallowed=card is outer)
             line, at = _keyword_line(text, star)
-            found = _card(line, path.name)
-            if found.keyword == "INCLUDE":
-                card = yield from _stream(_included(path, found, above, includes), above, card, includes)
+            following = _card(line, path.name)
+            if following.keyword == "INCLUDE":
+                card = yield from _stream(_included(path, following, above, includes), above, card, includes)
                 continue
-            card = found
+            card = following
             yield card, b""
             if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
                 for piece in _texts(_included(path, card, above, includes)):

@@ -29,18 +29,18 @@ def materials_of(deck: Deck, assembly: Assembly) -> tuple[tuple[Material, ...], 
     Raises:
         InputError: a section names what is not there, or a material that is not linear elastic.
     """
-    found: list[Material] = []
+    materials: list[Material] = []
     notes: list[str] = []
     lacking: dict[str, str] = {}
     for placed in (*assembly.placed.values(), assembly.top):
         for scope in placed.contents:
             for card, _ in scope.properties:
                 if card.keyword == "SOLID SECTION":
-                    one = _section(deck, assembly, placed, scope, card, notes, lacking)
-                    found += [one] if one else []
-    if not found and not deck.materials:
+                    material = _section(deck, assembly, placed, scope, card, notes, lacking)
+                    materials += [material] if material else []
+    if not materials and not deck.materials:
         notes.append("The deck has no materials; give them when the model is built.")
-    return tuple(found), list(dict.fromkeys(notes)), lacking
+    return tuple(materials), list(dict.fromkeys(notes)), lacking
 
 
 def _section(
@@ -124,13 +124,13 @@ def _elastic(card: Card, rows: Rows, final: str, name: str, density: float, axes
 
 def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: str) -> Floats:
     """Rows are the material directions 1, 2, 3 in the axes of the part."""
-    found = scope.orientations.get(key) or deck.top.orientations.get(key)
-    if not found:
+    orientation = scope.orientations.get(key) or deck.top.orientations.get(key)
+    if not orientation:
         raise InputError(
             f"{deck.name}: the material {name!r} of {elset!r} is not isotropic and its section names no *ORIENTATION "
             f"that is defined ({key or 'none'} was given); expected one"
         )
-    card, rows = found
+    card, rows = orientation
     rows = [row for row in rows if row]
     system = card.options.get("SYSTEM", "RECTANGULAR").upper()
     if not system.startswith("RECT") or card.options.get("DEFINITION", "COORDINATES").upper() != "COORDINATES":

@@ -135,7 +135,7 @@ def _stored(path: Path, store: TripletStore) -> tuple[int, str]:
 
 
 def _keywords(file: str, lines: Iterable[bytes]) -> str:
-    found = ""
+    keywords = ""
     for line in lines:
         text = "".join(line.decode("latin-1").upper().split())
         if text.startswith("**"):
@@ -144,11 +144,11 @@ def _keywords(file: str, lines: Iterable[bytes]) -> str:
             raise InputError(f"{file} is a substructure (*USER ELEMENT); read it with read_abaqus_substructure")
         if not text.startswith("*MATRIXINPUT"):
             raise InputError(f"{file} has the keyword {text[:40]!r}; expected matrix entries or *MATRIX INPUT only")
-        if found:
+        if keywords:
             raise InputError(f"{file} holds several matrices (*MATRIX INPUT); write one file for each")
         # Options end with a comma, so that SYMMETRIC is not found in UNSYMMETRIC.
-        found += text + ","
-    return found
+        keywords += text + ","
+    return keywords
 
 
 def _width(file: str, text: bytes) -> int:
@@ -184,20 +184,21 @@ def aligned(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | N
     Raises:
         InputError: some have labels and some do not.
     """
-    bare = [one.node is None for one in matrices]
+    bare = [matrix.node is None for matrix in matrices]
     if any(bare) and not all(bare):
         raise InputError("one matrix has node labels and another has none; write both with FORMAT=MATRIX INPUT")
     if all(bare):
-        size = max(one.matrix.shape[0] for one in matrices)
-        grown = tuple(_placed(one.matrix, np.arange(one.matrix.shape[0]), size) for one in matrices)
+        size = max(matrix.matrix.shape[0] for matrix in matrices)
+        grown = tuple(_placed(matrix.matrix, np.arange(matrix.matrix.shape[0]), size) for matrix in matrices)
         return grown, None, None
-    keys = [np.stack([one.node, one.dof], axis=1) for one in matrices if one.node is not None and one.dof is not None]
+    labels = [(matrix.node, matrix.dof) for matrix in matrices]
+    keys = [np.stack([node, dof], axis=1) for node, dof in labels if node is not None and dof is not None]
     every = np.unique(np.concatenate(keys), axis=0)
     every = every[np.lexsort((every[:, 1], np.abs(every[:, 0]), every[:, 0] < 0))]
     row = {key: i for i, key in enumerate(map(tuple, every.tolist()))}
     placed = tuple(
-        _placed(one.matrix, np.array([row[k] for k in map(tuple, key.tolist())], dtype=np.int64), len(every))
-        for one, key in zip(matrices, keys, strict=True)
+        _placed(matrix.matrix, np.array([row[k] for k in map(tuple, key.tolist())], dtype=np.int64), len(every))
+        for matrix, key in zip(matrices, keys, strict=True)
     )
     return placed, every[:, 0], every[:, 1]
 

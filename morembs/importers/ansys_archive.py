@@ -99,10 +99,10 @@ def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines
             archive.plain.append((archive.current_type, table))
         elif len(table):
             parts = from_solid_form(table, archive.name)
-            found, count = sum(len(part.ids) for _, part in parts), blocks.announced(fields, 4)
-            if count and found != count:
+            held, count = sum(len(part.ids) for _, part in parts), blocks.announced(fields, 4)
+            if count and held != count:
                 raise InputError(
-                    f"{archive.name}: EBLOCK holds {found} elements where it announces {count}; it is cut off"
+                    f"{archive.name}: EBLOCK holds {held} elements where it announces {count}; it is cut off"
                 )
             archive.elements.extend(parts)
     elif command in ("CMBLOCK", "ETBLOCK", "RLBLOCK"):

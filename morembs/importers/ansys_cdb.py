@@ -220,14 +220,14 @@ def _materials(
     archive: Archive, materials_of: list[Ints], systems: list[Ints], notes: list[str], lacking: dict[str, str]
 ) -> tuple[Material, ...]:  # fmt: skip
     numbers, turned = np.concatenate(materials_of), np.concatenate(systems) != 0
-    found = (
+    materials = (
         material(
             int(number), f"material {number}", archive.properties.get(int(number), {}),
             bool(turned[numbers == number].any()), notes, lacking,
         )
         for number in np.unique(numbers)
     )  # fmt: skip
-    return tuple(one for one in found if one is not None)
+    return tuple(each for each in materials if each is not None)
 
 
 def _say_rest(archive: Archive, rotated: Ints, loose: int, notes: list[str]) -> None:

@@ -132,8 +132,8 @@ class _File:
             "the part of one process of a distributed run": h[_DISTRIBUTED] != 0,
             "a buckling analysis, whose second matrix is not the mass": h[_KAN] == _BUCKLING,
         }
-        for what, found in reasons.items():
-            if found:
+        for what, present in reasons.items():
+            if present:
                 raise InputError(f"{self.name} holds {what}, which is not read; write a symmetric modal analysis")
         if h[_EQUATIONS]:
             raise InputError(

@@ -81,22 +81,22 @@ def read_ansys_matrix(path: str | Path) -> sp.csr_array:
         market = file.read(len(BANNER)).lower() == BANNER
     if not market:
         return read_harwell_boeing(path)
-    found = _market(path)
-    if isinstance(found, np.ndarray):
+    matrix = _market(path)
+    if isinstance(matrix, np.ndarray):
         raise InputError(f"{path.name} is a vector or a dense matrix; expected a sparse one (*SMAT and *EXPORT,,MMF)")
-    if found.shape[0] != found.shape[1]:
-        raise InputError(f"{path.name} is {found.shape[0]} x {found.shape[1]}; expected a square matrix")
-    return found
+    if matrix.shape[0] != matrix.shape[1]:
+        raise InputError(f"{path.name} is {matrix.shape[0]} x {matrix.shape[1]}; expected a square matrix")
+    return matrix
 
 
 def _market(path: Path) -> sp.csr_array | Floats:
     """Sparse matrix, or the column (n,) of an array file."""
-    found = read_matrix_market(path, plain=True)
-    if isinstance(found, np.ndarray):
-        if found.shape[1] != 1:
-            raise InputError(f"{path.name} is an array of the shape {found.shape}; expected one column")
-        return found[:, 0]
-    return found
+    matrix = read_matrix_market(path, plain=True)
+    if isinstance(matrix, np.ndarray):
+        if matrix.shape[1] != 1:
+            raise InputError(f"{path.name} is an array of the shape {matrix.shape}; expected one column")
+        return matrix[:, 0]
+    return matrix
 
 
 def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, bool]:
@@ -130,24 +130,24 @@ def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, 
 
 def _solver_order(path: Path, size: int) -> tuple[int, Ints]:
     """Number of internal dofs, and the internal dof (N,) of each row of the solver."""
-    found = _market(path)
-    if isinstance(found, np.ndarray):
-        to = integers(found, "a row number", path.name)
+    choice = _market(path)
+    if isinstance(choice, np.ndarray):
+        to = integers(choice, "a row number", path.name)
         kept = np.flatnonzero(to > 0)
         if not np.array_equal(np.sort(to[kept]), np.arange(1, size + 1)):
             raise InputError(f"{path.name} does not number {size} rows of the matrices; give that of the same model")
         at = np.empty(size, dtype=np.int64)
         at[to[kept] - 1] = kept
         return len(to), at
-    if found.shape[0] != size or (np.diff(found.indptr) != 1).any() or (found.data != 1).any():
+    if choice.shape[0] != size or (np.diff(choice.indptr) != 1).any() or (choice.data != 1).any():
         raise InputError(
             f"{path.name} is not a choice of {size} dofs (one 1 in each row); couplings and constraint equations mix "
             "dofs and are not read: write the model without them"
         )
-    at = found.indices.astype(np.int64)
+    at = choice.indices.astype(np.int64)
     if len(np.unique(at)) < len(at):
         raise InputError(f"{path.name} chooses a dof twice; it is damaged")
-    return int(found.shape[1]), at
+    return int(choice.shape[1]), at
 
 
 def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:

@@ -45,17 +45,19 @@ def dependent_dofs(
         return None
     table, owner = dof_table(model), np.full(model.size, -1, dtype=np.int64)
     elements: list[RigidElement | AverageElement] = [*rigid, *average]
-    names = tuple(one.name for one in elements)
+    names = tuple(element.name for element in elements)
     rows, columns, values = [], [], []
-    for number, one in enumerate(elements):
-        motion = _rigid_rows(model, one, table) if isinstance(one, RigidElement) else _mean_rows(model, one, table)
-        dofs, at, weight = motion
+    for number, element in enumerate(elements):
+        if isinstance(element, RigidElement):
+            dofs, at, weight = _rigid_rows(model, element, table)
+        else:
+            dofs, at, weight = _mean_rows(model, element, table)
         own = np.unique(dofs)
         if (owner[own] >= 0).any():
             dof = own[owner[own] >= 0][0]
             raise InputError(
                 f"component {model.dofs.component[dof]} of node {model.nodes.ids[model.dofs.node[dof]]} follows both "
-                f"{names[owner[dof]]!r} and {one.name!r}; a node can follow one element only"
+                f"{names[owner[dof]]!r} and {element.name!r}; a node can follow one element only"
             )
         owner[own] = number
         rows.append(dofs)
@@ -69,36 +71,36 @@ def dependent_dofs(
     return DependentDofs(S=_resolved(S, owner, names), owner=owner, names=names)
 
 
-def _rigid_rows(model: FEModel, one: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
+def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
     """Rows, columns and values of the slaves' motion."""
-    if one.master in one.slaves:
-        raise InputError(f"rigid element {one.name!r} names its master among the slaves; leave it out of these")
-    slaves = np.unique(one.slaves)
-    dofs = table[slaves][:, list(one.components)]
-    node = np.repeat(slaves, len(one.components))[dofs.ravel() >= 0]
+    if element.master in element.slaves:
+        raise InputError(f"rigid element {element.name!r} names its master among the slaves; leave it out of these")
+    slaves = np.unique(element.slaves)
+    dofs = table[slaves][:, list(element.components)]
+    node = np.repeat(slaves, len(element.components))[dofs.ravel() >= 0]
     dofs = dofs.ravel()[dofs.ravel() >= 0]
-    motion = rigid_motion(model.nodes.xyz[node] - model.nodes.xyz[one.master], model.dofs.component[dofs])
-    return np.repeat(dofs, 6), np.tile(table[one.master], len(dofs)), motion.ravel()
+    motion = rigid_motion(model.nodes.xyz[node] - model.nodes.xyz[element.master], model.dofs.component[dofs])
+    return np.repeat(dofs, 6), np.tile(table[element.master], len(dofs)), motion.ravel()
 
 
-def _mean_rows(model: FEModel, one: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:
+def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:
     """Rows, columns and values of the reference's motion."""
-    if one.reference in one.nodes:
-        raise InputError(f"average element {one.name!r} names its reference among its nodes; leave it out of these")
-    interface = _average_interface(model, one)
+    if element.reference in element.nodes:
+        raise InputError(f"average element {element.name!r} names its reference among its nodes; leave it out of these")
+    interface = _average_interface(model, element)
     columns = table[interface.nodes][:, :3]
     if (columns < 0).any():
         node = model.nodes.ids[interface.nodes[(columns < 0).any(axis=1)][0]]
-        raise InputError(f"average element {one.name!r}: node {node} has no dof for each of x, y and z")
+        raise InputError(f"average element {element.name!r}: node {node} has no dof for each of x, y and z")
     interface.kind.check(model, interface)
-    dofs = table[one.reference][list(one.components)]
+    dofs = table[element.reference][list(element.components)]
     loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
     if loaded and columns.size**2 > MOST_SPREAD:
         raise InputError(
-            f"the reference of average element {one.name!r} carries a mass or elements over {len(interface.nodes)} "
+            f"the reference of average element {element.name!r} carries a mass or elements over {len(interface.nodes)} "
             f"nodes, which would fill the matrices; take at most {int(MOST_SPREAD**0.5) // 3} nodes, or a rigid element"
         )
-    T = averaging(interface, model.nodes.xyz[interface.nodes])[list(one.components)]
+    T = averaging(interface, model.nodes.xyz[interface.nodes])[list(element.components)]
     return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()
 
 
@@ -120,18 +122,18 @@ def _resolved(S: sp.csr_array, owner: Ints, names: tuple[str, ...]) -> sp.csr_ar
     )
 
 
-def _average_interface(model: FEModel, one: AverageElement) -> Interface:
-    nodes, index = np.unique(one.nodes, return_inverse=True)
+def _average_interface(model: FEModel, element: AverageElement) -> Interface:
+    nodes, index = np.unique(element.nodes, return_inverse=True)
     weights = np.zeros(len(nodes))
-    if len(one.weights) == len(one.nodes):
-        np.add.at(weights, index, one.weights)
-    if len(one.weights) != len(one.nodes) or not np.isfinite(weights).all() or weights.min(initial=0.0) < 0:
-        raise InputError(f"average element {one.name!r} needs one weight, zero or more, for each of its nodes")
+    if len(element.weights) == len(element.nodes):
+        np.add.at(weights, index, element.weights)
+    if len(element.weights) != len(element.nodes) or not np.isfinite(weights).all() or weights.min(initial=0.0) < 0:
+        raise InputError(f"average element {element.name!r} needs one weight, zero or more, for each of its nodes")
     if not weights.sum() > 0:
-        raise InputError(f"average element {one.name!r} has no nodes with a weight")
+        raise InputError(f"average element {element.name!r} has no nodes with a weight")
     return Interface(
-        name=one.name, nodes=nodes, coupling=Average.name, point=model.nodes.xyz[one.reference].copy(), weights=weights,
-        components=tuple(sorted(one.components)),
+        name=element.name, nodes=nodes, coupling=Average.name, point=model.nodes.xyz[element.reference].copy(),
+        weights=weights, components=tuple(sorted(element.components)),
     )  # fmt: skip
 
 
@@ -163,18 +165,18 @@ def interface_of_coupling(
         raise InputError(
             f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, model.couplings)}"
         )
-    found = _offered(model, model.couplings[wanted])
-    if coupling is not None and coupling != found.coupling:
+    interface = _offered(model, model.couplings[wanted])
+    if coupling is not None and coupling != interface.coupling:
         raise InputError(
             f"interface {name!r}: coupling = {coupling!r} was given, but {wanted!r} of the model is "
-            f"{found.coupling!r}; leave the key out"
+            f"{interface.coupling!r}; leave the key out"
         )
-    chosen = found.components if components is None else tuple(sorted(set(components)))
-    if not chosen or not set(chosen) <= set(found.components):
+    chosen = interface.components if components is None else tuple(sorted(set(components)))
+    if not chosen or not set(chosen) <= set(interface.components):
         raise InputError(
             f"interface {name!r}: components = {list(components or [])} was given; the coupling {wanted!r} has "
-            f"{', '.join(map(str, found.components))}"
+            f"{', '.join(map(str, interface.components))}"
         )
-    found.kind.check(model, found)
-    origin = found.point if point is None else np.asarray(point, dtype=float)
-    return replace(found, name=name, point=origin, components=chosen)
+    interface.kind.check(model, interface)
+    origin = interface.point if point is None else np.asarray(point, dtype=float)
+    return replace(interface, name=name, point=origin, components=chosen)

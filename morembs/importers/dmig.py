@@ -69,7 +69,7 @@ def read_dmig(path: str | Path | BulkText) -> dict[str, DmigMatrix]:
                 _take(piece.file, named, column, stack)
         if not named:
             raise InputError(f"{text.file} has no DMIG entries; expected Nastran bulk data with DMIG")
-        return {name: _matrix(text.file, name, one) for name, one in named.items()}
+        return {name: _matrix(text.file, name, matrix) for name, matrix in named.items()}
 
 
 def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack) -> None:
@@ -81,8 +81,8 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
         return
     if column.name not in named:
         raise InputError(f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)")
-    one = named[column.name]
-    form, kind, polar, _ = one.header
+    matrix = named[column.name]
+    form, kind, polar, _ = matrix.header
     a, b = column.a, column.b
     if kind < 3 and b.any():
         raise InputError(f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it")
@@ -90,11 +90,11 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
         a, b = a * np.cos(np.deg2rad(b)), a * np.sin(np.deg2rad(b))
     rows = column.grid * COMPONENTS + column.component
     columns = column.column_grid * COMPONENTS + (0 if form == 9 else column.column_component)
-    one.entries += len(rows)
-    one.labels.append(np.unique(np.concatenate([rows, columns]) if form not in RECTANGULAR else rows))
-    one.real.add(rows, columns, a)
+    matrix.entries += len(rows)
+    matrix.labels.append(np.unique(np.concatenate([rows, columns]) if form not in RECTANGULAR else rows))
+    matrix.real.add(rows, columns, a)
     if b.any():
-        one.imaginary.add(rows, columns, b)
+        matrix.imaginary.add(rows, columns, b)
 
 
 def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
@@ -112,17 +112,17 @@ def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
     return form, kind, polar == 1, count
 
 
-def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
-    form, kind, _, count = one.header
-    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *one.labels]))
+def _matrix(file: str, name: str, read: _Named) -> DmigMatrix:
+    form, kind, _, count = read.header
+    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *read.labels]))
     if not len(codes):
         raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off")
     rows = Numbering(codes)
     columns = rows
     if form in RECTANGULAR:
-        columns = Numbering(_column_codes(file, name, one, form, count))
+        columns = Numbering(_column_codes(file, name, read, form, count))
     parts = []
-    for store in (one.real, one.imaginary):
+    for store in (read.real, read.imaginary):
         placed = Renumbered(triplets=store, rows=rows, columns=columns)
         parts.append(_assembled(file, name, placed, (len(rows), len(columns)), form))
     matrix = sp.csr_array(parts[0] + 1j * parts[1]) if kind > 2 else parts[0]
@@ -130,9 +130,9 @@ def _matrix(file: str, name: str, one: _Named) -> DmigMatrix:
     return DmigMatrix(matrix=matrix, rows=labels[0], columns=labels[1], form=form, type=kind)
 
 
-def _column_codes(file: str, name: str, one: _Named, form: int, count: int) -> Ints:
-    found = [np.unique(columns) for store in (one.real, one.imaginary) for _, columns, _ in store]
-    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *found]))
+def _column_codes(file: str, name: str, read: _Named, form: int, count: int) -> Ints:
+    parts = [np.unique(columns) for store in (read.real, read.imaginary) for _, columns, _ in store]
+    codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *parts]))
     if form == 9:
         largest = int(codes.max(initial=0)) // COMPONENTS
         if largest > count or count > _MOST_COLUMNS or (len(codes) and codes.min() < COMPONENTS):

@@ -68,10 +68,10 @@ def abaqus_warnings(counts: Mapping[str, int], dialect: str) -> tuple[list[str],
     whole, mass = [], []
     doubt = " (the deck does not tell which program it is for)" if dialect == "auto" else ""
     for code, count in counts.items():
-        if dialect != "calculix" and (found := _abaqus(code)):
-            whole.append(_sentence(count, code, "Abaqus", *found) + doubt)
-        if dialect != "abaqus" and (found := _calculix(code)):
-            whole.append(_sentence(count, code, "CalculiX", *found) + doubt)
+        if dialect != "calculix" and (reason := _abaqus(code)):
+            whole.append(_sentence(count, code, "Abaqus", *reason) + doubt)
+        if dialect != "abaqus" and (reason := _calculix(code)):
+            whole.append(_sentence(count, code, "CalculiX", *reason) + doubt)
         if dialect != "abaqus" and (plain := _CALCULIX_MASS.get(code.removesuffix("T"))):
             mass.append(
                 f"{count} elements {code} have the exact consistent mass, for which CalculiX takes {plain[0]}: "
@@ -115,20 +115,20 @@ def nastran_warnings(
     for (name, pid), count in counts.items():
         if not name.startswith("CTETRA") and not full.get(pid, False):
             reduced[name] = reduced.get(name, 0) + count
-    found = []
+    warnings = []
     for name, count in reduced.items():
         bubble = "reduced shear and bubble functions" if name.split()[2] in ("6", "8") else "reduced shear"
-        found.append(
+        warnings.append(
             f"{count} elements {name} are assembled with full integration, where Nastran takes {bubble} unless PSOLID "
             "says otherwise (ISOP, IN): not measured; 2 to 5 % too high in bending with MYSTRAN's reduced shear"
         )
     if not consistent:
-        found.append(
+        warnings.append(
             f"{sum(counts.values())} solid elements have a consistent mass, where Nastran takes a lumped one unless "
             "PARAM COUPMASS 1 is there: not measured; frequencies of a coarse block of tetrahedra are 0.7 to 11 % "
             "higher than with the lumped mass of Abaqus"
         )
-    return found
+    return warnings
 
 
 # SOLID185 by KEYOPT(2).

@@ -32,9 +32,9 @@ def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: st
     with reading(path, "an HDF5 file with matrices", "check the file") as file:
         if K is None:
             _refuse_body(path.name, file)
-        found: Matrices = {}
-        _collect(path.name, file, "", found, {K, M, D} - {None})
-    return matrices_by_name(path.name, found, K=K, M=M, D=D)
+        matrices: Matrices = {}
+        _collect(path.name, file, "", matrices, {K, M, D} - {None})
+    return matrices_by_name(path.name, matrices, K=K, M=M, D=D)
 
 
 def _refuse_body(source: str, file: Any) -> None:
@@ -49,7 +49,7 @@ def _refuse_body(source: str, file: Any) -> None:
             )
 
 
-def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str | None]) -> None:
+def _collect(source: str, group: Any, at: str, matrices: Matrices, wanted: set[str | None]) -> None:
     """All matrices below ``group`` by their path."""
     for name, item in group.items():
         here = f"{at}{name}"
@@ -61,13 +61,13 @@ def _collect(source: str, group: Any, at: str, found: Matrices, wanted: set[str 
             if matrix is None and isinstance(item.get("value"), h5py.Dataset):
                 matrix = _dense(item["value"], "MATLAB_class" in item.attrs or "OCTAVE_NEW_FORMAT" in item.attrs)
             if matrix is not None:
-                found[here] = matrix
+                matrices[here] = matrix
             elif not isinstance(group.get(name, getlink=True), h5py.SoftLink):  # which may lead back to here
-                _collect(source, item, f"{here}/", found, wanted)
+                _collect(source, item, f"{here}/", matrices, wanted)
         elif isinstance(item, h5py.Dataset):
             matrix = _dense(item, "MATLAB_class" in item.attrs)
             if matrix is not None:
-                found[here] = matrix
+                matrices[here] = matrix
 
 
 def _dense(item: Any, transposed: bool) -> sp.csr_array | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,6 +31,38 @@ class PointMass:
     def __post_init__(self) -> None:
         for name in ("inertia", "offset"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+
+
+Tied = TypeVar("Tied", RigidElement, AverageElement, PointMass)
+
+
+def nodes_of(elements: Iterable[RigidElement | AverageElement | PointMass]) -> Ints:
+    """Rows of the nodes that ``elements`` are on, ascending."""
+    rows: list[Ints] = [np.empty(0, dtype=np.int64)]
+    for element in elements:
+        if isinstance(element, RigidElement):
+            rows.append(np.append(element.slaves, element.master))
+        elif isinstance(element, AverageElement):
+            rows.append(np.append(element.nodes, element.reference))
+        else:
+            rows.append(np.array([element.node]))
+    return np.unique(np.concatenate(rows)).astype(np.int64)
+
+
+def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
+    """The elements on the new rows ``row`` (n,) of their nodes."""
+
+    def moved(element: Tied) -> Tied:
+        change: dict[str, Any]
+        if isinstance(element, RigidElement):
+            change = {"master": int(row[element.master]), "slaves": row[element.slaves]}
+        elif isinstance(element, AverageElement):
+            change = {"reference": int(row[element.reference]), "nodes": row[element.nodes]}
+        else:
+            change = {"node": int(row[element.node])}
+        return replace(element, **change)
+
+    return tuple(map(moved, elements))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -68,20 +68,20 @@ class Includes:
             InputError: no such file, outside of the folder, in a circle, too deep, too many, too large, or no deck.
         """
         try:
-            found = next((folder / name for folder in beside if name and (folder / name).is_file()), None)
-            resolved = None if found is None else found.resolve()
+            path = next((folder / name for folder in beside if name and (folder / name).is_file()), None)
+            resolved = None if path is None else path.resolve()
         except (OSError, ValueError, RuntimeError):
-            found = resolved = None
+            path = resolved = None
         if not self.outside and not self._inside(resolved, name, beside):
             raise InputError(
                 f"{where} names the file {name!r}, which is not in the folder of the deck (nor below it); put it "
                 f"there, or give {ALLOW} if the deck may read other files"
             )
-        if found is None or resolved is None:
+        if path is None or resolved is None:
             raise InputError(f"{where} names the file {name!r}, which does not exist beside the deck; check the path")
         if resolved in above:
             chain = " -> ".join(path.name for path in (*above, resolved))
-            raise InputError(f"{found.name} includes itself ({chain}); remove the include that closes the circle")
+            raise InputError(f"{path.name} includes itself ({chain}); remove the include that closes the circle")
         if len(above) > DEEPEST:
             raise InputError(
                 f"{self.path.name} includes files {len(above)} deep; at most {DEEPEST} are followed; join them"
@@ -89,15 +89,15 @@ class Includes:
         self.count += 1
         try:
             self.total += resolved.stat().st_size
-            self._refuse_other(found, where, begin)
+            self._refuse_other(path, where, begin)
         except OSError as error:
-            raise InputError(f"{found.name}, which {where} names, cannot be opened: {error.strerror}") from error
+            raise InputError(f"{path.name}, which {where} names, cannot be opened: {error.strerror}") from error
         if self.count > MOST or self.total > LARGEST_SUM:
             raise InputError(
                 f"{self.path.name} includes {self.count} files of {self.total / 1e6:.0f} MB together (files that are "
                 f"included again count again); at most {MOST} files and {LARGEST_SUM / 1e6:.0f} MB are read; join them"
             )
-        return found
+        return path
 
     def _inside(self, resolved: Path | None, name: str, beside: tuple[Path, ...]) -> bool:
         """Whether a file, there or not, lies in the folder: what is outside is not even told to exist."""
@@ -107,13 +107,13 @@ class Includes:
             return True
         return place.is_relative_to(self.folder)
 
-    def _refuse_other(self, found: Path, where: str, begin: re.Pattern[bytes]) -> None:
-        with open_text(found) as file:
+    def _refuse_other(self, path: Path, where: str, begin: re.Pattern[bytes]) -> None:
+        with open_text(path) as file:
             text = file.read(_LOOK)
         lines = (line.strip() for line in text.replace(b"\r", b"\n").split(b"\n"))
         first = next((line for line in lines if line and not line.startswith((b"**", b"$"))), b"")
         if first and not begin.match(first):
             raise InputError(
-                f"{found.name}, which {where} names, does not begin as a deck does (a keyword or card, or data of "
+                f"{path.name}, which {where} names, does not begin as a deck does (a keyword or card, or data of "
                 "numbers); its lines are not shown; check the path"
             )

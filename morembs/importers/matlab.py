@@ -34,8 +34,8 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
         if old:
             held: dict[str, Any] = scipy.io.loadmat(path, spmatrix=False, mat_dtype=True)
         else:
-            found = read_matlab_v5(path)
-            held, other = dict(found.matrices), found.other
+            matrices = read_matlab_v5(path)
+            held, other = dict(matrices.matrices), matrices.other
         square = {name: _once(f"{path.name}: {name}", value) for name, value in held.items() if _is_square(value)}
     except InputError:
         raise

@@ -56,15 +56,15 @@ def read_matlab_v5(path: Path) -> Held:
         if len(head) < _HEADER or order is None or struct.unpack(order + "H", head[124:126])[0] >> 8 != 1:
             raise _unreadable(path.name, "its first 128 bytes are not those of such a file")
         for body in _variables(file, order, path.name):
-            name, found = _variable(_Reader(body, order, path.name))
+            name, value = _variable(_Reader(body, order, path.name))
             if not name or name.startswith("__"):
                 continue
             if name in held.matrices or name in held.other:
                 raise _unreadable(path.name, f"two variables are named {name!r}")
-            if isinstance(found, str):
-                held.other[name] = found
+            if isinstance(value, str):
+                held.other[name] = value
             else:
-                held.matrices[name] = found
+                held.matrices[name] = value
     return held
 
 

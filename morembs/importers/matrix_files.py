@@ -37,9 +37,9 @@ def import_op4(path: Path, *, K: str | None = None, M: str | None = None, D: str
     path = Path(path)
     asked = {name for name in (K, M, D) if name is not None and name != "identity"}
     names = asked if K is not None and M is not None else None
-    found = {name: one.matrix for name, one in read_op4(path, names).items()}
-    square = {name: A for name, A in found.items() if A.shape[0] == A.shape[1]}
-    notes = tuple(f"{name} is not square and was left out" for name in found if name not in square)
+    matrices = {name: read.matrix for name, read in read_op4(path, names).items()}
+    square = {name: A for name, A in matrices.items() if A.shape[0] == A.shape[1]}
+    notes = tuple(f"{name} is not square and was left out" for name in matrices if name not in square)
     return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
 
 
@@ -54,13 +54,13 @@ def import_dmig(
     """
     path = Path(path)
     text = BulkText(path, outside=allow_includes_outside)
-    found = {name: one for name, one in read_dmig(text).items() if one.matrix.shape[0] == one.matrix.shape[1]}
+    matrices = {name: read for name, read in read_dmig(text).items() if read.matrix.shape[0] == read.matrix.shape[1]}
     labels = np.unique(
-        np.concatenate([np.empty((0, 2), dtype=np.int64), *(one.rows for one in found.values())]), axis=0
+        np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
     if (labels[:, 1] == _SCALAR).any():
         raise InputError(f"{path.name} has rows of scalar points, which have no place in space; leave them out")
-    grown = {name: _spread(one, labels) for name, one in found.items()}
+    grown = {name: _spread(read, labels) for name, read in matrices.items()}
     nodes, dofs = labelled(labels[:, 0], labels[:, 1] - 1)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
@@ -69,11 +69,11 @@ def import_dmig(
     return replace(whole, warnings=text.warnings)
 
 
-def _spread(one: DmigMatrix, labels: Ints) -> sp.csr_array:
+def _spread(read: DmigMatrix, labels: Ints) -> sp.csr_array:
     """The matrix with a row for every label."""
-    codes, rows = labels[:, 0] * 16 + labels[:, 1], one.rows[:, 0] * 16 + one.rows[:, 1]
+    codes, rows = labels[:, 0] * 16 + labels[:, 1], read.rows[:, 0] * 16 + read.rows[:, 1]
     at = np.searchsorted(codes, rows)
-    A = one.matrix.tocoo()
+    A = read.matrix.tocoo()
     return sp.csr_array(sp.coo_array((A.data, (at[A.row], at[A.col])), shape=(len(labels),) * 2))
 
 
@@ -92,11 +92,11 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
     """K, M and D of Abaqus files by role, on the union of their dofs."""
     read = {role: read_abaqus_matrix(path) for role, path in files.items()}
     source = files.get("K", next(iter(files.values()))).name
-    notes = tuple(_noted(files[role].name, one) for role, one in read.items())
-    for role, one in read.items():
-        if one.internal:
+    notes = tuple(_noted(files[role].name, matrix) for role, matrix in read.items())
+    for role, matrix in read.items():
+        if matrix.internal:
             raise InputError(
-                f"{files[role].name} has {one.internal} internal dofs (Lagrange multipliers, connectors, hybrid "
+                f"{files[role].name} has {matrix.internal} internal dofs (Lagrange multipliers, connectors, hybrid "
                 "elements), which a body cannot carry; replace these elements"
             )
     matrices, node, dof = aligned(*read.values())
@@ -109,8 +109,8 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
     return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **whole)
 
 
-def _noted(name: str, one: AbaqusMatrix) -> str:
-    return f"{name}: {'one of each pair of entries, the other was filled in' if one.half else 'all entries'}"
+def _noted(name: str, matrix: AbaqusMatrix) -> str:
+    return f"{name}: {'one of each pair of entries, the other was filled in' if matrix.half else 'all entries'}"
 
 
 def import_calculix(path: Path) -> Imported:

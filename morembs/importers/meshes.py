@@ -107,8 +107,8 @@ def _read(path: Path) -> meshio.Mesh:
 
     # meshio reads 15-node wedges but forgot their dimension, without which it stops.
     topological_dimension.setdefault("wedge15", 3)
-    for one in (path, *_beside(path)):
-        refuse_unsafe_file(one)
+    for file in (path, *_beside(path)):
+        refuse_unsafe_file(file)
     _refuse_cut(path)
     words = io.StringIO()
     try:
@@ -159,9 +159,11 @@ def _beside(path: Path) -> set[Path]:
         return set()  # meshio says what is wrong
     named = [(item.text or "").strip() for item in items if item.get("Format", "").upper() in ("HDF", "BINARY")]
     beside = {path.parent / name.split(":")[0] for name in named}
-    for one in beside:
-        if not one.resolve().is_relative_to(path.parent.resolve()):
-            raise InputError(f"{path.name} takes numbers from {one}; expected files beside it, or in folders beside it")
+    for file in beside:
+        if not file.resolve().is_relative_to(path.parent.resolve()):
+            raise InputError(
+                f"{path.name} takes numbers from {file}; expected files beside it, or in folders beside it"
+            )
     return beside
 
 
@@ -199,7 +201,7 @@ def _refuse_damage(path: Path, data: meshio.Mesh) -> None:
             raise InputError(f"{path.name} has a {cells.type} cell on a point that is not there; write it again")
     tables = [*data.cell_data.values()]
     fits = all(len(arrays) == len(counts) for arrays in tables)
-    fits = fits and all(len(np.atleast_1d(a)) == n for one in tables for a, n in zip(one, counts, strict=True))
+    fits = fits and all(len(np.atleast_1d(a)) == n for table in tables for a, n in zip(table, counts, strict=True))
     fits = fits and all(len(np.atleast_1d(a)) == len(points) for a in data.point_data.values())
     rows = [
         (np.asarray(r), n) for name, sets in data.cell_sets.items()

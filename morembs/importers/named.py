@@ -29,19 +29,19 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
         InputError: no numbers, not square, or entries that are not finite.
     """
     try:
-        found = sp.csr_array(matrix)
+        A = sp.csr_array(matrix)
     except (TypeError, ValueError) as error:
         raise InputError(f"{source}: {name} is not a matrix of numbers ({error})") from error
-    if found.ndim != 2 or found.shape[0] != found.shape[1] or not found.shape[0]:
-        raise InputError(f"{source}: {name} has the shape {found.shape}; expected a square matrix")
-    if found.dtype.kind not in "fiubc":
+    if A.ndim != 2 or A.shape[0] != A.shape[1] or not A.shape[0]:
+        raise InputError(f"{source}: {name} has the shape {A.shape}; expected a square matrix")
+    if A.dtype.kind not in "fiubc":
         raise InputError(f"{source}: {name} does not hold numbers; expected a real or complex matrix")
-    found = found.astype(np.complex128 if found.dtype.kind == "c" else np.float64)
-    if found.dtype.kind == "c" and not found.data.imag.any():
-        found = sp.csr_array((found.data.real.copy(), found.indices, found.indptr), shape=found.shape)
-    refuse_entries(source, name, found)
-    found.sum_duplicates()
-    return found
+    A = A.astype(np.complex128 if A.dtype.kind == "c" else np.float64)
+    if A.dtype.kind == "c" and not A.data.imag.any():
+        A = sp.csr_array((A.data.real.copy(), A.indices, A.indptr), shape=A.shape)
+    refuse_entries(source, name, A)
+    A.sum_duplicates()
+    return A
 
 
 def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
@@ -58,7 +58,7 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
 
 
 def matrices_by_name(
-    source: str, found: Mapping[str, Any], *, K: str | None = None, M: str | None = None, D: str | None = None,
+    source: str, matrices: Mapping[str, Any], *, K: str | None = None, M: str | None = None, D: str | None = None,
     nodes: Nodes | None = None, dofs: DofMap | None = None, notes: tuple[str, ...] = (),
 ) -> Imported:  # fmt: skip
     """The matrices that are named, else those with usual names; what is left over is noted.
@@ -68,41 +68,41 @@ def matrices_by_name(
     Raises:
         InputError: no matrices, or none of a given name.
     """
-    if not found:
+    if not matrices:
         raise InputError(f"{source} has no square matrix; expected K and M")
     asked, taken = {"K": K, "M": M, "D": D}, {}
     for role, name in asked.items():
-        if name == "identity" and name not in found:
-            size = next(iter(found.values())).shape[0] if K is None else found[_there(source, found, K)].shape[0]
+        if name == "identity" and name not in matrices:
+            size = (next(iter(matrices.values())) if K is None else matrices[_there(source, matrices, K)]).shape[0]
             taken[role] = ("identity", sp.eye_array(size, format="csr"))
         elif name is not None:
-            key = _there(source, found, name)
-            taken[role] = (key, found[key])
-    if not taken and len(found) == 1:
-        taken["K"] = next(iter(found.items()))
+            key = _there(source, matrices, name)
+            taken[role] = (key, matrices[key])
+    if not taken and len(matrices) == 1:
+        taken["K"] = next(iter(matrices.items()))
     used = {name for name, _ in taken.values()}
     for role, names in USUAL.items():
-        free = {key.rsplit("/", 1)[-1].lower().replace("_", ""): key for key in found if key not in used}
+        free = {key.rsplit("/", 1)[-1].lower().replace("_", ""): key for key in matrices if key not in used}
         usual = next((free[name] for name in names if name in free), None)
-        if role not in taken and usual is not None and len(found) > 1:
-            taken[role] = (usual, found[usual])
+        if role not in taken and usual is not None and len(matrices) > 1:
+            taken[role] = (usual, matrices[usual])
             used.add(usual)
     chosen = ", ".join(f"{role} = {name}" for role, (name, _) in taken.items())
     if "K" not in taken:
         raise InputError(
-            f"{source} has the matrices {', '.join(found)}; say which is the stiffness and which the mass: "
+            f"{source} has the matrices {', '.join(matrices)}; say which is the stiffness and which the mass: "
             "--set K=NAME --set M=NAME"
         )
-    left = [name for name in found if name not in used]
+    left = [name for name in matrices if name not in used]
     notes = (*notes, f"matrices of the file: {chosen}" + (f"; left out: {', '.join(left)}" if left else ""))
     ready = {role: square_csr(source, name, matrix) for role, (name, matrix) in taken.items()}
     return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready)
 
 
-def _there(source: str, found: Mapping[str, Any], name: str) -> str:
-    if name in found:
+def _there(source: str, matrices: Mapping[str, Any], name: str) -> str:
+    if name in matrices:
         return name
-    alike = [key for key in found if key.lower() == name.lower()]
+    alike = [key for key in matrices if key.lower() == name.lower()]
     if len(alike) == 1:
         return alike[0]
-    raise InputError(f"{source} has no matrix {name!r}; {nearest(name, found)}")
+    raise InputError(f"{source} has no matrix {name!r}; {nearest(name, matrices)}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.formulations import nastran_warnings
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.nastran_cards import real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
 from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
@@ -130,22 +130,19 @@ def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) ->
     for name, take in (("RBE2", ties.rbe2), ("RBE3", ties.rbe3), ("RBAR", ties.rbar), ("CONM2", ties.conm2)):
         for card in bulk.rows[name]:
             take(card)
-    ends = [np.array([one.node for one in ties.masses], dtype=np.int64)]
-    ends += [np.append(one.slaves, one.master) for one in ties.rigid]
-    ends += [np.append(one.nodes, one.reference) for one in ties.average]
     notes: list[str] = []
-    mesh, nodes, row = _mesh(bulk, np.unique(np.concatenate(ends)), notes)
+    mesh, nodes, row = _mesh(bulk, nodes_of([*ties.rigid, *ties.average, *ties.masses]), notes)
     pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
     materials = Materials(bulk.file, scale)
-    found = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
+    assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
     return Imported(
         source=bulk.file,
         nodes=nodes,
         mesh=_with_warnings(mesh, bulk),
-        materials=tuple(found),
-        rigid=tuple(replace(one, master=int(row[one.master]), slaves=row[one.slaves]) for one in ties.rigid),
-        average=tuple(replace(one, reference=int(row[one.reference]), nodes=row[one.nodes]) for one in ties.average),
-        masses=tuple(replace(one, node=int(row[one.node])) for one in ties.masses),
+        materials=tuple(assigned),
+        rigid=on_rows(ties.rigid, row),
+        average=on_rows(ties.average, row),
+        masses=on_rows(ties.masses, row),
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
         incomplete=materials.lacking,
     )
@@ -154,16 +151,16 @@ def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) ->
 def _mesh(bulk: _Bulk, extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
     """Mesh, its nodes with ``extra`` rows behind them, and the row among these of all grids (or -1)."""
     grids = bulk.grids
-    found = bulk.solids.blocks(grids)
+    by_type = bulk.solids.blocks(grids)
     used = np.zeros(len(grids.ids), dtype=bool)
-    for *_, nodes in found:
+    for *_, nodes in by_type:
         used[nodes] = True
     kept, loose = np.flatnonzero(used), np.unique(extra[~used[extra]])
     row = np.full(len(grids.ids), -1, dtype=np.int64)
     row[kept] = np.arange(len(kept))
     row[loose] = len(kept) + np.arange(len(loose))
-    blocks = tuple(ElementBlock(type=kind, nodes=row[nodes], ids=ids) for kind, ids, _, nodes in found)
-    properties = [pids for _, _, pids, _ in found]
+    blocks = tuple(ElementBlock(type=kind, nodes=row[nodes], ids=ids) for kind, ids, _, nodes in by_type)
+    properties = [pids for _, _, pids, _ in by_type]
     element_sets = {
         f"PSOLID_{pid}": tuple(np.flatnonzero(own == pid) for own in properties)
         for pid in np.unique(np.concatenate([np.unique(own) for own in properties])).tolist()
@@ -188,12 +185,12 @@ def _sets(
     notes: list[str],
 ) -> dict[str, Ints]:  # fmt: skip
     """Node sets of SET1 and of case control; a set of case control that fits elements only goes to ``element_sets``."""
-    ids, found = bulk.grids.ids, dict[str, Ints]()
+    ids, sets = bulk.grids.ids, dict[str, Ints]()
     for card in bulk.rows["SET1"]:
         what = f"{bulk.file}: SET1 {padded(card, 1)[0]}"
         rows = row[bulk.grids.rows(np.array(labels_of(card[1:], what, ids), dtype=np.int64), what)]
         if (rows >= 0).any():
-            found[f"SET1_{card[0]}"] = np.unique(rows[rows >= 0])
+            sets[f"SET1_{card[0]}"] = np.unique(rows[rows >= 0])
         else:
             notes.append(f"SET1 {padded(card, 1)[0]} holds no node of the model and was left out.")
     for number, text in _SET.findall(bulk.text.head):
@@ -206,7 +203,7 @@ def _sets(
         if np.isin(labels, ids).all():
             rows = row[bulk.grids.rows(labels, what)]
             if (rows >= 0).any():
-                found[name] = np.unique(rows[rows >= 0])
+                sets[name] = np.unique(rows[rows >= 0])
                 notes.append(f"SET {number} of case control was read as a set of grids.")
                 continue
         known = np.sort(np.concatenate([block.ids for block in blocks]))
@@ -216,7 +213,7 @@ def _sets(
             notes.append(f"SET {number} of case control was read as a set of elements.")
         else:
             notes.append(f"SET {number} of case control names neither grids nor elements only and was left out.")
-    return found
+    return sets
 
 
 def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:

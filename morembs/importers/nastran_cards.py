@@ -190,10 +190,10 @@ class Cards:
         codes, total, starts = self.codes, self.commas_before, self.starts[rows]
         stops = starts + self.lengths[rows]
         count = 8 if form == _FREE else 4
-        first, found = total[starts], total[stops] - total[starts]
+        first, count_of = total[starts], total[stops] - total[starts]
         padded = np.append(self.commas, np.full(count + 2, len(codes)))
         at = padded[first[:, None] + np.arange(count + 2)]
-        at = np.where(np.arange(count + 2) < found[:, None], at, stops[:, None])
+        at = np.where(np.arange(count + 2) < count_of[:, None], at, stops[:, None])
         begin, end = np.minimum(at[:, :count] + 1, at[:, 1 : count + 1]), at[:, 1 : count + 1]
         # Blanks before a field do not count.
         for _ in range(LINE):
@@ -203,7 +203,7 @@ class Cards:
             begin = begin + move
         index = begin[:, :, None] + np.arange(_WIDTH)
         text = np.where(index < end[:, :, None], codes[np.minimum(index, len(codes) - 1)], 32).astype(np.uint8)
-        beyond = np.flatnonzero(found > count + 1)
+        beyond = np.flatnonzero(count_of > count + 1)
         tail = [i for i in beyond.tolist() if bytes(codes[at[i, count + 1] : stops[i]]).strip(b", ")]
         long = ((end - begin > _WIDTH) & (codes[np.minimum(begin + _WIDTH, len(codes) - 1)] != 32)).any(axis=1)
         for i in [*tail, *np.flatnonzero(long).tolist()][:1]:

@@ -191,14 +191,14 @@ class Solids:
 
     def blocks(self, grids: Grids) -> list[tuple[str, Ints, Ints, Ints]]:
         """Type, labels, property ids and rows of grids of each type; what was added is given up."""
-        found = []
+        blocks = []
         for kind in list(self._pieces):
             ids, pids, nodes = (np.concatenate(part) for part in zip(*self._pieces.pop(kind), strict=True))
-            found.append((kind, ids, pids, grids.rows(nodes, f"an element {kind}")))
-        if not found:
+            blocks.append((kind, ids, pids, grids.rows(nodes, f"an element {kind}")))
+        if not blocks:
             raise InputError(f"{self.file} has no solid elements; expected {', '.join(SOLIDS)}")
-        labels = np.sort(np.concatenate([ids for _, ids, *_ in found]))
+        labels = np.sort(np.concatenate([ids for _, ids, *_ in blocks]))
         twice = np.flatnonzero(np.diff(labels) == 0)
         if len(twice):
             raise InputError(f"{self.file} defines the element {labels[twice[0]]} twice; expected unique labels")
-        return found
+        return blocks

@@ -43,7 +43,7 @@ class Materials:
         both = set(cards["MAT1"]) & set(cards["MAT9"])
         if both:
             raise InputError(f"{self.file} defines the material {min(both)} as MAT1 and as MAT9")
-        found = []
+        materials = []
         for pid in pids:
             name = f"PSOLID_{pid}"
             if pid not in properties:
@@ -56,23 +56,23 @@ class Materials:
             if not mid:
                 self.lacking[name] = f"PSOLID {pid} names no material"
             elif mid in cards["MAT1"]:
-                found += self._mat1(name, mid, cards["MAT1"][mid])
+                materials += self._mat1(name, mid, cards["MAT1"][mid])
             elif mid in cards["MAT9"]:
-                found += self._mat9(
+                materials += self._mat9(
                     name, mid, cards["MAT9"][mid], whole(row[2], f"{self.file}: PSOLID {pid}"), systems, grids
                 )
             else:
                 raise InputError(f"{self.file}: PSOLID {pid} names the material {mid}, which is no MAT1 or MAT9 there")
-        return found
+        return materials
 
     def _by_number(self, name: str, rows: Rows) -> dict[int, list[str]]:
-        found: dict[int, list[str]] = {}
+        cards: dict[int, list[str]] = {}
         for row in rows:
             number = whole(padded(row, 1)[0], f"{self.file}: {name}")
-            if number < 1 or number in found:
+            if number < 1 or number in cards:
                 raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
-            found[number] = row
-        return found
+            cards[number] = row
+        return cards
 
     def _mat1(self, name: str, mid: int, row: list[str]) -> list[Material]:
         what, row = f"{self.file}: MAT1 {mid}", padded(row, 8)
@@ -124,24 +124,24 @@ def labels_of(texts: list[str], what: str, known: Ints) -> list[int]:
     Raises:
         InputError: no labels, or a range without an end or with one that is below its beginning.
     """
-    found: list[int] = []
+    labels: list[int] = []
     i = 0
     while i < len(texts):
         text = texts[i]
-        if text.upper() == "THRU" and found and i + 1 < len(texts):
+        if text.upper() == "THRU" and labels and i + 1 < len(texts):
             end = whole(texts[i + 1], what) if texts[i + 1] else None
-            if end is None or end < found[-1]:
+            if end is None or end < labels[-1]:
                 given = repr(texts[i + 1]) if texts[i + 1] else "nothing"
                 raise InputError(
                     f"{what}: THRU is followed by {given}; expected a label that is not below the one before it"
                 )
-            low, high = np.searchsorted(known, [found[-1] + 1, end + 1])
-            found += known[low:high].tolist()
+            low, high = np.searchsorted(known, [labels[-1] + 1, end + 1])
+            labels += known[low:high].tolist()
             i += 1
         elif text:
-            found.append(whole(text, what))
+            labels.append(whole(text, what))
         i += 1
-    return found
+    return labels
 
 
 def components(text: str, what: str) -> tuple[int, ...]:

@@ -45,26 +45,26 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
             names = set(held.files)
             if "format" in names and "shape" in names:
                 matrix, notes = _saved(path.name, held)
-                found: Matrices = {"the matrix": matrix}
+                matrices: Matrices = {"the matrix": matrix}
             else:
-                found = _by_name(path.name, held, names)
+                matrices = _by_name(path.name, held, names)
     except InputError:
         raise
     except _DAMAGED as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
-    return matrices_by_name(path.name, found, K=K, M=M, D=D, notes=notes)
+    return matrices_by_name(path.name, matrices, K=K, M=M, D=D, notes=notes)
 
 
 def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> Matrices:
-    found: Matrices = {}
+    matrices: Matrices = {}
     for name in sorted(names):
         if name.endswith("_indptr") and all(f"{name[:-6]}{part}" in names for part in _PARTS):
             data, indices, indptr, shape = (held[f"{name[:-6]}{part}"] for part in _PARTS)
-            found[name[:-7]] = checked_csr(f"{source}: {name[:-7]}", data, indices, indptr, _sizes(source, shape))
+            matrices[name[:-7]] = checked_csr(f"{source}: {name[:-7]}", data, indices, indptr, _sizes(source, shape))
         elif held[name].ndim == 2 and held[name].shape[0] == held[name].shape[1] and held[name].dtype.kind in "fiuc":
-            found[name] = sp.csr_array(held[name])
-    return found
+            matrices[name] = sp.csr_array(held[name])
+    return matrices
 
 
 def _sizes(source: str, shape: Array) -> tuple[int, int]:

@@ -57,27 +57,27 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
     with opened(path) as file:
         layout = _layout(file.read(72))
         if layout is None:
-            found = read_op4_text(path, wanted, seen)
+            matrices = read_op4_text(path, wanted, seen)
         elif path.stat().st_size % 4:
             raise InputError(f"{path.name} is a binary OP4 file cut off within a number; write it again")
         else:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                found = _Binary(path.name, data, layout).read(wanted, seen)
+                matrices = _Binary(path.name, data, layout).read(wanted, seen)
     for name in sorted(wanted or ()):
-        if name not in found:
+        if name not in matrices:
             raise InputError(f"{path.name} has no matrix {name!r}; {nearest(name, seen)}")
-    return found
+    return matrices
 
 
-def take(found: dict[str, OP4Matrix], name: str, matrix: OP4Matrix, file: str) -> None:
+def take(matrices: dict[str, OP4Matrix], name: str, matrix: OP4Matrix, file: str) -> None:
     """Add a matrix.
 
     Raises:
         InputError: there is one of this name.
     """
-    if name in found:
+    if name in matrices:
         raise InputError(f"{file} holds two matrices named {name!r}; name the others you need, or write one file each")
-    found[name] = matrix
+    matrices[name] = matrix
 
 
 def _layout(start: bytes) -> _Layout | None:
@@ -103,17 +103,17 @@ class _Binary:
         self.at = 0
 
     def read(self, wanted: set[str] | None, seen: list[str]) -> dict[str, OP4Matrix]:
-        found: dict[str, OP4Matrix] = {}
+        matrices: dict[str, OP4Matrix] = {}
         try:
             while self.at < len(self.data):
                 head = self._header()
                 seen.append(head.name)
                 columns = self._columns(head)
                 if wanted is None or head.name in wanted:
-                    take(found, head.name, self._matrix(head, *columns), self.file)
+                    take(matrices, head.name, self._matrix(head, *columns), self.file)
         finally:
             del self.words4  # the map cannot be closed while somebody looks at it
-        return found
+        return matrices
 
     def _record(self) -> tuple[int, int]:
         """First and last byte of the next record."""
@@ -145,7 +145,7 @@ class _Binary:
     def _columns(self, head: Header) -> tuple[Ints, Ints, Ints, Ints]:
         """For each column record: the column, the first row (0 where it holds strings), place and count of words."""
         triple, word = self.layout.ints(3), self.layout.word
-        found: list[tuple[int, int, int, int]] = []
+        columns: list[tuple[int, int, int, int]] = []
         last = 0
         while True:
             first, end = self._record()
@@ -159,9 +159,9 @@ class _Binary:
                     f"{self.file}: a record of the matrix {head.name!r} says column {column} (after {last} of "
                     f"{head.columns}), row {row}, {words} words in {end - first} bytes; the file is damaged"
                 )
-            found.append((column - 1, row, (first + 3 * word) // 4, words))
+            columns.append((column - 1, row, (first + 3 * word) // 4, words))
             last = column
-        table = np.array(found, dtype=np.int64).reshape(-1, 4)
+        table = np.array(columns, dtype=np.int64).reshape(-1, 4)
         return table[:, 0], table[:, 1], table[:, 2], table[:, 3]
 
     def _matrix(self, head: Header, column: Ints, row: Ints, place: Ints, words: Ints) -> OP4Matrix:
@@ -190,7 +190,7 @@ class _Binary:
         unit = self.layout.word // 4
         marks = 2 if head.bigmat else 1
         index, at, end = np.arange(len(column)), place.copy(), place + words * unit
-        found: list[tuple[Ints, Ints, Ints, Ints]] = []
+        strings: list[tuple[Ints, Ints, Ints, Ints]] = []
         while len(index):
             if (at + marks * unit > end).any():
                 self._refuse_strings(head)
@@ -202,13 +202,13 @@ class _Binary:
             at = at + marks * unit
             if (length < 1).any() or (at + length * unit > end).any():
                 self._refuse_strings(head)
-            found.append((index, row - 1, at, length))
+            strings.append((index, row - 1, at, length))
             at = at + length * unit
             left = at < end
             index, at, end = index[left], at[left], end[left]
-        owner = np.concatenate([f[0] for f in found])
+        owner = np.concatenate([f[0] for f in strings])
         order = np.argsort(owner, kind="stable")
-        row, start, length = (np.concatenate([f[i] for f in found])[order] for i in (1, 2, 3))
+        row, start, length = (np.concatenate([f[i] for f in strings])[order] for i in (1, 2, 3))
         return column[owner[order]], row, start, length
 
     def _refuse_strings(self, head: Header) -> None:

@@ -22,7 +22,7 @@ _DOT = ord(".")
 
 def read_op4_text(path: Path, wanted: set[str] | None, seen: list[str]) -> dict[str, OP4Matrix]:
     """Matrices of a text file; see ``op4.read_op4``. ``seen`` takes the names of all."""
-    found: dict[str, OP4Matrix] = {}
+    matrices: dict[str, OP4Matrix] = {}
     reader = _Lines(path)
     while True:
         line = reader.line()
@@ -33,14 +33,14 @@ def read_op4_text(path: Path, wanted: set[str] | None, seen: list[str]) -> dict[
         head, width = _header(path.name, line)
         seen.append(head.name)
         kept = wanted is None or head.name in wanted
-        if kept and head.name in found:
+        if kept and head.name in matrices:
             raise InputError(f"{path.name} holds two matrices named {head.name!r}; write one file each")
         matrix = _matrix(path.name, head, width, reader, path.stat().st_size, kept)
         if matrix is not None:
-            found[head.name] = matrix
-    if not found and wanted is None:
+            matrices[head.name] = matrix
+    if not matrices and wanted is None:
         raise InputError(f"{path.name} holds no matrix; expected an OP4 file")
-    return found
+    return matrices
 
 
 class _Lines:

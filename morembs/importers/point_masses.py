@@ -20,27 +20,27 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def si_mass(one: PointMass, node: int, units: Units) -> PointMass:
-    """The point mass in SI units on row ``node``.
+def si_mass(mass: PointMass, units: Units) -> PointMass:
+    """The point mass in SI units.
 
     Raises:
         InputError: a mass or inertia that is negative or not finite.
     """
-    inertia, offset = one.inertia * units.mass * units.length**2, one.offset * units.length
-    finite = np.isfinite(one.mass) and np.isfinite(inertia).all() and np.isfinite(offset).all()
+    inertia, offset = mass.inertia * units.mass * units.length**2, mass.offset * units.length
+    finite = np.isfinite(mass.mass) and np.isfinite(inertia).all() and np.isfinite(offset).all()
     J = 0.5 * (inertia + inertia.T)
     small = 1e-9 * max(float(np.abs(J).max(initial=0.0)), np.finfo(float).tiny)
-    if not finite or one.mass < 0 or np.linalg.eigvalsh(J)[0] < -small:
-        raise InputError(f"point mass {one.name!r} has a negative or infinite mass or inertia; mend the file")
-    return replace(one, node=node, mass=one.mass * units.mass, inertia=J, offset=offset)
+    if not finite or mass.mass < 0 or np.linalg.eigvalsh(J)[0] < -small:
+        raise InputError(f"point mass {mass.name!r} has a negative or infinite mass or inertia; mend the file")
+    return replace(mass, mass=mass.mass * units.mass, inertia=J, offset=offset)
 
 
-def mass_about_node(one: PointMass) -> Floats:
+def mass_about_node(mass: PointMass) -> Floats:
     """Mass matrix (6, 6) of a point mass in the dofs of its node."""
-    arm, M = skew(one.offset), np.zeros((6, 6))
-    M[:3, :3] = one.mass * np.eye(3)
-    M[:3, 3:], M[3:, :3] = -one.mass * arm, one.mass * arm
-    M[3:, 3:] = one.inertia - one.mass * arm @ arm
+    arm, M = skew(mass.offset), np.zeros((6, 6))
+    M[:3, :3] = mass.mass * np.eye(3)
+    M[:3, 3:], M[3:, :3] = -mass.mass * arm, mass.mass * arm
+    M[3:, 3:] = mass.inertia - mass.mass * arm @ arm
     return M
 
 
@@ -85,12 +85,12 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
         return model
     table = dof_table(model)
     rows, columns, values = [], [], []
-    for one in masses:
-        M, dofs = mass_about_node(one), table[one.node]
+    for mass in masses:
+        M, dofs = mass_about_node(mass), table[mass.node]
         lost = np.flatnonzero((dofs < 0) & (np.abs(M) > 0).any(axis=1))
         if len(lost):
             raise InputError(
-                f"point mass {one.name!r} on node {model.nodes.ids[one.node]} needs the components "
+                f"point mass {mass.name!r} on node {model.nodes.ids[mass.node]} needs the components "
                 f"{', '.join(map(str, lost))}, which this node does not have (a solid has no rotations); "
                 "couple the node by a rigid element, or leave out offset and inertia"
             )
@@ -116,8 +116,8 @@ def refuse_loose(
     held[model.dofs.node[np.diff(model.K.indptr) > 0]] = True
     for element in rigid:
         held[element.slaves] = held[element.master] = True
-    for one in average:
-        held[one.reference] = True
+    for mean in average:
+        held[mean.reference] = True
     for mass in masses:
         if not held[mass.node]:
             raise InputError(

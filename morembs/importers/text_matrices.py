@@ -110,8 +110,8 @@ def parallel_map(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iter
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            for one in waiting:
-                one.cancel()
+            for future in waiting:
+                future.cancel()
 
 
 def opened(path: Path) -> io.BufferedReader:
@@ -167,22 +167,22 @@ def _triplets(block: bytes, count: int) -> Floats | None:
     """Checked lines "row column value" at once, about twice as fast; None if rows or columns are not above 0."""
     header = b"%%%%MatrixMarket matrix coordinate real general\n%d %d %d\n" % (_INT32, _INT32, count)
     try:
-        found = mmread(io.BytesIO(header + block.translate(_BLANKS)), spmatrix=False)
+        triplets = mmread(io.BytesIO(header + block.translate(_BLANKS)), spmatrix=False)
     except (ValueError, OverflowError):
         return None
-    if not np.isfinite(found.data).all():
+    if not np.isfinite(triplets.data).all():
         return None
-    return np.column_stack([found.row + 1.0, found.col + 1.0, found.data])
+    return np.column_stack([triplets.row + 1.0, triplets.col + 1.0, triplets.data])
 
 
 def _irregular(block: bytes, columns: int, name: str) -> Floats:
     """What ``table`` gives, line by line: for blocks with empty lines or faults."""
     lines = [line for line in block.split(b"\n") if line.strip(b" ,\t\r")]
     for line in lines:
-        found = len(line.replace(b",", b" ").split())
-        if found != columns:
+        count = len(line.replace(b",", b" ").split())
+        if count != columns:
             raise InputError(
-                f"{name}: the line {line.decode('latin-1').strip()[:60]!r} has {found} numbers; expected {columns}"
+                f"{name}: the line {line.decode('latin-1').strip()[:60]!r} has {count} numbers; expected {columns}"
             )
     return _parsed(_separated(b"\n".join(lines) + b"\n", name), name).reshape(-1, columns)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
@@ -49,17 +49,17 @@ def model_of(
     """
     units = units or Units()
     imported = _completed(imported)
+    touched = nodes_of([*imported.rigid, *imported.average, *imported.masses])
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
     else:
-        base = _from_mesh(imported, units, mass_integration, budget, progress)
+        base = _from_mesh(imported, touched, units, mass_integration, budget, progress)
     model = base.model
-    at = _Rows(base.row, imported.source)
-    rigid = tuple(replace(one, master=at.one(one.master), slaves=at.many(one.slaves)) for one in imported.rigid)
-    average = tuple(replace(one, reference=at.one(one.reference), nodes=at.many(one.nodes)) for one in imported.average)
-    masses = [si_mass(one, at.one(one.node), units) for one in imported.masses]
-    _refuse_names([*(one.name for one in rigid), *(one.name for one in average)], imported.source)
+    _refuse_missing_nodes(touched, len(base.row), imported.source)
+    rigid, average = on_rows(imported.rigid, base.row), on_rows(imported.average, base.row)
+    masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
+    _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
     model = with_dofs(model, rigid, average)
     refuse_loose(model, rigid, average, masses)
     model = with_masses(model, masses)
@@ -80,20 +80,9 @@ class _Base:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows of the file in rows of the model."""
-
-    row: Ints
-    source: str
-
-    def many(self, given: Ints) -> Ints:
-        if len(given) and not (given.min() >= 0 and given.max() < len(self.row)):
-            raise InputError(f"{self.source} has an element on a node that is not there; write the file again")
-        return self.row[given]
-
-    def one(self, given: int) -> int:
-        return int(self.many(np.array([given]))[0])
+def _refuse_missing_nodes(touched: Ints, count: int, source: str) -> None:
+    if len(touched) and not (touched[0] >= 0 and touched[-1] < count):
+        raise InputError(f"{source} has an element on a node that is not there; write the file again")
 
 
 def _completed(imported: Imported) -> Imported:
@@ -102,7 +91,7 @@ def _completed(imported: Imported) -> Imported:
     Raises:
         InputError: a set without any, in a file whose matrices are not there.
     """
-    given = {one.set for one in imported.materials}
+    given = {material.set for material in imported.materials}
     bare = {name: why for name, why in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
         raise InputError(
@@ -152,17 +141,17 @@ def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.cs
     factors = (units.stiffness, units.mass, units.mass / units.time)
     weight = np.where(dofs.component > 2, units.length, 1.0)
     plain = units.length == 1.0 or not (dofs.component > 2).any()
-    found = []
+    scaled = []
     for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
         if matrix is None or (plain and factor == 1.0):
-            found.append(matrix)
+            scaled.append(matrix)
             continue
         data = matrix.data * factor
         if not plain:
             data *= np.repeat(weight, np.diff(matrix.indptr))
             data *= weight[matrix.indices]
-        found.append(sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape))
-    return found
+        scaled.append(sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape))
+    return scaled
 
 
 def _from_matrices(imported: Imported, units: Units) -> _Base:
@@ -243,8 +232,11 @@ def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
         raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")
 
 
-def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: Budget, progress: Progress) -> _Base:
-    """The assembled mesh, nodes of its elements first, then those that couplings and masses need."""
+def _from_mesh(
+    imported: Imported, touched: Ints, units: Units, mass_integration: str, budget: Budget, progress: Progress
+) -> _Base:  # fmt: skip
+    """The assembled mesh, nodes of its elements first, then those ``touched`` by rigid and average elements and masses.
+    """
     mesh = imported.mesh
     if mesh is None:
         raise InputError(f"{imported.source} has no mesh")
@@ -257,8 +249,8 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     for block in blocks:
         used[block.nodes] = True
     extra = np.zeros(len(nodes), dtype=bool)
-    _Rows(np.arange(len(nodes)), imported.source).many(_touched(imported))
-    extra[_touched(imported)] = True
+    _refuse_missing_nodes(touched, len(nodes), imported.source)
+    extra[touched] = True
     order = np.concatenate([np.flatnonzero(used), np.flatnonzero(extra & ~used)])
     row = np.full(len(nodes), -1, dtype=np.int64)
     row[order] = np.arange(len(order))
@@ -281,14 +273,6 @@ def _from_mesh(imported: Imported, units: Units, mass_integration: str, budget: 
     else:
         model = replace(model, nodes=every, mesh=replace(part, nodes=every))
     return _Base(model=model, row=row, notes=notes)
-
-
-def _touched(imported: Imported) -> Ints:
-    """Rows of nodes that couplings and masses need."""
-    parts = [np.array([one.master, *one.slaves], dtype=np.int64) for one in imported.rigid]
-    parts += [np.array([one.reference, *one.nodes], dtype=np.int64) for one in imported.average]
-    parts += [np.array([one.node], dtype=np.int64) for one in imported.masses]
-    return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *parts]))
 
 
 def _picked(nodes: Nodes, order: Ints, row: Ints, units: Units) -> Nodes:
@@ -344,6 +328,6 @@ def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Materi
     if units.stress == 1.0 and units.density == 1.0:
         return tuple(materials)
     return tuple(
-        Material(set=one.set, stiffness=one.stiffness * units.stress, density=one.density * units.density)
-        for one in materials
+        replace(material, stiffness=material.stiffness * units.stress, density=material.density * units.density)
+        for material in materials
     )

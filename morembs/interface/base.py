@@ -123,17 +123,17 @@ class CouplingKind(ABC):
 
         None where the stiffness and mass of the body decide how the nodes share these.
         """
-        found = self.attach(model, replace(interface, components=SIX))
-        if isinstance(found, Elimination):
+        attached = self.attach(model, replace(interface, components=SIX))
+        if isinstance(attached, Elimination):
             return None
-        return np.asarray(found.tocsr()[model.dofs.of_nodes(interface.nodes).ravel()].toarray())
+        return np.asarray(attached.tocsr()[model.dofs.of_nodes(interface.nodes).ravel()].toarray())
 
     def rotation(self, model: FEModel, interface: Interface) -> tuple[Floats, Ints]:
         """Rotation (3, k) of the frame from k dofs of the model, and these dofs (k,)."""
-        found = self.attach(model, replace(interface, components=SIX))
-        if isinstance(found, Elimination):
-            return np.asarray(np.linalg.pinv(found.motion)[3:], dtype=np.float64), found.dofs
-        loads = found.tocsr()
+        attached = self.attach(model, replace(interface, components=SIX))
+        if isinstance(attached, Elimination):
+            return np.asarray(np.linalg.pinv(attached.motion)[3:], dtype=np.float64), attached.dofs
+        loads = attached.tocsr()
         dofs = np.flatnonzero(np.diff(loads.indptr))
         return np.ascontiguousarray(loads[dofs].toarray()[:, 3:].T), dofs
 

@@ -60,24 +60,24 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
             if interface.kind.exclusive:
                 _refuse_dependent(model, model.dependent, interface)
     attached = {interface.name: interface.kind.attach(model, interface) for interface in interfaces}
-    eliminated = {name: found for name, found in attached.items() if isinstance(found, Elimination)}
+    eliminated = {name: elimination for name, elimination in attached.items() if isinstance(elimination, Elimination)}
     T, kept = _transformation(model, list(eliminated.values()))
     masters, at = {}, len(kept)
-    for name, found in eliminated.items():
-        masters[name] = at + np.arange(len(found.components))
-        at += len(found.components)
+    for name, elimination in eliminated.items():
+        masters[name] = at + np.arange(len(elimination.components))
+        at += len(elimination.components)
     pole = model.nodes.xyz.mean(axis=0)
     R = np.zeros((T.shape[1], 6))
     R[: len(kept)] = rigid_motion(model.nodes.xyz[model.dofs.node] - pole, model.dofs.component)[kept]
     point = {interface.name: interface.point for interface in interfaces}
-    for name, found in eliminated.items():
-        arms = np.tile(point[name] - pole, (len(found.components), 1))
-        R[masters[name]] = rigid_motion(arms, np.array(found.components))
+    for name, elimination in eliminated.items():
+        arms = np.tile(point[name] - pole, (len(elimination.components), 1))
+        R[masters[name]] = rigid_motion(arms, np.array(elimination.components))
 
-    def block(interface: Interface, found: Elimination | sp.csc_array) -> sp.csc_array:
-        if not isinstance(found, Elimination):
-            return sp.csc_array(T.T @ found)
-        rows = masters[interface.name][[found.components.index(one) for one in interface.components]]
+    def block(interface: Interface, attachment: Elimination | sp.csc_array) -> sp.csc_array:
+        if not isinstance(attachment, Elimination):
+            return sp.csc_array(T.T @ attachment)
+        rows = masters[interface.name][[attachment.components.index(component) for component in interface.components]]
         data = (np.ones(len(rows)), (rows, np.arange(len(rows))))
         return sp.csc_array(data, shape=(T.shape[1], len(rows)))
 
@@ -93,18 +93,18 @@ def _transformation(model: FEModel, eliminated: Sequence[Elimination]) -> tuple[
     import scipy.sparse as sp
 
     slave = np.zeros(model.size, dtype=bool)
-    for one in eliminated:
-        slave[one.dofs] = True
+    for elimination in eliminated:
+        slave[elimination.dofs] = True
     if model.dependent is not None:
         slave |= model.dependent.owner >= 0
     kept = np.flatnonzero(~slave)
     size = len(kept)
     rows, cols, values = [kept], [np.arange(size)], [np.ones(size)]
-    for one in eliminated:
-        count = len(one.components)
-        rows.append(np.repeat(one.dofs, count))
-        cols.append(np.tile(size + np.arange(count), len(one.dofs)))
-        values.append(one.motion.ravel())
+    for elimination in eliminated:
+        count = len(elimination.components)
+        rows.append(np.repeat(elimination.dofs, count))
+        cols.append(np.tile(size + np.arange(count), len(elimination.dofs)))
+        values.append(elimination.motion.ravel())
         size += count
     data = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
     T = sp.csr_array(sp.coo_array(data, shape=(model.size, size)))

@@ -140,25 +140,25 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
 
 def _reduction_seconds(job: Job, facts: Facts, cost: Cost) -> dict[str, float]:
     """Name -> time of each reduction, as far as it can be told."""
-    found = {name: one.seconds(facts, cost.plan.factor_entries) for name, one in job.reducers.items()}
-    return {name: seconds for name, seconds in found.items() if seconds is not None}
+    times = {name: reducer.seconds(facts, cost.plan.factor_entries) for name, reducer in job.reducers.items()}
+    return {name: seconds for name, seconds in times.items() if seconds is not None}
 
 
 def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
     """What may go wrong on this machine."""
-    found = []
+    warnings = []
     available = available_bytes()
     if cost.peak > available:
-        found.append(
+        warnings.append(
             f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
             "memory budget and a scratch folder"
         )
     if cost.plan.disk > (free := free_bytes(scratch)):
-        found.append(
+        warnings.append(
             f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give "
             "another folder"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:

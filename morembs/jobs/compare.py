@@ -79,9 +79,9 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
     first = next(iter(known.values()))
     return FrequencyResponse(
         frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
-        reduced={name: one.reduced for name, one in known.items()},
-        error={name: one.error for name, one in known.items()},
-        bound={name: one.bound for name, one in known.items() if one.bound_kind != "none"},
+        reduced={name: certificate.reduced for name, certificate in known.items()},
+        error={name: certificate.error for name, certificate in known.items()},
+        bound={name: certificate.bound for name, certificate in known.items() if certificate.bound_kind != "none"},
     )  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def run_import(
     imported, format = _read(job)
     if imported.K is not None and imported.M is not None:
         K, M, D, done = repaired(imported.K, imported.M, imported.D)
-        imported = replace(imported, K=K, M=M, D=D, notes=(*imported.notes, *(one.sentence for one in done)))
+        imported = replace(imported, K=K, M=M, D=D, notes=(*imported.notes, *(finding.sentence for finding in done)))
     units = Units() if format == "native" else job.units
     progress.stage("convert")
     model = model_of(imported, units, mass_integration=job.mass_integration, progress=progress)
@@ -129,7 +129,7 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
             f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs"
         )
     if job.materials:
-        open_sets = {one.set for one in job.materials} <= set(imported.incomplete)
+        open_sets = {material.set for material in job.materials} <= set(imported.incomplete)
         if imported.K is not None or (imported.materials and not open_sets):
             raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
         imported = replace(imported, materials=(*imported.materials, *job.materials))
@@ -145,32 +145,35 @@ def _combined(job: ImportJob) -> tuple[Imported, str]:
         if job.options:
             raise InputError(f"matrices of Abaqus have no option {next(iter(job.options))!r}; leave --set out")
         return abaqus_matrices(dict(job.matrices)), "abaqus-matrix"
-    found: dict[str, Imported] = {}
+    by_role: dict[str, Imported] = {}
     for role, path in job.matrices.items():
         own = {key: value for key, value in job.options.items() if key == role or key not in ROLES}
         if role in own:  # the name of the one matrix that is wanted of this file
             own = {**{key: value for key, value in own.items() if key != role}, "K": own[role]}
-        found[role] = import_file(path, formats[role], own)
-    first = next(iter(found.values()))
-    matrices = {role: _one_matrix(role, one) for role, one in found.items()}
-    for one in found.values():
-        if (one.dofs is None) != (first.dofs is None) or (
-            one.dofs is not None and first.dofs is not None and not _same_rows(one, first)
+        by_role[role] = import_file(path, formats[role], own)
+    first = next(iter(by_role.values()))
+    matrices = {role: _one_matrix(role, imported) for role, imported in by_role.items()}
+    for imported in by_role.values():
+        if (imported.dofs is None) != (first.dofs is None) or (
+            imported.dofs is not None and first.dofs is not None and not _same_rows(imported, first)
         ):
-            raise InputError(f"{one.source} and {first.source} have rows of different dofs; write them of one model")
-    notes = tuple(note for one in found.values() for note in one.notes)
+            both = f"{imported.source} and {first.source}"
+            raise InputError(f"{both} have rows of different dofs; write them of one model")
+    notes = tuple(note for imported in by_role.values() for note in imported.notes)
     return replace(first, K=matrices.get("K"), M=matrices.get("M"), D=matrices.get("D"), notes=notes), formats[
-        next(iter(found))
+        next(iter(by_role))
     ]
 
 
-def _one_matrix(role: str, one: Imported) -> Any:
-    given = {name: A for name in ROLES if (A := getattr(one, name)) is not None}
+def _one_matrix(role: str, imported: Imported) -> Any:
+    given = {name: A for name in ROLES if (A := getattr(imported, name)) is not None}
     if len(given) == 1:
         return next(iter(given.values()))
     if role in given:
         return given[role]
-    raise InputError(f"{one.source} was given as {ROLES[role]}, but holds no such matrix; name it: --set {role}=NAME")
+    raise InputError(
+        f"{imported.source} was given as {ROLES[role]}, but holds no such matrix; name it: --set {role}=NAME"
+    )
 
 
 def _same_rows(a: Imported, b: Imported) -> bool:
@@ -225,7 +228,8 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
 def list_formats() -> dict[str, str]:
     """A line for each format."""
     return {
-        name: one.about + (f" ({', '.join(one.endings)})" if one.endings else "") for name, one in IMPORTERS.items()
+        name: importer.about + (f" ({', '.join(importer.endings)})" if importer.endings else "")
+        for name, importer in IMPORTERS.items()
     }
 
 

@@ -29,8 +29,8 @@ from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
 from morembs.units import Units, parse_units
 
-# How many interface motions make sense where the responses to all of them are followed at once.
-MOST_MOTIONS = 500
+# How many interface degrees of freedom make sense where the responses to all of them are followed at once.
+MOST_INTERFACE_DOFS = 500
 
 
 def units_of(job: Job) -> Units:
@@ -69,12 +69,12 @@ def reducers_of(job: Job) -> dict[str, Reducer]:
 def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
     """The interfaces on the nodes of ``model``."""
     length = units_of(job).length
-    found = []
+    interfaces = []
     for table in job.tables.interface:
         point = None if table.point is None else [length * value for value in table.point]
         if table.nodes.startswith("coupling:"):
             coupling = table.coupling if "coupling" in table.model_fields_set else None
-            found.append(
+            interfaces.append(
                 interface_of_coupling(
                     model, table.nodes, name=table.name, coupling=coupling, point=point, components=table.components
                 )
@@ -84,13 +84,13 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
             rows = select_nodes(model, table.nodes, length=length)
         except InputError as error:
             raise InputError(f"interface {table.name!r}: {error}") from error
-        found.append(
+        interfaces.append(
             make_interface(
                 model, name=table.name, nodes=rows, coupling=table.coupling, point=point,
                 components=table.components,
             )
         )  # fmt: skip
-    return found
+    return interfaces
 
 
 def damping_of(job: Job) -> Damping:
@@ -185,15 +185,15 @@ def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
             used.setdefault(path.resolve(), []).append((key, name, False))
         for name, path in _results(job).items():
             used.setdefault(path.resolve(), []).append((key, name, True))
-    found: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     for path, uses in used.items():
         for key, name, written in uses:
             others = [(other, what) for other, what, _ in uses if other != key]
             if written and others:
                 other, what = others[0]
                 reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
-                found.setdefault(key, reason)
-    return found
+                reasons.setdefault(key, reason)
+    return reasons
 
 
 def _inputs(job: Job) -> dict[str, Path]:
@@ -212,19 +212,22 @@ def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:
     """
     inputs = facts.inputs
     if not inputs and job.tables.certify is not None:
-        raise InputError("[certify] compares motions of interfaces, and there are none; add at least one [[interface]]")
-    compared = [key for key in ("certify", "response") if getattr(job.tables, key) is not None]
-    if compared and inputs > MOST_MOTIONS:
         raise InputError(
-            f"[{compared[0]}] compares the responses of all interface motions, {inputs} x {inputs} at each frequency, "
-            f"and at most {MOST_MOTIONS} motions fit; leave [{compared[0]}] out, or take rigid or average couplings"
+            "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]"
+        )
+    compared = [key for key in ("certify", "response") if getattr(job.tables, key) is not None]
+    if compared and inputs > MOST_INTERFACE_DOFS:
+        raise InputError(
+            f"[{compared[0]}] compares the responses of all interface degrees of freedom, {inputs} x {inputs} at each "
+            f"frequency, and at most {MOST_INTERFACE_DOFS} fit; leave [{compared[0]}] out, or take rigid or average "
+            "couplings"
         )
     for name, reducer in reducers_of(job).items():
-        if inputs > MOST_MOTIONS and reducer.follows_responses:
+        if inputs > MOST_INTERFACE_DOFS and reducer.follows_responses:
             raise InputError(
                 f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {inputs} interface "
-                f"motions, and at most {MOST_MOTIONS} fit; take craig-bampton with interface_up_to_hz, or rigid or "
-                "average couplings"
+                f"degrees of freedom, and at most {MOST_INTERFACE_DOFS} fit; take craig-bampton with "
+                "interface_up_to_hz, or rigid or average couplings"
             )
         reason = reducer.why_not(facts)
         if reason:

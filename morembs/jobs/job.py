@@ -92,9 +92,9 @@ def parse_memory(text: str) -> int:
     Raises:
         InputError: not a positive number with a unit of memory.
     """
-    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
-    size = float(found[1]) * BYTES[found[2]] if found and found[2] in BYTES else 0.0
-    if found and not found[2]:
+    match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
+    size = float(match[1]) * BYTES[match[2]] if match and match[2] in BYTES else 0.0
+    if match and not match[2]:
         raise InputError(f'[solver]: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
     if not 1 <= size < MOST_BYTES:
         raise InputError(f'[solver]: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
@@ -183,7 +183,7 @@ def _inner(annotation: object) -> type[BaseModel] | None:
     """The table inside an annotation such as ``list[Table] | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for part in get_args(annotation) if (found := _inner(part))), None)
+    return next((inner for part in get_args(annotation) if (inner := _inner(part))), None)
 
 
 def _words(loc: Loc) -> str:

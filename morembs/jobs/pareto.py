@@ -50,29 +50,29 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
     errors = {body.name: float(body.certificate.error.max()) for body in result.bodies if body.certificate is not None}
     if len(errors) < len(orders):
         raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
-    found = []
+    compared = []
     for body in result.bodies:
-        its = body.certificate
-        if its is None:
+        certificate = body.certificate
+        if certificate is None:
             continue
         own = (orders[body.name], errors[body.name])
         better = [name for name in orders if (orders[name], errors[name]) != own
                   and orders[name] <= own[0] and errors[name] <= own[1]]  # fmt: skip
-        held = [float(np.nanmedian(row)) for row in its.held_error if np.isfinite(row).any()]
+        held = [float(np.nanmedian(row)) for row in certificate.held_error if np.isfinite(row).any()]
         stage = stages[f"reduce {body.name}"]
-        found.append(
+        compared.append(
             Contender(
                 name=body.name, method=str(body.recipe["method"]), order=own[0], error=own[1],
-                mean_error=float(its.error.mean()),
-                bound=None if its.bound_kind == "none" else float(its.bound.max()),
-                static_error=its.static_error, held_error=max(held) if held else None, seconds=stage.seconds,
+                mean_error=float(certificate.error.mean()),
+                bound=None if certificate.bound_kind == "none" else float(certificate.bound.max()),
+                static_error=certificate.static_error, held_error=max(held) if held else None, seconds=stage.seconds,
                 peak_memory_bytes=stage.peak_memory_bytes, best=not better,
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(compared)
 
 
-def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> None:
+def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> None:
     """Errors over order, time and memory as a picture file; the reductions on the Pareto front are joined.
 
     Raises:
@@ -88,13 +88,14 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
     panels = [figure.add_subplot(1, 3, number) for number in (1, 2, 3)]
     scales: tuple[tuple[str, list[float]], ...] = (
-        ("reduced coordinates", [one.order for one in found]), ("seconds", [one.seconds for one in found]),
-        ("peak memory of the process, GB", [one.peak_memory_bytes / 1e9 for one in found]),
+        ("reduced coordinates", [contender.order for contender in compared]),
+        ("seconds", [contender.seconds for contender in compared]),
+        ("peak memory of the process, GB", [contender.peak_memory_bytes / 1e9 for contender in compared]),
     )  # fmt: skip
     for panel, (label, x) in zip(panels, scales, strict=True):
-        for number, one in enumerate(found):
+        for number, contender in enumerate(compared):
             for _, attribute, marker in ERRORS:
-                value = getattr(one, attribute)
+                value = getattr(contender, attribute)
                 if value is not None:
                     panel.plot(
                         max(x[number], 1e-3),
@@ -110,16 +111,16 @@ def draw_contenders(path: Path, found: tuple[Contender, ...], title: str) -> Non
         panel.set_xlabel(label)
         panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)
-    front = sorted((one.order, one.error) for one in found if one.best)
+    front = sorted((contender.order, contender.error) for contender in compared if contender.best)
     panels[0].plot([n for n, _ in front], [e for _, e in front], color="#9aa0a6", linewidth=1.0, zorder=0)
     panels[0].set_ylabel("relative error of the transfer matrix")
-    names = [panels[2].plot([], [], color=f"C{k % 10}", marker="o", linestyle="")[0] for k in range(len(found))]
+    names = [panels[2].plot([], [], color=f"C{k % 10}", marker="o", linestyle="")[0] for k in range(len(compared))]
     kinds = [
         panels[2].plot(
             [], [], color="#555555", marker=marker, linestyle="", fillstyle="full" if name == "error" else "none"
         )[0]
         for _, name, marker in ERRORS
     ]  # fmt: skip
-    labels = [one.name for one in found] + [label for label, _, _ in ERRORS]
+    labels = [contender.name for contender in compared] + [label for label, _, _ in ERRORS]
     figure.legend(names + kinds, labels, frameon=False, loc="outside right upper")
     save(figure, path)

@@ -26,8 +26,8 @@ from morembs.progress import duration_words
 from morembs.reducers import Facts
 from morembs.reducers.cost import mode_seconds, response_seconds
 
-# Interface motions beyond which methods that follow all responses take minutes.
-MANY_MOTIONS = 60
+# Interface degrees of freedom beyond which methods that follow all responses take minutes.
+MANY_INTERFACE_DOFS = 60
 # Part of the dofs, and count, beyond which modes are no reduction any more or take very long.
 MANY_MODES, MOST_MODES = 0.1, 1000
 # Models that take seconds whatever is asked of them.
@@ -133,7 +133,7 @@ def _refuse_delivery(job: Job, wanted: BodyOptions, model: FEModel, coupling: Co
 
 
 def _many_motions(job: Job, facts: Facts) -> list[str]:
-    if facts.inputs <= MANY_MOTIONS:
+    if facts.inputs <= MANY_INTERFACE_DOFS:
         return []
     took = {
         repr(name): reducer.seconds(facts) or 0.0
@@ -146,21 +146,21 @@ def _many_motions(job: Job, facts: Facts) -> list[str]:
         return []
     words = ", ".join(f"{name} about {duration_words(seconds)}" for name, seconds in took.items())
     return [
-        f"the responses to all {facts.inputs} interface motions are followed, which takes long: {words} at the speed "
-        "of this machine now, within a factor of three. Give the interface a rigid or average coupling (6 motions), "
-        'or take method = "craig-bampton" with interface_up_to_hz and no [certify]'
+        f"the responses to all {facts.inputs} interface degrees of freedom are followed, which takes long: {words} at "
+        "the speed of this machine now, within a factor of three. Give the interface a rigid or average coupling (6 "
+        'degrees of freedom), or take method = "craig-bampton" with interface_up_to_hz and no [certify]'
     ]
 
 
 def _many_modes(job: Job, size: int) -> list[str]:
-    found = []
+    warnings = []
     for name, reducer in job.reducers.items():
         modes = reducer.mode_count
         if size > SMALL and modes > min(MANY_MODES * size, MOST_MODES):
             took = duration_words(mode_seconds(size, modes, 0))
-            found.append(
+            warnings.append(
                 f"[[reduce]] {name!r}: modes = {modes:,} of {size:,} dofs are many; to find them takes about {took} at "
                 "the speed of this machine now, within a factor of three; ask for tens to a few hundred, or give "
                 "up_to_hz two to three times the highest frequency of interest"
             )
-    return found
+    return warnings

@@ -19,7 +19,7 @@ from morembs.floating.preload import preloaded
 from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
 from morembs.jobs.inputs import (
-    MOST_MOTIONS,
+    MOST_INTERFACE_DOFS,
     body_options,
     budget_of,
     damping_of,
@@ -107,7 +107,7 @@ def _run(
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
     model = _read(job, materials, budget, start, watch)
-    warnings = found = model_warnings(job, model, budget)
+    warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
     with watch.stage("couple"):
@@ -131,7 +131,7 @@ def _run(
         warnings += delivered
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
-            response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_MOTIONS
+            response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_INTERFACE_DOFS
         ):
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
@@ -142,7 +142,7 @@ def _run(
         provenance = _provenance(job, factor, watch)
         write_body(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
-            warnings=(*found, *delivered), progress=progress,
+            warnings=(*of_model, *delivered), progress=progress,
         )  # fmt: skip
     if job.picture is not None:
         from morembs.jobs.picture import draw
@@ -212,11 +212,11 @@ def _delivered(
     with watch.stage("deliver"):
         operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
         bodies = []
-        for one, its, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
-            switching = reducer.switching(problem, one, progress=progress)
+        for body, certificate, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
+            switching = reducer.switching(problem, body, progress=progress)
             bodies.append(
                 build_body(
-                    problem, one, part, wanted, certificate=its, operator=operator, switching=switching,
+                    problem, body, part, wanted, certificate=certificate, operator=operator, switching=switching,
                     progress=progress,
                 )
             )  # fmt: skip

@@ -271,9 +271,10 @@ def refuse_unsymmetric(model: FEModel) -> None:
         A = getattr(model, name)
         z = np.random.default_rng(60).standard_normal(A.shape[0])
         largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
-        found = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
-        if found > SYMMETRIC * largest:
+        difference = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
+        if difference > SYMMETRIC * largest:
             raise InputError(
-                f"{name} of {model.source or 'the model'} is not symmetric (by {found / largest:.1e} of its largest "
-                "entry), and reductions take symmetric matrices; leave out circulatory terms, friction and contact"
+                f"{name} of {model.source or 'the model'} is not symmetric (by {difference / largest:.1e} of its "
+                "largest entry), and reductions take symmetric matrices; leave out circulatory terms, friction and "
+                "contact"
             )

@@ -72,14 +72,14 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
     # Place in the file of the node for each place in VTK order.
     from scipy.optimize import linear_sum_assignment
 
-    found = np.argsort(linear_sum_assignment(total)[1])
-    own = np.arange(len(found))
+    places = np.argsort(linear_sum_assignment(total)[1])
+    own = np.arange(len(places))
     name = None
-    if total[found, own].sum() < _BETTER * np.trace(total):
-        name = next((name for name, order in _known(kind).items() if np.array_equal(order, found)), None)
+    if total[places, own].sum() < _BETTER * np.trace(total):
+        name = next((name for name, order in _known(kind).items() if np.array_equal(order, places)), None)
     corners = TYPES[_CORNERS[kind]].n_nodes
     if name is not None:
-        nodes = np.concatenate([nodes[:, :corners], nodes[:, corners:][:, found]], axis=1)
+        nodes = np.concatenate([nodes[:, :corners], nodes[:, corners:][:, places]], axis=1)
     _refuse_crossed(kind, nodes, xyz, ids, labels, source)
     if name is None:
         return nodes, None
@@ -93,13 +93,13 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
 @cache
 def _known(kind: str) -> dict[str, Ints]:
     """Order -> for each middle node of VTK its place among those of the order."""
-    reference, found = TYPES[kind].reference, {}
+    reference, orders = TYPES[kind].reference, {}
     corners = TYPES[_CORNERS[kind]].n_nodes
     for name, words in _ORDERS[kind].items():
         middles = np.array([reference[[int(digit) for digit in word]].mean(axis=0) for word in words.split()])
         distance = np.linalg.norm(middles[None] - reference[corners:, None], axis=2)
-        found[name] = np.asarray(distance.argmin(axis=1))
-    return found
+        orders[name] = np.asarray(distance.argmin(axis=1))
+    return orders
 
 
 def _costs(kind: str, nodes: Ints, xyz: Floats) -> Iterator[tuple[Ints, Floats]]:

@@ -68,7 +68,7 @@ def _of_set(model: FEModel, name: str) -> Ints:
 
 def _alike(name: str, model: FEModel) -> str:
     """The set of the same name in other capitals."""
-    alike = [one for one in _names(model) if one.lower() == name.lower()]
+    alike = [known for known in _names(model) if known.lower() == name.lower()]
     return f"; did you mean {alike[0]!r}?" if alike else ""
 
 

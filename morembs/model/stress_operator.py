@@ -69,8 +69,8 @@ class StressOperator:
         """Stresses (6 np, k) in Pa of displacements ``u`` (3 n, k) in m."""
         strain = self.strain(u).reshape(len(self.nodes), 6, -1)
         for which in np.unique(self.material):
-            its = slice(None) if (self.material == which).all() else np.flatnonzero(self.material == which)
-            strain[its] = self.elasticity[which] @ strain[its]
+            rows = slice(None) if (self.material == which).all() else np.flatnonzero(self.material == which)
+            strain[rows] = self.elasticity[which] @ strain[rows]
         return strain.reshape(-1, u.shape[1])
 
 
@@ -115,8 +115,8 @@ def stress_operator(
     alone = None
     if elements:
         G, point, element = _single_gradient(mesh, owner, points, len(alike), progress)
-        its = StressOperator(nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget))
-        alone = SingleElements(point=point, element=element, operator=its)
+        single = StressOperator(nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget))
+        alone = SingleElements(point=point, element=element, operator=single)
     gradient = _gradient(mesh, owner, points, len(alike), progress)
     return StressOperator(
         nodes=node, material=material, elasticity=C, gradient=_stored(gradient, budget), elements=alone
@@ -151,19 +151,19 @@ def chosen_rows(mesh: Mesh, nodes: str | Ints) -> Ints:
 def _alike(model: FEModel) -> Ints:
     """For each material the index of the first one with the same constants."""
     C = [material.stiffness for material in model.materials]
-    return np.array([next(j for j, other in enumerate(C) if np.array_equal(one, other)) for one in C])
+    return np.array([next(j for j, other in enumerate(C) if np.array_equal(stiffness, other)) for stiffness in C])
 
 
 def _points(mesh: Mesh, owner: Mapping[int, Ints], rows: Ints, materials: int) -> Ints:
     """Numbers node * materials + material, ascending, of all pairs that occur at the nodes ``rows``."""
     wanted = np.zeros(len(mesh.nodes), dtype=bool)
     wanted[rows] = True
-    found = []
+    blocks = []
     for block in mesh.blocks:
         for label in np.unique(owner[id(block)]):
             nodes = np.unique(block.nodes[owner[id(block)] == label])
-            found.append(nodes[wanted[nodes]] * materials + label)
-    return np.unique(np.concatenate(found))
+            blocks.append(nodes[wanted[nodes]] * materials + label)
+    return np.unique(np.concatenate(blocks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +187,12 @@ def _pairs(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, 
         if not len(rows):
             continue
         kind, nodes = TYPES[block.type], block.nodes[rows]
-        its = fem.geometry(mesh.nodes.xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+        geometry = fem.geometry(mesh.nodes.xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
         element, a = np.nonzero(wanted[nodes])
         yield _Pairs(
             np.searchsorted(points, nodes[element, a] * materials + owner[id(block)][rows][element]),
-            rows[element] + first[id(block)], its.dV.sum(axis=1)[element], nodes[element],
-            np.einsum("aq,eqkb->eabk", extrapolation(kind), its.dN, optimize=True)[element, a],
+            rows[element] + first[id(block)], geometry.dV.sum(axis=1)[element], nodes[element],
+            np.einsum("aq,eqkb->eabk", extrapolation(kind), geometry.dN, optimize=True)[element, a],
         )  # fmt: skip
         progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
 
@@ -203,11 +203,11 @@ def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: in
     total, volume = sp.csr_array(shape), np.zeros(len(points))
     parts: list[tuple[Floats, Ints, Ints]] = []
     count = 0
-    for its in _pairs(mesh, owner, points, materials, progress):
-        np.add.at(volume, its.point, its.volume)
-        values = its.gradient * its.volume[:, None, None]
-        row = np.broadcast_to((3 * its.point[:, None] + np.arange(3))[:, :, None], values.shape)
-        column = np.broadcast_to(its.nodes[:, None, :], values.shape)
+    for pair in _pairs(mesh, owner, points, materials, progress):
+        np.add.at(volume, pair.point, pair.volume)
+        values = pair.gradient * pair.volume[:, None, None]
+        row = np.broadcast_to((3 * pair.point[:, None] + np.arange(3))[:, :, None], values.shape)
+        column = np.broadcast_to(pair.nodes[:, None, :], values.shape)
         parts.append((values.ravel(), row.ravel(), column.ravel()))
         count += values.size
         if count > max(_COLLECTED, total.nnz):
@@ -223,13 +223,13 @@ def _single_gradient(
 ) -> tuple[sp.csr_array, Ints, Ints]:
     """The gradients (3 ne, n) of single elements, by points, with point and element of each."""
     parts, point, element = [], [], []
-    for its in _pairs(mesh, owner, points, materials, progress):
-        count, _, width = its.gradient.shape
-        columns = np.repeat(its.nodes.astype(np.int32), 3, axis=0).ravel()
+    for pair in _pairs(mesh, owner, points, materials, progress):
+        count, _, width = pair.gradient.shape
+        columns = np.repeat(pair.nodes.astype(np.int32), 3, axis=0).ravel()
         start = width * np.arange(3 * count + 1)
-        parts.append(sp.csr_array((its.gradient.ravel(), columns, start), shape=(3 * count, len(mesh.nodes))))
-        point.append(its.point)
-        element.append(its.element)
+        parts.append(sp.csr_array((pair.gradient.ravel(), columns, start), shape=(3 * count, len(mesh.nodes))))
+        point.append(pair.point)
+        element.append(pair.element)
     points_of, elements = np.concatenate(point), np.concatenate(element)
     order = np.argsort(points_of, kind="stable")
     rows = (3 * order[:, None] + np.arange(3)).ravel()

@@ -25,13 +25,13 @@ def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints,
     if within is not None:
         inside[:] = False
         inside[within] = True
-    found: dict[str, list[Ints]] = {}
+    candidates: dict[str, list[Ints]] = {}
     for j, block in enumerate(mesh.blocks):
         nodes = block.nodes if elements is None else block.nodes[elements[j]]
         for kind, local in TYPES[block.type].face_nodes:
             faces = nodes[:, local]
-            found.setdefault(kind, []).append(faces[inside[faces].all(axis=1)])
-    stacked = {kind: np.concatenate(parts) for kind, parts in found.items()}
+            candidates.setdefault(kind, []).append(faces[inside[faces].all(axis=1)])
+    stacked = {kind: np.concatenate(parts) for kind, parts in candidates.items()}
     return {kind: faces[_once(faces, _corners(kind))] for kind, faces in stacked.items()}
 
 

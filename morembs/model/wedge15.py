@@ -22,10 +22,10 @@ class ElementWedgeS2(skfem.ElementH1):  # type: ignore[misc]
     def lbasis(self, X: Floats, i: int) -> tuple[Floats, Floats]:
         """Value (nq,) and gradient (3, nq) of function ``i`` at the points X (3, nq)."""
         r, s, t = X
-        zero, one = np.zeros_like(r), np.ones_like(r)
+        zero, ones = np.zeros_like(r), np.ones_like(r)
         L = (1 - r - s, r, s)
-        dL = (np.array([-one, -one, zero]), np.array([one, zero, zero]), np.array([zero, one, zero]))
-        dz = np.array([zero, zero, 2 * one])
+        dL = (np.array([-ones, -ones, zero]), np.array([ones, zero, zero]), np.array([zero, ones, zero]))
+        dz = np.array([zero, zero, 2 * ones])
         if i < 6:
             a, side = i % 3, -1.0 if i < 3 else 1.0
             z = side * (2 * t - 1)

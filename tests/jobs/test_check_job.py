@@ -187,7 +187,8 @@ def test_many_motions_and_many_modes_are_warned_of(tmp_path: Path, monkeypatch: 
     found = checked(job)
     assert set(found["reduction_seconds"]) == {"auto", "cb"} and min(found["reduction_seconds"].values()) > 0
     motions, many = found["warnings"]
-    assert f"all {3 * 36 + 6} interface motions" in motions and "'auto' about" in motions and "average" in motions
+    assert f"all {3 * 36 + 6} interface degrees of freedom" in motions
+    assert "'auto' about" in motions and "average" in motions
     assert "modes = 40 of" in many and "factor of three" in many
     few = folder(tmp_path, {"reduce": auto, "reduce2": modes.replace("40", "4")})
     assert checked(few)["warnings"] == []
