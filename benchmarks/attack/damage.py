@@ -46,10 +46,10 @@ FAILURES = ("traceback", "hang", "crash", "memory", "messages", "noise", "half o
 
 
 class Target:
-    """One undamaged input: its files, and what they give."""
+    """One undamaged input: its files, and what they give. A run of more than ``seconds`` hangs."""
 
-    def __init__(self, format: str, seed: Seed, folder: Path) -> None:
-        self.format, self.seed, self.folder = format, seed, folder
+    def __init__(self, format: str, seed: Seed, folder: Path, *, seconds: int = SECONDS) -> None:
+        self.format, self.seed, self.folder, self.seconds = format, seed, folder, seconds
         ended, place, logs = self._run(None, "whole")
         if ended.code:
             raise SystemExit(f"{format} is refused before it is damaged: {ended.output[-300:]} {ended.errors[-600:]}")
@@ -89,7 +89,7 @@ class Target:
             if self.seed.output is not None:
                 (logs / _PRINTS).write_text(json.dumps(fingerprint(Path(self.seed.output))))
 
-        ended = forked.run(work, place, logs, seconds=SECONDS, space=SPACE)
+        ended = forked.run(work, place, logs, seconds=self.seconds, space=SPACE)
         if ended.code == 0 and self.seed.output is None:
             (logs / _PRINTS).write_text(json.dumps(printed(ended.output)))
         return ended, place, logs
@@ -107,7 +107,7 @@ class Target:
             faults = [path.read_text("utf-8", "replace") for path in (logs / forked.TEMPORARY).glob("*fault*")]
             outcome.result, outcome.detail = "traceback", _cause("\n".join([ended.errors, *faults]))
         elif ended.hung:
-            outcome.result, outcome.detail = "hang", f"more than {SECONDS} s"
+            outcome.result, outcome.detail = "hang", f"more than {self.seconds} s"
         elif ended.code < 0:
             outcome.result, outcome.detail = "crash", f"signal {-ended.code}"
         elif ended.growth > MEMORY or _FULL in ended.errors:
@@ -154,16 +154,16 @@ def _cause(errors: str) -> str:
 
 
 def attacks(
-    folder: Path, *, count: int, seed: int, kinds: Sequence[str] = (), only: int | None = None
+    folder: Path, *, count: int, seed: int, kinds: Sequence[str] = (), only: int | None = None, seconds: int = SECONDS
 ) -> Iterator[Outcome]:
-    """All trials, or that with one number of one format."""
+    """All trials, or that with one number of one format; each may take ``seconds``."""
     if wrong := [kind for kind in kinds if kind not in FORMATS]:
         raise SystemExit(f"no such format: {', '.join(wrong)}; expected some of {', '.join(FORMATS)}")
     made = seeds(folder / "seeds", list(kinds or FORMATS))
     weights = {format: 1 if format in SLOW else 2 for format in made}
     given = 0.0
     for format, weight in weights.items():
-        targets = [Target(format, one, folder / f"{format}-{i}") for i, one in enumerate(made[format])]
+        targets = [Target(format, one, folder / f"{format}-{i}", seconds=seconds) for i, one in enumerate(made[format])]
         first, given = round(given), given + count * weight / sum(weights.values())
         for number in range(round(given) - first) if only is None else [only]:
             yield targets[number % len(targets)].attack(number, seed)

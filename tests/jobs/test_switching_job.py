@@ -9,29 +9,9 @@ from morembs.cli import app
 from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
+from tests.support.decks import job
 from tests.support.meshes import box, steel
 
-JOB = """
-[model]
-mesh = "bar.inp"
-units = "mm-t-s"
-[[material]]
-young = 2.1e5
-poisson = 0.3
-density = 7.85e-9
-[[reduce]]
-name = "rail"
-method = "static-modes-switching"
-base_options = {{ modes = 5 }}
-candidates = "{candidates}"
-directions = [2]
-{more}
-[[reduce]]
-method = "modal"
-modes = 5
-[output]
-path = "bar.h5"
-"""
 # The top middle line of the bar, in mm.
 LINE = "box:0,49,99,800,51,101"
 
@@ -47,15 +27,20 @@ def deck(model, path):
 
 def run(folder, candidates=LINE, more="", command="reduce"):
     model = steel(box("hex8", (8, 2, 2), (0.8, 0.1, 0.1)))
-    deck(model, folder / "bar.inp")
-    (folder / "job.toml").write_text(JOB.format(candidates=candidates, more=more))
+    deck(model, folder / "part.inp")
+    rail = f'base_options = {{ modes = 5 }}\ncandidates = "{candidates}"\ndirections = [2]\n{more}'
+    tables = {
+        "interface": None, "interface2": None, "reduce": f'name = "rail"\nmethod = "static-modes-switching"\n{rail}',
+        "reduce2": 'method = "modal"\nmodes = 5',
+    }  # fmt: skip
+    (folder / "job.toml").write_text(job(tables))
     return model, CliRunner().invoke(app, [command, str(folder / "job.toml")])
 
 
 def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
     model, result = run(tmp_path, more="stress = true\nband = 3")
     assert result.exit_code == 0, result.stderr
-    bodies = read_body(tmp_path / "bar.h5").bodies
+    bodies = read_body(tmp_path / "part.h5").bodies
     stored = bodies["rail"].switching()
     with Problem(model) as problem:
         reducer = StaticModesSwitching(
@@ -72,7 +57,7 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
     assert np.allclose(bodies["rail"].mass_matrix, bodies["modal"].mass_matrix, atol=1e-9)
     with pytest.raises(InputError, match="has no static modes"):
         bodies["modal"].switching()
-    told = CliRunner().invoke(app, ["info", str(tmp_path / "bar.h5")])
+    told = CliRunner().invoke(app, ["info", str(tmp_path / "part.h5")])
     assert told.stdout.count("static modes of candidate loads") == 1
 
 
@@ -80,6 +65,6 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
 def test_candidates_that_cannot_be_are_refused_before_the_work(tmp_path, command):
     _, result = run(tmp_path, candidates="box:0,0,900,800,100,950", command=command)
     assert result.exit_code == 2 and "[[reduce]] 'rail': candidates: " in result.stderr
-    assert "Traceback" not in result.stderr and not (tmp_path / "bar.h5").exists()
+    assert "Traceback" not in result.stderr and not (tmp_path / "part.h5").exists()
     _, result = run(tmp_path, more="kind = 'line'", command=command)
     assert result.exit_code == 2 and "kind = 'line' was given" in result.stderr
