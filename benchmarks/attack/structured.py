@@ -343,8 +343,11 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
 
 
 def _frequencies(body: ReducedModel, shift: float) -> Floats:
-    """Eigenvalues of the delivered matrices, from the inverse pencil: the lowest ones to most digits."""
-    return 1 / sl.eigh(body.M, body.K + shift * body.M, eigvals_only=True)[::-1] - shift
+    """Eigenvalues of the delivered matrices: vectors of the inverse pencil, which has the lowest ones to most digits,
+    and their Rayleigh quotients in extended precision, which have the others too."""
+    V = sl.eigh(body.M, body.K + shift * body.M)[1][:, ::-1].astype(np.longdouble)
+    energies = ((V * (A.astype(np.longdouble) @ V)).sum(axis=0) for A in (body.K, body.M))
+    return np.asarray(next(energies) / next(energies), dtype=float)
 
 
 def _whole(problem: Problem) -> ReducedModel:
