@@ -145,7 +145,11 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     _, T = sl.eigh(Ke, Me)
     T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
     integrals = replace(
-        integrals, Ct=T.T @ integrals.Ct, Cr=T.T @ integrals.Cr, Me=_both(T, Me), x_phi=integrals.x_phi @ T,
+        integrals,
+        Ct=T.T @ integrals.Ct,
+        Cr=T.T @ integrals.Cr,
+        Me=_both(T, Me),
+        x_phi=integrals.x_phi @ T,
         phi_phi=_both(T, integrals.phi_phi),
     )
     stiff = frame.stiffening

@@ -163,7 +163,9 @@ class Sampling:
             image = self._image(g, key)
             if image not in self.equilibria:
                 self.equilibria[image] = Equilibrium(
-                    X=g.moved(solution.X), W=solution.W, moments=g.turn @ solution.moments,
+                    X=g.moved(solution.X),
+                    W=solution.W,
+                    moments=g.turn @ solution.moments,
                     modes=g.modes(solution.modes),
                 )
 
