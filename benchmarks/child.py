@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
 from morembs.errors import MorembsError
-from morembs.linalg.dynamic_stiffness import sprung
+from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
@@ -93,7 +93,7 @@ def matrix(spec: Spec) -> Row:
     path = Path(spec["file"])
     if not path.exists():
         with Problem(steel(spec["shape"], spec["dofs"])) as problem:
-            A = sprung(problem.stiffness.lower, support_dofs(problem.rigid))
+            A = grounded(problem.stiffness.lower, support_dofs(problem.rigid))
             rigid = problem.rigid
         norm = (Lower(A.indptr, A.indices, np.abs(A.data)) @ np.ones(A.n)).max()
         part = path.with_suffix(".part.npz")
@@ -118,7 +118,7 @@ def configured(spec: Spec, near: Floats) -> LinearSolver:
         return Mumps(out_of_core=disk, scratch=scratch)
     if spec["solver"] == Mixed.name:
         return Mixed(out_of_core=disk, scratch=scratch)
-    return select_solver(spec["solver"], scratch=scratch).knowing(near)
+    return select_solver(spec["solver"], scratch=scratch).with_near_null_space(near)
 
 
 def factor(spec: Spec) -> Row:

@@ -11,9 +11,9 @@ import numpy as np
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 
-from morembs.linalg.dynamic_stiffness import sprung
+from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.eigen import lowest_modes
-from morembs.linalg.statics import Restricted, support_dofs
+from morembs.linalg.statics import ConstrainedStatics, support_dofs
 from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.problem import Problem
@@ -66,10 +66,10 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
         return row | arpack(problem, pencil, count)
 
 
-def arpack(problem: Problem, pencil: Restricted, count: int) -> Row:
+def arpack(problem: Problem, pencil: ConstrainedStatics, count: int) -> Row:
     """The lowest modes of the body on the springs of the factor, by shift and inversion about zero."""
     statics, M = pencil.statics, problem.M
-    K = sprung(problem.stiffness.lower, support_dofs(problem.rigid)).full()
+    K = grounded(problem.stiffness.lower, support_dofs(problem.rigid)).full()
     solves = Timed(statics.apply)
     operator = spla.LinearOperator(M.shape, matvec=lambda f: solves(f.reshape(-1, 1))[:, 0], dtype=np.float64)
     v0 = np.random.default_rng(0).standard_normal(M.shape[0])

@@ -24,6 +24,7 @@ from .recovery.trajectory import Trajectory, read_trajectory
 from .reducers import (
     REDUCERS,
     Automatic,
+    AutoReducer,
     Balanced,
     CraigBampton,
     FreeInterface,
@@ -43,6 +44,7 @@ __version__: str
 
 __all__ = [
     "REDUCERS",
+    "AutoReducer",
     "Automatic",
     "Balanced",
     "Certificate",

@@ -43,6 +43,30 @@ def test_an_old_public_name_is_still_there(name: str) -> None:
     assert name in morembs.__all__ and getattr(morembs, name) is not None
 
 
+@pytest.mark.parametrize(
+    ("module", "old", "new"),
+    [
+        ("linalg.columns", "remove", "project_out"),
+        ("linalg.columns", "combine", "multiply_into"),
+        ("linalg.columns", "beside", "hstack"),
+        ("linalg.columns", "m_orthonormal", "orthonormal"),
+        ("linalg.statics", "Restricted", "ConstrainedStatics"),
+        ("linalg.statics", "solved", "map_columns"),
+        ("linalg.eigen", "signed", "fix_signs"),
+        ("linalg.dynamic_stiffness", "held", "constrained"),
+        ("linalg.dynamic_stiffness", "sprung", "grounded"),
+        ("linalg.sparse.select", "Automatic", "AutoSolver"),
+        ("reducers", "Automatic", "AutoReducer"),
+    ],
+)
+def test_an_old_name_in_a_module_warns_and_gives_the_new_one(module: str, old: str, new: str) -> None:
+    home = importlib.import_module(f"morembs.{module}")
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+        assert getattr(home, old) is getattr(home, new)
+    with pytest.raises(AttributeError, match="has no attribute 'never_was'"):
+        _ = home.never_was
+
+
 def test_old_names_work_in_a_process_of_their_own() -> None:
     code = (
         "from morembs.storage.body_file import read_body; from morembs.body.file import read_body as new; "

@@ -30,7 +30,7 @@ from morembs.errors import MorembsError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes, rigid_motion
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Modal
+from morembs.reducers import AutoReducer, CraigBampton, Modal
 from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
@@ -358,7 +358,7 @@ def _whole(problem: Problem) -> ReducedModel:
 def _automatic(problem: Problem, omega: Floats) -> ReducedModel:
     """A body chosen by itself, with a certificate that must not contradict itself."""
     band = [float(omega[0]) / 7, float(omega[-1]) / 6]
-    body = Automatic(band_hz=band, tolerance=TOLERANCE).reduce(problem)
+    body = AutoReducer(band_hz=band, tolerance=TOLERANCE).reduce(problem)
     (made,) = certify(problem, [body], np.linspace(*band, 9) + 1e-4 * band[0])
     over = ~(made.error <= made.bound + 1e-10 + 10 * made.reference_error)
     if made.bound_kind == "bound" and over.any():

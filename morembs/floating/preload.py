@@ -25,7 +25,7 @@ from morembs.errors import InputError, nearest
 from morembs.floating.link_stiffness import Links
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Interface
-from morembs.linalg.statics import Restricted, support_dofs
+from morembs.linalg.statics import ConstrainedStatics, support_dofs
 from morembs.model import FEModel, rigid_motion
 from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
@@ -184,8 +184,9 @@ def _solution(problem: Problem, preload: Preload, links: Links) -> tuple[Floats,
     notes: dict[str, object] = {}
     if preload.held:
         columns = np.concatenate([np.arange(len(wrench))[coupling.frame_columns[name]] for name in preload.held])
-        restricted = Restricted(problem.statics, coupling.frames[:, columns], "the held interfaces of the preload")
-        u, lam = restricted.solve(F[:, None])
+        frames = coupling.frames[:, columns]
+        constrained = ConstrainedStatics(problem.statics, frames, "the held interfaces of the preload")
+        u, lam = constrained.solve(F[:, None])
         wrench[columns] -= lam[:, 0]
         notes["preload_reactions"] = {name: wrench[coupling.frame_columns[name]].tolist() for name in preload.held}
         inertial = a.ravel()

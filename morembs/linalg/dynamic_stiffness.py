@@ -15,6 +15,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.moved import renamed
 
 Values = NDArray[Any]
 Ints = NDArray[Any]
@@ -108,7 +109,7 @@ def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:
         data[place[part]] += factor * values[part]
 
 
-def held(A: Lower, rows: NDArray[np.int64]) -> Lower:
+def constrained(A: Lower, rows: NDArray[np.int64]) -> Lower:
     """``A`` on the subspace where ``rows`` vanish, padded there with its largest diagonal: same pattern.
 
     Works in place: the values of ``A`` are lost.
@@ -127,7 +128,7 @@ def held(A: Lower, rows: NDArray[np.int64]) -> Lower:
     return replace(A, data=data)
 
 
-def sprung(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
+def grounded(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
     """``A`` with a spring to the ground at ``rows``, each as stiff as its diagonal."""
     data = budget.empty(A.nnz, A.data.dtype)
     data[:] = A.data
@@ -199,3 +200,6 @@ def _keys(A: Lower, first: int, last: int) -> NDArray[np.int64]:
     """One ascending number for each entry of the columns ``first`` to ``last``."""
     column = np.repeat(np.arange(last - first, dtype=np.int64), np.diff(A.indptr[first : last + 1]))
     return np.asarray(column * A.n + A.indices[A.indptr[first] : A.indptr[last]], dtype=np.int64)
+
+
+__getattr__ = renamed(__name__, {"held": "constrained", "sprung": "grounded"})

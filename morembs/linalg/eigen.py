@@ -1,4 +1,4 @@
-"""Lowest modes of a restricted pencil, proven complete by a Sturm count."""
+"""Lowest modes of a constrained body, proven complete by a Sturm count."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.slicing import SLICE, sliced_modes
-from morembs.linalg.statics import Restricted
+from morembs.linalg.statics import ConstrainedStatics
 from morembs.moved import renamed
 from morembs.progress import SILENT, Progress
 
@@ -60,7 +60,7 @@ class Modes:
 
 
 def lowest_modes(
-    pencil: Restricted, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
+    body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT, what: str = "modes",
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
@@ -69,14 +69,14 @@ def lowest_modes(
         InputError: more modes than the restricted body has.
         SolverError: no convergence, or the Sturm count still finds a missing mode.
     """
-    size = M.shape[0] - pencil.count
+    size = M.shape[0] - body.count
     if count is None:
         if below is None:
             raise InputError("lowest_modes needs either count or below")
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if M.shape[0] > DENSE:
-            count = pencil.count_below(below)
+            count = body.count_below(below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
@@ -88,31 +88,31 @@ def lowest_modes(
             "ask for fewer"
         )
     if M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size):
-        return _dense(pencil, M, count, below)
+        return _dense(body, M, count, below)
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
     if below is not None and count > SLICED:
-        first = _sparse(pencil, M, SLICE, None, progress, what)
+        first = _sparse(body, M, SLICE, None, progress, what)
         values, vectors = sliced_modes(
-            pencil, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress
+            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress
         )
-        return Modes(eigenvalues=values, vectors=fix_signs(vectors, pencil.statics.budget), verified_below=below)
-    return _sparse(pencil, M, count, below, progress, what)
+        return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
+    return _sparse(body, M, count, below, progress, what)
 
 
-def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
+def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
     # Displacements and rotations, whatever their units, count alike.
-    s = 1.0 / np.sqrt(np.maximum(pencil.statics.pencil.lower.diagonal(), np.finfo(float).tiny))[:, None]
-    C = s * dense(pencil.C)
+    s = 1.0 / np.sqrt(np.maximum(body.statics.pencil.lower.diagonal(), np.finfo(float).tiny))[:, None]
+    C = s * dense(body.C)
     Q = s * (sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0]))
-    K = Q.T @ (pencil.statics.pencil.lower @ Q)
+    K = Q.T @ (body.statics.pencil.lower @ Q)
     Mq = Q.T @ (M @ Q)
     values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
     vectors = Q @ vectors
     # LAPACK has the lowest modes to eps of the highest eigenvalue only.
     soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
     if soft:
-        values[:soft], vectors[:, :soft] = _sharpened(pencil, M, vectors[:, :soft])
+        values[:soft], vectors[:, :soft] = _sharpened(body, M, vectors[:, :soft])
     m = int((values <= below).sum()) if count is None and below is not None else count
     vectors = fix_signs(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
@@ -120,12 +120,12 @@ def _dense(pencil: Restricted, M: sp.csr_array, count: int | None, below: float 
     return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held)
 
 
-def _sharpened(pencil: Restricted, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
+def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
     """Modes near span(V) (N, k), M-orthonormal, by inverse iteration: to eps of what they are made of."""
     for _ in range(2):
-        V = pencil.flexibility(M @ V)
+        V = body.flexibility(M @ V)
         V /= m_norms(V, M @ V)
-        K, G = V.T @ (pencil.statics.pencil.lower @ V), V.T @ (M @ V)
+        K, G = V.T @ (body.statics.pencil.lower @ V), V.T @ (M @ V)
         # The inverse pencil has its largest values, which LAPACK knows best, for the lowest modes.
         theta, Y = sl.eigh(0.5 * (G + G.T), 0.5 * (K + K.T))
         values, V = 1.0 / theta[::-1], V @ (Y[:, ::-1] / np.sqrt(theta[::-1]))
@@ -168,28 +168,28 @@ def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 
 def _sparse(
-    pencil: Restricted, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str
+    body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str
 ) -> Modes:
     rng = np.random.default_rng(2)
-    block = _block(pencil, count)
-    start = pencil.flexibility(M @ rng.standard_normal((M.shape[0], block)))
-    wanted = min(count + 2, M.shape[0] - pencil.count)
-    capacity = min(3 * wanted + 8 * block, M.shape[0] - pencil.count)
-    lanczos = BlockLanczos(pencil.flexibility, M, start, capacity=capacity, budget=pencil.statics.budget)
+    block = _block(body, count)
+    start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
+    wanted = min(count + 2, M.shape[0] - body.count)
+    capacity = min(3 * wanted + 8 * block, M.shape[0] - body.count)
+    lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
         cut = below if below is not None else _gap_after(values, count)
         if cut is None:
-            wanted = min(wanted + block, M.shape[0] - pencil.count)
+            wanted = min(wanted + block, M.shape[0] - body.count)
             continue
         found = int((values < cut).sum())
         lanczos.store()
-        true = count if below is not None else pencil.count_below(cut)
+        true = count if below is not None else body.count_below(cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
         if found == true:
-            vectors = fix_signs(Y[:, :count], pencil.statics.budget)
+            vectors = fix_signs(Y[:, :count], body.statics.budget)
             held = float(cut) if found == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
@@ -201,11 +201,11 @@ def _sparse(
     )
 
 
-def _block(pencil: Restricted, count: int) -> int:
+def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
-    if not pencil.statics.factor.stats.out_of_core:
+    if not body.statics.factor.stats.out_of_core:
         return int(np.clip(count // 2, 8, 16))
-    width = pencil.statics.budget.columns(len(pencil.statics.Z), copies=8, widest=WIDEST)
+    width = body.statics.budget.columns(len(body.statics.Z), copies=8, widest=WIDEST)
     return int(np.clip(count, 8, max(8, width)))
 
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.columns import dense, map_columns, project_out
-from morembs.linalg.dynamic_stiffness import held
+from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
-from morembs.linalg.statics import NUDGES, Restricted, room_for_factor, unit_rows
+from morembs.linalg.statics import NUDGES, ConstrainedStatics, room_for_factor, unit_rows
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
@@ -33,22 +33,22 @@ _LEFT = 0.55
 
 
 class Shifted:
-    """(K - sigma M)^-1 on the subspace of ``pencil``, and the number of its modes ``below`` sigma."""
+    """(K - sigma M)^-1 on the subspace of ``body``, and the number of its modes ``below`` sigma."""
 
-    def __init__(self, pencil: Restricted, M: sp.csr_array, sigma: float) -> None:
-        self.pencil, self.M = pencil, M
-        self.sigma, A = sigma, pencil.statics.pencil.shifted(sigma)
-        self.rows = None if pencil.mean_axes else unit_rows(pencil.C)
+    def __init__(self, body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> None:
+        self.body, self.M = body, M
+        self.sigma, A = sigma, body.statics.pencil.shifted(sigma)
+        self.rows = None if body.mean_axes else unit_rows(body.C)
         if self.rows is not None:
-            A = held(A, self.rows)
-        solver = pencil.counter().with_memory(room_for_factor(pencil.statics.budget))
+            A = constrained(A, self.rows)
+        solver = body.counter().with_memory(room_for_factor(body.statics.budget))
         self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz")
         self.below = self.factor.negative_pivots()
-        if pencil.mean_axes:
-            self.below -= pencil.count
+        if body.mean_axes:
+            self.below -= body.count
         elif self.rows is None:
-            self.X = map_columns(self.factor.solve, pencil.C, pencil.statics.budget)
-            S = dense(pencil.C.T @ self.X)
+            self.X = map_columns(self.factor.solve, body.C, body.statics.budget)
+            S = dense(body.C.T @ self.X)
             # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
             self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
             S = self.scale[:, None] * (0.5 * (S + S.T)) * self.scale
@@ -61,13 +61,13 @@ class Shifted:
             F = F.copy()
             F[self.rows] = 0.0
         U = np.asarray(self.factor.solve(F))
-        if self.pencil.mean_axes:
-            Z = self.pencil.statics.Z
+        if self.body.mean_axes:
+            Z = self.body.statics.Z
             U -= Z @ (Z.T @ (self.M @ U))
         elif self.rows is None:
             # Twice: round-off of the first time would leave the subspace.
             for _ in range(2):
-                off = self.scale[:, None] * (self.pencil.C.T @ U)
+                off = self.scale[:, None] * (self.body.C.T @ U)
                 U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, off))
         return U
 
@@ -81,7 +81,7 @@ class Shifted:
 
 
 def sliced_modes(
-    pencil: Restricted, M: sp.csr_array, values: Floats, vectors: Floats, *, count: int, below: float,
+    body: ConstrainedStatics, M: sp.csr_array, values: Floats, vectors: Floats, *, count: int, below: float,
     progress: Progress = SILENT, per_slice: int = SLICE,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """All ``count`` modes with eigenvalues up to ``below`` (rad/s)2: values ascending (count,), vectors (N, count).
@@ -92,7 +92,7 @@ def sliced_modes(
     Raises:
         SolverError: a slice does not converge, or a mode is missing.
     """
-    budget = pencil.statics.budget
+    budget = body.statics.budget
     found = budget.empty((M.shape[0], count), order="F")
     size = min(len(values), count)
     found[:, :size], lam = vectors[:, :size], np.array(values[:size])
@@ -100,7 +100,7 @@ def sliced_modes(
         recent = np.sort(lam)[-per_slice:]
         gap = (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
         sigma = min(recent[-1] + _LEFT * per_slice * gap, below)
-        with _shifted(pencil, M, sigma) as shifted:
+        with _shifted(body, M, sigma) as shifted:
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
@@ -127,7 +127,7 @@ def _slice(
     shifted: Shifted, locked: Floats, missing: int, limit: float, capacity: int, progress: Progress
 ) -> tuple[Floats, Floats]:
     """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``locked`` ones."""
-    M, budget = shifted.M, shifted.pencil.statics.budget
+    M, budget = shifted.M, shifted.body.statics.budget
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)
@@ -137,7 +137,7 @@ def _slice(
     if not missing and limit <= shifted.sigma:
         return np.zeros(0), np.zeros((M.shape[0], 0))
     start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], BLOCK)))
-    room = M.shape[0] - shifted.pencil.count - locked.shape[1]
+    room = M.shape[0] - shifted.body.count - locked.shape[1]
     lanczos = BlockLanczos(flexibility, M, start, capacity=min(capacity + 4 * BLOCK, room), budget=budget, seed=8)
     for _ in range(MAX_STEPS):
         if lanczos.full():
@@ -169,11 +169,11 @@ def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
         lanczos.restart(min(keep, lanczos.size - lanczos.block))
 
 
-def _shifted(pencil: Restricted, M: sp.csr_array, sigma: float) -> Shifted:
+def _shifted(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted:
     """Factor at ``sigma``, which moves a little down where it hits an eigenvalue."""
     for nudge in NUDGES:
         try:
-            return Shifted(pencil, M, sigma * (1 - nudge))
+            return Shifted(body, M, sigma * (1 - nudge))
         except SingularMatrixError:
             continue
     raise SolverError(f"many eigenfrequencies crowd about {_hz(sigma)}; move the limit by a percent")

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from morembs.budget import Budget
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.columns import map_columns
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -63,8 +63,8 @@ class Statics:
     def __init__(self, pencil: DynamicStiffness, Z: Floats, held: Floats | None = None) -> None:
         self.pencil, self.Z, self.held = pencil, Z, Z[:, :0] if held is None else held
         self.supports = support_dofs(Z)
-        supported = sprung(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
-        solver = pencil.solver.knowing(Z).with_memory(room_for_factor(pencil.budget))
+        supported = grounded(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
+        solver = pencil.solver.with_near_null_space(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
     @property
@@ -96,7 +96,7 @@ class Statics:
         self.close()
 
 
-class Restricted:
+class ConstrainedStatics:
     """The body on the subspace C' u = 0, with C (N, c) dense or sparse.
 
     ``mean_axes`` says that C = M Z with the rigid modes Z, which the modes are orthogonal to anyway.
@@ -268,7 +268,7 @@ class Restricted:
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)
         if rows is not None:
-            return solver.negative_eigenvalues(held(A, rows), what)
+            return solver.negative_eigenvalues(constrained(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:
             negative = factor.negative_pivots()
             S = self.C.T @ map_columns(factor.solve, self.C, pencil.budget)
@@ -339,4 +339,4 @@ def _sizes(A: Floats) -> Floats:
     return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
 
 
-__getattr__ = renamed(__name__, {"solved": "map_columns"})
+__getattr__ = renamed(__name__, {"solved": "map_columns", "Restricted": "ConstrainedStatics"})

@@ -23,7 +23,7 @@ from morembs.linalg.rigid import resists, strain_free
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.linalg.statics import Restricted, Statics, require_room_to_count, room_for_factor
+from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.model import FEModel
 from morembs.model.mass import mass_properties
 from morembs.problem.damping import Damping as Damping
@@ -142,14 +142,14 @@ class Problem:
         return statics
 
     @cached_property
-    def elastic(self) -> Restricted:
+    def elastic(self) -> ConstrainedStatics:
         """The free body without its rigid-body motion (mean axes): C = M rigid."""
-        return Restricted(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
+        return ConstrainedStatics(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
 
     @cached_property
-    def internal(self) -> Restricted:
+    def internal(self) -> ConstrainedStatics:
         """The body held at all interface degrees of freedom: C = B."""
-        return Restricted(self.statics, self.B, "the interfaces")
+        return ConstrainedStatics(self.statics, self.B, "the interfaces")
 
     def require_room_for_modes(self) -> None:
         """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
@@ -225,7 +225,7 @@ class Problem:
         return np.minimum.reduceat(of_entry, T.indptr[:-1])
 
     def _at_least(
-        self, known: Modes | None, pencil: Restricted, count: int | None, below: float | None, what: str
+        self, known: Modes | None, body: ConstrainedStatics, count: int | None, below: float | None, what: str
     ) -> Modes:
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
@@ -234,7 +234,7 @@ class Problem:
         )
         if known is not None and enough:
             return known
-        modes = lowest_modes(pencil, self.M, count=count, below=below, progress=self.progress, what=what)
+        modes = lowest_modes(body, self.M, count=count, below=below, progress=self.progress, what=what)
         off = AS_A_RULE * self.uncertainty(modes)
         lost = np.flatnonzero(off > LOST * modes.eigenvalues)
         if len(lost):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from morembs.moved import renamed
 from morembs.plugins import Table, subclass_fault
-from morembs.reducers.automatic import Automatic
+from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
@@ -18,7 +19,7 @@ from morembs.reducers.static_modes_switching import StaticModesSwitching
 
 # One line for each method.
 _OWN: tuple[type[Reducer], ...] = (
-    Automatic,
+    AutoReducer,
     Modal,
     Guyan,
     CraigBampton,
@@ -34,6 +35,8 @@ REDUCERS: Table[type[Reducer]] = Table(
 )
 
 __all__ = [
-    "MODE_KINDS", "REDUCERS", "Automatic", "Balanced", "Basis", "CraigBampton", "Facts", "FreeInterface", "Gramian",
+    "MODE_KINDS", "REDUCERS", "AutoReducer", "Balanced", "Basis", "CraigBampton", "Facts", "FreeInterface", "Gramian",
     "Guyan", "Irka", "Krylov", "Modal", "ReducedModel", "Reducer", "StaticModesSwitching",
 ]  # fmt: skip
+
+__getattr__ = renamed(__name__, {"Automatic": "AutoReducer"})

@@ -2,7 +2,7 @@
 
 Everything happens in the modal coordinates of the reference model, where a reduced model of any family is a small
 matrix C (k, n) and the residual bound of its transfer matrix takes small products only. Three families stand for
-election, each cut to its smallest order that meets the tolerance over the band:
+search, each cut to its smallest order that meets the tolerance over the band:
 
 - "gramian": leading vectors of the responses over the band (Lehner 2007; Fehr and Eberhard 2010) in the energy inner
   product, with the best of some weights;
@@ -45,7 +45,7 @@ WEIGHTS = (-0.5, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Automatic(OfResponses):
+class AutoReducer(OfResponses):
     """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
 
     ``tolerance`` bounds the Frobenius norm of the error relative to that of the full model, at every frequency
@@ -95,12 +95,12 @@ class Automatic(OfResponses):
                 f"tolerance = {self.tolerance:g} cannot be certified: round-off in the stiffness matrix moves the full "
                 f"response by {lost:.1e}; {SOFTER}, or raise the tolerance"
             )
-        election = _Election(problem, reference, omega, self.static_exact)
+        search = _FamilySearch(problem, reference, omega, self.static_exact)
         found, best, reached = None, "", np.inf
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            C, error = election.smallest(family, self.tolerance)
+            C, error = search.smallest(family, self.tolerance)
             orders[family] = "not reached" if error > self.tolerance else C.shape[1]
             reached = min(reached, error)
             if error <= self.tolerance and (found is None or C.shape[1] < found.shape[1]):
@@ -110,9 +110,9 @@ class Automatic(OfResponses):
         notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
-            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in election.chosen]
+            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
         basis = elastic_basis(problem, reference.vectors(found), KINDS[best], notes)
-        real = election.measured(found, np.diag(basis.K)[problem.rigid.shape[1] :])
+        real = search.measured(found, np.diag(basis.K)[problem.rigid.shape[1] :])
         if real > self.tolerance:
             raise self._unreachable(real)
         return basis
@@ -164,7 +164,7 @@ class _Small:
         return np.asarray(self.B / (a if a.imag.any() else a.real)[:, None])
 
 
-class _Election:
+class _FamilySearch:
     """Families of bases (k, n) in the coordinates of a reference model, and their errors."""
 
     def __init__(self, problem: Problem, reference: Reference, omega: Floats, static: bool) -> None:

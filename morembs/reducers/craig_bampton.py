@@ -26,7 +26,7 @@ from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfModes, squared
-from morembs.reducers.interface_modes import Inside, interface_modes, static_error
+from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes, static_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,17 +100,17 @@ class CraigBampton(OfModes):
     def _on_few(self, problem: Problem, progress: Progress) -> Basis:
         """Rigid-body, characteristic and fixed-interface modes: all K-orthogonal."""
         r = problem.rigid.shape[1]
-        with Inside(problem) as inside:
+        with FixedInterfaceBody(problem) as held:
             few = interface_modes(
-                problem, inside, count=self.interface_modes, below=squared(self.interface_up_to_hz), progress=progress
+                problem, held, count=self.interface_modes, below=squared(self.interface_up_to_hz), progress=progress
             )
             k = r + len(few.eigenvalues)
             count = self._beside_inertia(k, "rigid-body and characteristic mode")
-            fixed = inside.modes(count, self.below, progress)
+            fixed = held.modes(count, self.below, progress)
             m = len(fixed.eigenvalues)
             notes: dict[str, object] = {"interface_motions": problem.B.shape[1], "characteristic_modes": k - r}
             if few.next_hz is not None:
-                lost = static_error(problem, inside, few)
+                lost = static_error(problem, held, few)
                 notes["next_characteristic_hz"] = few.next_hz
                 notes["interface_static_error"] = lost
                 notes["statics"] = (
@@ -126,7 +126,7 @@ class CraigBampton(OfModes):
             )
             if not self.inertia_modes:
                 return basis
-            deformation = inside.flexibility(problem.M @ basis.V[:, :k])
+            deformation = held.flexibility(problem.M @ basis.V[:, :k])
             return replace(add_residual_modes(problem, basis, deformation, fixed.vectors), notes=notes)
 
     def _beside_inertia(self, inertia: int, what: str) -> int | None:

@@ -25,7 +25,7 @@ from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.statics import Restricted, Statics
+from morembs.linalg.statics import ConstrainedStatics, Statics
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
@@ -52,7 +52,7 @@ class InterfaceModes:
     next_hz: float | None
 
 
-class Inside:
+class FixedInterfaceBody:
     """The body held at its interfaces. Interface motions that are single dofs are rows left out of the matrices.
 
     A context manager, as it may own a factor. Peak memory: K and M without those rows, and the factor.
@@ -63,7 +63,7 @@ class Inside:
         self.statics: Statics | None = None
         rows, mixed = _single(problem.B)
         if len(rows) <= MANY or not _holds(problem, rows):
-            self.rows, self.pencil, self.M = None, problem.internal, problem.M
+            self.rows, self.constrained, self.M = None, problem.internal, problem.M
             return
         kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
         self.rows = kept
@@ -73,20 +73,20 @@ class Inside:
         )
         self.statics = Statics(inner, np.zeros((len(kept), 0)))
         C = sp.csc_array(sp.csr_array(problem.B[:, mixed])[kept])
-        self.pencil = Restricted(self.statics, C, "the interfaces")
+        self.constrained = ConstrainedStatics(self.statics, C, "the interfaces")
 
     def flexibility(self, F: Floats) -> Floats:
         """Displacements (Nc, k) under the loads ``F`` (Nc, k) with the interfaces at rest."""
         if self.rows is None:
-            return self.pencil.flexibility(F)
-        return self._whole(self.pencil.flexibility(F[self.rows]))
+            return self.constrained.flexibility(F)
+        return self._whole(self.constrained.flexibility(F[self.rows]))
 
     def modes(self, count: int | None, below: float | None, progress: Progress) -> Modes:
         """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
         if self.rows is None:
             return self.problem.fixed_modes(count=count, below=below)
         found = lowest_modes(
-            self.pencil, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
+            self.constrained, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
         )
         if count is None and below is not None:
             count = int((found.eigenvalues <= below * (1 + GAP)).sum())
@@ -101,7 +101,7 @@ class Inside:
             self.statics.close()
             self.statics.pencil.close()
 
-    def __enter__(self) -> Inside:
+    def __enter__(self) -> FixedInterfaceBody:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -114,7 +114,7 @@ class Inside:
 
 
 def interface_modes(
-    problem: Problem, inside: Inside, *, count: int | None = None, below: float | None = None,
+    problem: Problem, held: FixedInterfaceBody, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT,
 ) -> InterfaceModes:  # fmt: skip
     """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
@@ -133,10 +133,10 @@ def interface_modes(
         )
     if problem.B.shape[1] <= DENSE or (count is not None and PART * count > most):
         return _all(problem, count, below)
-    return _lowest(problem, inside, most, count, below, progress)
+    return _lowest(problem, held, most, count, below, progress)
 
 
-def static_error(problem: Problem, inside: Inside, modes: InterfaceModes) -> float:
+def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceModes) -> float:
     """Largest part of the compliance of all constraint modes that ``modes`` miss, over six resultant loads on each
     interface in mean axes.
 
@@ -148,7 +148,7 @@ def static_error(problem: Problem, inside: Inside, modes: InterfaceModes) -> flo
             for B in (problem.B[:, columns] for columns in problem.coupling.columns.values())
         ]
     )
-    whole = np.einsum("ij,ij->j", F, _flexibility(problem, inside)(F))
+    whole = np.einsum("ij,ij->j", F, _flexibility(problem, held)(F))
     kept = dot(modes.vectors, F, problem.budget)
     known = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(whole))
     # A load that inertia alone balances, or that is zero, has no compliance to speak of.
@@ -182,9 +182,9 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
 
 
 def _lowest(
-    problem: Problem, inside: Inside, most: int, count: int | None, below: float | None, progress: Progress
+    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None, progress: Progress
 ) -> InterfaceModes:
-    flexibility = _flexibility(problem, inside)
+    flexibility = _flexibility(problem, held)
     rng = np.random.default_rng(3)
     start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], BLOCK)))
     wanted = 4 * BLOCK if count is None else count + 1
@@ -211,14 +211,14 @@ def _capacity(wanted: int, most: int) -> int:
     return min(2 * wanted + 8 * BLOCK, most)
 
 
-def _flexibility(problem: Problem, inside: Inside) -> Callable[[Floats], Floats]:
+def _flexibility(problem: Problem, held: FixedInterfaceBody) -> Callable[[Floats], Floats]:
     """P (G_e - G_i) P' of loads (Nc, k)."""
     Z, M = problem.rigid, problem.M
     MZ = M @ Z
 
     def apply(F: Floats) -> Floats:
         F = F - MZ @ (Z.T @ F)
-        U = problem.elastic.flexibility(F) - inside.flexibility(F)
+        U = problem.elastic.flexibility(F) - held.flexibility(F)
         return np.asarray(U - Z @ (MZ.T @ U))
 
     return apply

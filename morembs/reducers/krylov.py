@@ -28,8 +28,8 @@ from morembs.reducers.shifts import (
     RIGID_LOAD,
     Wanted,
     apply,
+    expansion_point,
     frequency,
-    shift_at,
 )
 from morembs.responses.reference import inertia_loads
 
@@ -119,15 +119,15 @@ class Krylov(Reducer):
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         self._check(problem)
         notes: dict[str, object] = {}
-        sides = [_Side(problem, self.inputs, "inputs", self.inertia_loads)]
+        spaces = [_LoadSpace(problem, self.inputs, "inputs", self.inertia_loads)]
         if self.two_sided:
-            sides.append(_Side(problem, self.outputs, "outputs", self.inertia_loads))
-            if sides[0].names == sides[1].names:
+            spaces.append(_LoadSpace(problem, self.outputs, "outputs", self.inertia_loads))
+            if spaces[0].names == spaces[1].names:
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
-        for side in sides:
-            side.reserve(self._columns(problem, side.F.shape[1]))
-        lost, moved = self._fill(problem, sides, progress)
-        lost = [text for side in sides for text in side.lost] + lost
+        for space in spaces:
+            space.reserve(self._columns(problem, space.F.shape[1]))
+        lost, moved = self._fill(problem, spaces, progress)
+        lost = [text for space in spaces for text in space.lost] + lost
         if lost:
             notes["deflated"] = lost
         if moved:
@@ -138,12 +138,12 @@ class Krylov(Reducer):
             )
         if self.order is not None:
             top = max([*self.shifts_hz, *(s / (2 * np.pi) for s in self.real_shifts)])
-            for side in sides:
-                notes[f"columns_of_{side.name}_before_the_cut"] = side.size
-                side.cut(self.order, 2 * np.pi * top)
+            for space in spaces:
+                notes[f"columns_of_{space.name}_before_the_cut"] = space.size
+                space.cut(self.order, 2 * np.pi * top)
         if self.two_sided:
-            return _two_sided(problem, sides[0].V, sides[1].V, notes)
-        return elastic_basis(problem, sides[0].V, "krylov", notes)
+            return _two_sided(problem, spaces[0].V, spaces[1].V, notes)
+        return elastic_basis(problem, spaces[0].V, "krylov", notes)
 
     def _check(self, problem: Problem) -> None:
         if 0.0 in self.shifts_hz and problem.damps_rigid_motion:
@@ -170,34 +170,34 @@ class Krylov(Reducer):
             )
         return total
 
-    def _fill(self, problem: Problem, sides: list[_Side], progress: Progress) -> tuple[list[str], list[str]]:
-        """All blocks into the spaces of the sides; words on columns lost and shifts moved."""
+    def _fill(self, problem: Problem, spaces: list[_LoadSpace], progress: Progress) -> tuple[list[str], list[str]]:
+        """All blocks into the spaces of the loads; words on columns lost and shifts moved."""
         lost: list[str] = []
         moved: list[str] = []
         for s, count in self._points():
-            shift = shift_at(problem, s)
+            shift = expansion_point(problem, s)
             what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
             wanted: dict[object, Wanted] = {}
             growing = []
-            for side in sides:
-                key, F = side.loads(shift.at, self.tangential)
+            for space in spaces:
+                key, F = space.loads(shift.at, self.tangential)
                 if F.shape[1]:
-                    wanted[side.names, *key] = Wanted(F, count)
-                    growing.append(side)
+                    wanted[space.names, *key] = Wanted(F, count)
+                    growing.append(space)
                 else:
-                    lost.append(f"{what}: the space carries all {side.name} already, nothing was solved")
-            progress.update(f"{self.method}: {what}, {sum(side.size for side in sides)} columns so far")
-            for side, chain in zip(growing, shift.grow(wanted), strict=True):
+                    lost.append(f"{what}: the space carries all {space.name} already, nothing was solved")
+            progress.update(f"{self.method}: {what}, {sum(space.size for space in spaces)} columns so far")
+            for space, chain in zip(growing, shift.grow(wanted), strict=True):
                 for j, block in enumerate(chain.blocks[:count]):
-                    gone = chain.deflated[j] + side.add(block)
+                    gone = chain.deflated[j] + space.add(block)
                     if gone:
-                        lost.append(f"{what}, block {j + 1}: {gone} columns of the {side.name}")
+                        lost.append(f"{what}, block {j + 1}: {gone} columns of the {space.name}")
             if shift.moves:
                 moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
         return lost, moved
 
 
-class _Side:
+class _LoadSpace:
     """Loads ``F`` (Nc, p) of some interfaces on the elastic body, and the space ``V`` that grows from them."""
 
     def __init__(self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool) -> None:

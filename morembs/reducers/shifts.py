@@ -42,7 +42,7 @@ class Wanted:
     count: int
 
 
-class Chain:
+class KrylovChain:
     """M-orthonormal real blocks of one expansion point ``s``; ``deflated`` columns were lost in each."""
 
     def __init__(self, problem: Problem, s: complex, F: Floats) -> None:
@@ -99,16 +99,16 @@ class Chain:
         return float(np.sqrt(np.vdot(start, self.problem.K @ start) / np.vdot(start, self.problem.M @ start)))
 
 
-class Shift:
+class ExpansionPoint:
     """An expansion point as asked for, and ``at``, where it was moved to; holds the chains made there."""
 
     def __init__(self, problem: Problem, asked: complex) -> None:
         self.problem, self.asked, self.at, self.moves = problem, asked, asked, 0
-        self.chains: dict[object, Chain] = {}
+        self.chains: dict[object, KrylovChain] = {}
         self._weight = 1.0 / np.sqrt(np.maximum(problem.K.diagonal(), np.finfo(float).tiny))
         self._weight[problem.K.diagonal() <= 0] = 0.0
 
-    def grow(self, wanted: Mapping[object, Wanted]) -> list[Chain]:
+    def grow(self, wanted: Mapping[object, Wanted]) -> list[KrylovChain]:
         """The wanted chains, as long as wanted or as the space is; at most one factorisation where nothing moves.
 
         A point on an eigenvalue is moved by half a percent, up to three times.
@@ -170,7 +170,7 @@ class Shift:
             if self._long_enough(key, want.count):
                 continue
             chain = self.chains.get(key)
-            fresh = Chain(self.problem, self.at, want.F) if chain is None else chain
+            fresh = KrylovChain(self.problem, self.at, want.F) if chain is None else chain
             fresh.extend(deformation, want.count)
             if chain is None:
                 self._refuse_near_eigenvalue(fresh)
@@ -186,7 +186,7 @@ class Shift:
         if not error <= BACKWARD_ERROR:
             raise SolverError(f"solved at {frequency(self.at):.6g} Hz to a backward error of {error:.1e} only")
 
-    def _refuse_near_eigenvalue(self, chain: Chain) -> None:
+    def _refuse_near_eigenvalue(self, chain: KrylovChain) -> None:
         """A mode that drowns the others shows as a Rayleigh quotient next to the shift."""
         w2 = complex(self.at).imag ** 2
         if not w2 or self.problem.D is not None or not chain.blocks[0].shape[1]:
@@ -197,9 +197,9 @@ class Shift:
             raise SingularMatrixError(f"{frequency(self.at):.6g} Hz is an eigenfrequency")
 
 
-def shift_at(problem: Problem, s: complex) -> Shift:
+def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
     """The expansion point ``s`` (1/s) of a problem, which all reducers share."""
-    return problem.shared(("krylov shift", complex(s)), lambda: Shift(problem, complex(s)))
+    return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem, complex(s)))
 
 
 def frequency(s: complex) -> float:

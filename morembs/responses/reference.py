@@ -130,8 +130,8 @@ def reference_model(
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
         return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
-    growth = problem.shared(("reference", inertia_loads), lambda: _Growth(problem, inertia_loads))
-    return growth.until(omega, tolerance, progress)
+    space = problem.shared(("reference", inertia_loads), lambda: _ReferenceSpace(problem, inertia_loads))
+    return space.until(omega, tolerance, progress)
 
 
 def _damped(
@@ -177,7 +177,7 @@ def inertia_loads(problem: Problem) -> Floats:
     return np.asarray(elastic[:, keep])
 
 
-class _Growth:
+class _ReferenceSpace:
     """The Krylov space of a problem, which grows block by block."""
 
     def __init__(self, problem: Problem, inertia: bool) -> None:

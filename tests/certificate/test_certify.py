@@ -22,7 +22,7 @@ from morembs.interface import make_interface
 from morembs.linalg.eigen import Modes
 from morembs.model import DofMap, FEModel
 from morembs.problem import Damping, Problem
-from morembs.reducers import Automatic, CraigBampton, FreeInterface, Guyan, Modal
+from morembs.reducers import AutoReducer, CraigBampton, FreeInterface, Guyan, Modal
 from morembs.responses.band import band_frequencies
 from morembs.units import parse_units
 from tests.support.meshes import box, merged, points_and_cells, steel, where
@@ -241,7 +241,7 @@ def methods():
         "craig-bampton": lambda low, high, m: CraigBampton(modes=10),
         "craig-bampton inertia": lambda low, high, m: CraigBampton(modes=m + 4, inertia_modes=True),
         "free-interface": lambda low, high, m: FreeInterface(modes=8),
-        "auto": lambda low, high, m: Automatic(band_hz=[low, high], tolerance=1e-4),
+        "auto": lambda low, high, m: AutoReducer(band_hz=[low, high], tolerance=1e-4),
     }
     Krylov, Gramian, Balanced = _optional("krylov", "Krylov"), _optional("gramian", "Gramian"), _optional(
         "balanced", "Balanced"

@@ -24,7 +24,7 @@ from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
 from morembs.problem import Damping, Problem
 from morembs.progress import duration_words
-from morembs.reducers import Automatic, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
+from morembs.reducers import AutoReducer, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
 from morembs.reducers.cost import mode_seconds
 from morembs.responses import damped_reference
 from tests.support.decks import BEAM, deck, folder
@@ -90,7 +90,7 @@ DAMPINGS = {
 }  # fmt: skip
 BAND = [0.0, 3000.0]
 METHODS = {
-    "auto": Automatic(band_hz=BAND, tolerance=1e-2), "irka": Irka(order=6, band_hz=BAND, max_steps=3),
+    "auto": AutoReducer(band_hz=BAND, tolerance=1e-2), "irka": Irka(order=6, band_hz=BAND, max_steps=3),
     "gramian": Gramian(band_hz=BAND, order=12), "direct": Gramian(band_hz=BAND, order=12, direct=True, points=6),
     "band": Balanced(order=8, band_hz=BAND), "balanced": Balanced(order=8, adi_tolerance=1e-4),
     "cb": CraigBampton(modes=4), "krylov": Krylov(),

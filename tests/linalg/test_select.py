@@ -11,7 +11,7 @@ from morembs.errors import BudgetError, InputError, enough_megabytes
 from morembs.linalg.sparse import select as selection
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
-from morembs.linalg.sparse.select import FAST, LEAN, SOLVERS, Automatic, available_solvers, select_solver
+from morembs.linalg.sparse.select import FAST, LEAN, SOLVERS, AutoSolver, available_solvers, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, damped, random, shifted
@@ -40,7 +40,7 @@ def test_a_name_gives_that_solver_with_its_budget() -> None:
             solver = select_solver(name, memory=5, scratch=Path("x"))
             assert (type(solver), solver.memory, solver.scratch) == (SOLVERS[name], 5, Path("x"))
     auto = select_solver(memory=5, scratch=Path("x"))
-    assert (type(auto), auto.memory, auto.scratch) == (Automatic, 5, Path("x"))
+    assert (type(auto), auto.memory, auto.scratch) == (AutoSolver, 5, Path("x"))
     assert auto.with_memory(7).memory == 7 and auto.with_memory(7).scratch == Path("x")
 
 
@@ -65,7 +65,7 @@ def test_without_a_budget_the_first_that_runs_is_taken(monkeypatch: pytest.Monke
     """And when that is gone the next one, down to the one that is always there."""
     A, b, taken = MATRICES[structure], random(192), []
     for _ in FAST:
-        with Automatic().factorize(A, structure) as factor:
+        with AutoSolver().factorize(A, structure) as factor:
             assert backward_error(A, factor.solve(b), b) < 1e-12
             assert factor.stats.backend == factor.analysis.forecast.backend
             taken.append(factor.stats.backend)
@@ -92,7 +92,7 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     for memory in np.geomspace(200e6, 1e6, 40).astype(int):
         caplog.clear()
         try:
-            analysis = Automatic(memory=int(memory), scratch=tmp_path).analyse(A, structure)
+            analysis = AutoSolver(memory=int(memory), scratch=tmp_path).analyse(A, structure)
         except BudgetError as error:
             assert error.needed > memory
             needed, words = error.needed, str(error)
@@ -113,7 +113,7 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     assert ladder == sorted(ladder, key=steps.index)
     assert f"1.0 MB are left of the memory budget for a factorisation of 3000 rows; the leanest method needs "\
         f"{needed / 1e6:.0f} MB: raise the budget by {enough_megabytes(needed - 1e6)} MB" in words  # fmt: skip
-    Automatic(memory=needed, scratch=tmp_path).analyse(A, structure).close()
+    AutoSolver(memory=needed, scratch=tmp_path).analyse(A, structure).close()
     assert not list(tmp_path.iterdir())
 
 
@@ -123,7 +123,7 @@ def test_a_factor_stays_in_memory_only_where_it_leaves_room_for_a_count(tmp_path
     with Mumps().analyse(brick(10)) as analysis:
         alone = analysis.forecast.memory
     for memory, on_disk in ((alone, True), (4 * alone + 60_000_000, False)):
-        with Automatic(memory=memory, scratch=tmp_path).analyse(brick(10)) as analysis:
+        with AutoSolver(memory=memory, scratch=tmp_path).analyse(brick(10)) as analysis:
             assert analysis.forecast.out_of_core == on_disk
 
 
@@ -131,7 +131,7 @@ def test_a_factor_stays_in_memory_only_where_it_leaves_room_for_a_count(tmp_path
 def test_no_solver_is_taken_that_needs_more_than_the_budget(structure: str, tmp_path: Path) -> None:
     for memory in (1_000_000, 5_000_000):
         try:
-            with Automatic(memory=memory, scratch=tmp_path).analyse(brick(10), structure) as analysis:
+            with AutoSolver(memory=memory, scratch=tmp_path).analyse(brick(10), structure) as analysis:
                 assert analysis.forecast.memory <= memory
         except BudgetError as error:
             assert error.needed > memory
@@ -142,16 +142,16 @@ def test_inertia_is_counted_by_what_is_there(monkeypatch: pytest.MonkeyPatch) ->
     count = np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
     for kinds in ((), (Mumps,), (Mumps, EmbeddedMumps)):
         _gone(monkeypatch, *kinds)
-        assert Automatic().negative_eigenvalues(A) == count
-        assert Automatic().inertia_forecast(Lower.of(A)).size == 192
+        assert AutoSolver().negative_eigenvalues(A) == count
+        assert AutoSolver().inertia_forecast(Lower.of(A)).size == 192
 
 
 def test_motions_of_low_energy_reach_the_solver_that_uses_them(monkeypatch: pytest.MonkeyPatch) -> None:
     Z = random(192, 6)
-    known = Automatic().knowing(Z)
-    assert known.near_nullspace is Z and Automatic().knowing(None).near_nullspace is None
-    assert Mumps(memory=3).knowing(Z) == Mumps(memory=3)
-    assert Automatic() == known
+    known = AutoSolver().with_near_null_space(Z)
+    assert known.near_nullspace is Z and AutoSolver().with_near_null_space(None).near_nullspace is None
+    assert Mumps(memory=3).with_near_null_space(Z) == Mumps(memory=3)
+    assert AutoSolver() == known
     if not SOLVERS["amg"].unavailable():
         monkeypatch.setattr(selection, "FAST", ("amg",))
         (candidate,) = known._candidates(Lower.of(MATRICES["spd"]), "spd")

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg import dynamic_stiffness
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, held, sprung
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
 from morembs.linalg.sparse import symmetric
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
@@ -181,7 +181,7 @@ def test_held_rows_leave_the_rest_and_the_pattern() -> None:
     A, rows, expected = Lower.of(brick(3)), np.array([0, 17, 80]), brick(3).toarray()
     expected[rows] = expected[:, rows] = 0.0
     expected[rows, rows] = A.diagonal().max()
-    H = held(A, rows)
+    H = constrained(A, rows)
     np.testing.assert_array_equal(H.full().toarray(), expected)
     assert H.pattern == Lower.of(brick(3)).pattern
 
@@ -190,8 +190,8 @@ def test_sprung_rows_have_a_spring_as_stiff_as_their_diagonal() -> None:
     A, rows = Lower.of(brick(3)), np.array([0, 17, 80])
     expected = brick(3).toarray()
     expected[rows, rows] *= 2.0
-    np.testing.assert_array_equal(sprung(A, rows).full().toarray(), expected)
+    np.testing.assert_array_equal(grounded(A, rows).full().toarray(), expected)
     np.testing.assert_array_equal(A.full().toarray(), brick(3).toarray())
     for matrix, row in ((SWAP, 0), (SWAP, 1), (SWAP[:2, :2], 1)):
         with pytest.raises(InputError, match="without a diagonal entry"):
-            sprung(Lower.of(sp.csr_array(matrix)), np.array([row]))
+            grounded(Lower.of(sp.csr_array(matrix)), np.array([row]))

@@ -17,7 +17,7 @@ from morembs.jobs.job import load_job
 from morembs.jobs.run import damping_of
 from morembs.problem import Problem
 from morembs.problem.damping import ADAMS, STRUCTURAL, Damping, frequency_domain_only
-from morembs.reducers import REDUCERS, Automatic, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
+from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
 from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.reference import reference_model
 from tests.jobs.test_bad_input import refused
@@ -320,7 +320,7 @@ def test_gramians_of_a_band_take_structural_damping(direct, name):
 def test_auto_keeps_its_tolerance(damping):
     model = beam()
     with Problem(model, ends(model), damping=damping) as problem:
-        body = Automatic(band_hz=[50.0, 2600.0], tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=[50.0, 2600.0], tolerance=1e-3).reduce(problem)
         true = dense_response(problem, OMEGA, viscous(problem, damping), damping.structural)
         assert off(reduced_response(body, OMEGA), true, problem) <= 1e-3
         assert body.order < 60

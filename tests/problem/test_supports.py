@@ -17,7 +17,7 @@ from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Problem
-from morembs.reducers import Automatic, CraigBampton, Guyan, Modal, automatic
+from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal, automatic
 from tests.support.meshes import box, steel, where
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
@@ -88,7 +88,7 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
     tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
     hz = np.linspace(1.0, 5.0, 5)
     with Problem(model, [tip]) as problem:
-        body = Automatic(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
         (its,) = certify(problem, [body], hz)
         dense = [problem.B.T @ np.linalg.solve(problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(),
                                                problem.B.toarray()) for f in hz]  # fmt: skip
@@ -188,7 +188,7 @@ def test_automatic_refuses_a_sample_on_an_undamped_resonance(on: int, monkeypatc
         grid = np.sort(np.append(np.linspace(*band, 40), exact[on]))
         monkeypatch.setattr(automatic, "band_frequencies", lambda *_: grid)
         with pytest.raises(SolverError, match="cannot be certified"):
-            Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+            AutoReducer(band_hz=band, tolerance=1e-3).reduce(problem)
 
 
 def test_a_shift_on_a_resonance_gives_finite_columns() -> None:

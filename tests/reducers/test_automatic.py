@@ -17,7 +17,7 @@ from morembs.errors import InputError, MorembsError
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
 from morembs.problem import Damping, Problem
-from morembs.reducers import Automatic
+from morembs.reducers import AutoReducer
 from morembs.responses.band import band_frequencies
 from tests.certificate.test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
 from tests.support.decks import job
@@ -45,7 +45,7 @@ def test_the_tolerance_holds(name, damping):
         floor = round_off(problem, omega, modes)
         orders = []
         for tolerance in (1e-2, 1e-6):
-            body = Automatic(band_hz=BAND[name], tolerance=tolerance).reduce(problem)
+            body = AutoReducer(band_hz=BAND[name], tolerance=tolerance).reduce(problem)
             error = errors_of(body, omega, H, scale)
             show(name, damping, f"{tolerance:.0e}: {body.order - 6}", body.recipe["orders"], f"error {error.max():.1e}")
             assert (error <= tolerance * 1.01 + floor).all()
@@ -70,7 +70,7 @@ def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
     model, interfaces = ends("average", n=(6, 1, 1))
     with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
         band, tolerance = [50.0, 3000.0], 1e-4
-        body = Automatic(band_hz=band, tolerance=tolerance).reduce(problem)
+        body = AutoReducer(band_hz=band, tolerance=tolerance).reduce(problem)
         omega = 2 * np.pi * band_frequencies(problem, band, points=30)
         truth = Truth(problem)
         states = [truth.states(w).astype(complex) * problem.motion_scale for w in omega]
@@ -93,7 +93,7 @@ def test_static_responses_are_exact_if_asked_for(coupling):
     model, interfaces = ends(coupling, n=(3, 1, 1))
     with Problem(model, interfaces) as problem:
         hz = np.array([50.0, 2000.0])
-        plain, exact = (Automatic(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
+        plain, exact = (AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
                         for s in (False, True))  # fmt: skip
         loose, tight = (its.static_error for its in certify(problem, [plain, exact], hz))
         show(coupling, f"static error {loose:.1e} {tight:.1e}, orders {plain.order} {exact.order}")
@@ -113,7 +113,7 @@ def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
         u = np.linalg.solve(shift, load)
         left = []
         for follow in (False, True):
-            V = Automatic(band_hz=[0.0, 2000.0], tolerance=1e-3, inertia_loads=follow).reduce(problem).V
+            V = AutoReducer(band_hz=[0.0, 2000.0], tolerance=1e-3, inertia_loads=follow).reduce(problem).V
             rest = u - V @ np.linalg.solve(V.T @ K @ V + (V.T @ M @ Z) @ (Z.T @ M @ V) * 1e6, V.T @ load)
             left.append(np.sqrt((rest @ K @ rest) / (u @ K @ u)))
         show("inertia loads left out, followed:", left)
@@ -124,7 +124,7 @@ def test_what_cannot_be_reached_is_said():
     model, interfaces = ends("average")
     said = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
     with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=said):
-        Automatic(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
+        AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
 
 
 @pytest.mark.parametrize(
@@ -132,18 +132,18 @@ def test_what_cannot_be_reached_is_said():
 )
 def test_bad_bands(band):
     with pytest.raises(InputError, match=r"band_hz = .* was given; expected \[LOW, HIGH\]"):
-        Automatic(band_hz=band, tolerance=1e-3)
+        AutoReducer(band_hz=band, tolerance=1e-3)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, 7.0, float("nan")])
 def test_bad_tolerances(tolerance):
     with pytest.raises(InputError, match=r"tolerance = .* was given; expected a relative error between 0 and 1"):
-        Automatic(band_hz=[0.0, 100.0], tolerance=tolerance)
+        AutoReducer(band_hz=[0.0, 100.0], tolerance=tolerance)
 
 
 def test_auto_needs_interfaces():
     with Problem(beam()) as problem, pytest.raises(InputError, match="interface"):
-        Automatic(band_hz=[0.0, 100.0], tolerance=1e-3).reduce(problem)
+        AutoReducer(band_hz=[0.0, 100.0], tolerance=1e-3).reduce(problem)
 
 
 def test_two_runs_are_equal_to_the_last_bit():
@@ -151,7 +151,7 @@ def test_two_runs_are_equal_to_the_last_bit():
     for _ in range(2):
         model, interfaces = ends("average", n=(3, 1, 1))
         with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem:
-            body = Automatic(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
+            body = AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
             (its,) = certify(problem, [body], np.linspace(50.0, 3000.0, 9))
             parts = [body.V, body.K, body.M, body.D, body.B, its.error, its.bound]
             found.append([hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest() for part in parts])
@@ -164,7 +164,7 @@ def test_a_band_below_the_first_mode_needs_few_vectors():
     with Problem(model, pair(model, "average")) as problem:
         first = problem.elastic_modes(count=1).frequencies_hz[0]
         band = [0.0, 0.3 * float(first)]
-        body = Automatic(band_hz=band, tolerance=1e-3).reduce(problem)
+        body = AutoReducer(band_hz=band, tolerance=1e-3).reduce(problem)
         omega, H, scale, _ = full(problem, band)
         assert errors_of(body, omega, H, scale).max() <= 1.01e-3 and body.order - 6 <= 12
 

@@ -17,7 +17,7 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Guyan
 from morembs.reducers import interface_modes as module
-from morembs.reducers.interface_modes import Inside, interface_modes
+from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes
 from tests.support.meshes import box, steel, where
 
 SIZE = (0.4, 0.1, 0.08)
@@ -73,7 +73,7 @@ def test_the_modes_are_those_of_the_constraint_part(coupling, lanczos, monkeypat
         monkeypatch.setattr(module, "MANY", 5)
         monkeypatch.setattr(module, "BLOCK", 2)
     model = bar()
-    with Problem(model, faces(model, coupling)) as problem, Inside(problem) as inside:
+    with Problem(model, faces(model, coupling)) as problem, FixedInterfaceBody(problem) as inside:
         assert (inside.rows is not None) == (lanczos and coupling != "average")
         exact = characteristic(problem)
         found = interface_modes(problem, inside, count=5)
@@ -96,7 +96,7 @@ def test_a_limit_takes_all_modes_below_it(lanczos, monkeypatch):
         monkeypatch.setattr(module, "MANY", 5)
         monkeypatch.setattr(module, "BLOCK", 4)
     model = bar()
-    with Problem(model, faces(model)) as problem, Inside(problem) as inside:
+    with Problem(model, faces(model)) as problem, FixedInterfaceBody(problem) as inside:
         exact = np.sqrt(characteristic(problem)) / (2 * np.pi)
         for count in (2, 20):
             limit = 0.5 * (exact[count - 1] + exact[count])
@@ -172,8 +172,8 @@ def test_a_direct_face_beside_an_average_and_a_rigid_one(monkeypatch):
         make_interface(model, name="right", nodes=where(model, 0, SIZE[0]), coupling="rigid"),
         make_interface(model, name="top", nodes=where(model, 2, SIZE[2]), coupling="average"),
     ]
-    with Problem(model, interfaces) as problem, Inside(problem) as inside:
-        assert inside.pencil.count == 6
+    with Problem(model, interfaces) as problem, FixedInterfaceBody(problem) as inside:
+        assert inside.constrained.count == 6
         exact = characteristic(problem)
         assert interface_modes(problem, inside, count=6).eigenvalues == pytest.approx(exact[:6], rel=1e-8)
         fixed = inside.modes(5, None, problem.progress)

@@ -18,6 +18,7 @@ from morembs.linalg.sparse.solver import Analysis, Floats, Forecast, LinearSolve
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
+from morembs.moved import renamed
 from morembs.plugins import Table, subclass_fault
 
 log = logging.getLogger(__name__)
@@ -54,7 +55,7 @@ def select_solver(name: str = AUTO, *, memory: int | None = None, scratch: Path 
         InputError: unknown name, or a solver that cannot run here.
     """
     if name == AUTO:
-        return Automatic(memory=memory, scratch=scratch)
+        return AutoSolver(memory=memory, scratch=scratch)
     if name not in SOLVERS:
         raise InputError(f"solver = {name!r} is not known; {SOLVERS.advice(name, AUTO)}")
     reason = SOLVERS[name].unavailable()
@@ -64,7 +65,7 @@ def select_solver(name: str = AUTO, *, memory: int | None = None, scratch: Path 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Automatic(LinearSolver):
+class AutoSolver(LinearSolver):
     """The fastest solver that runs here and keeps the budget.
 
     With a budget, the analysis of MUMPS tells first where the factor has room: in memory, with a Sturm count
@@ -110,7 +111,7 @@ class Automatic(LinearSolver):
         return self._made(next(name for name in COUNTING if not SOLVERS[name].unavailable()))
 
     def _made(self, name: str) -> LinearSolver:
-        return SOLVERS[name](memory=self.memory, scratch=self.scratch).knowing(self.near_nullspace)
+        return SOLVERS[name](memory=self.memory, scratch=self.scratch).with_near_null_space(self.near_nullspace)
 
     def _candidates(self, A: Lower, structure: str) -> Iterator[LinearSolver]:
         """Configurations in the order in which they are tried."""
@@ -164,3 +165,6 @@ def _reason(analysis: Analysis, refused: list[SolverError], memory: int | None) 
         f"{plan.backend}, {plan.precision} precision, {place}: {plan.factor_entries:.3g} factor entries, "
         f"{plan.flops:.2g} operations, {plan.memory / 1e9:.2f} GB at the peak; {why}"
     )
+
+
+__getattr__ = renamed(__name__, {"Automatic": "AutoSolver"})

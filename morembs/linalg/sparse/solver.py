@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -329,8 +330,13 @@ class LinearSolver(ABC):
         """The same configuration with another budget."""
         return replace(self, memory=memory)
 
-    @final
     def knowing(self, near_nullspace: Floats | None) -> Self:
+        """The old name of ``with_near_null_space``, which goes with the next version."""
+        warnings.warn("knowing is now with_near_null_space", DeprecationWarning, stacklevel=2)
+        return self.with_near_null_space(near_nullspace)
+
+    @final
+    def with_near_null_space(self, near_nullspace: Floats | None) -> Self:
         """The same configuration with the motions (n, r) that cost next to no energy, where it has use for them."""
         if near_nullspace is not None and "near_nullspace" in {f.name for f in fields(self)}:
             changes: dict[str, Any] = {"near_nullspace": near_nullspace}
