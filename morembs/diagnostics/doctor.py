@@ -20,17 +20,8 @@ from morembs.diagnostics.findings import Diagnosis, Finding, Names, listed
 from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
-from morembs.diagnostics.rigid import (
-    MANY,
-    MOST,
-    fitting_order,
-    free_motions,
-    mounted,
-    residual,
-    rigid_findings,
-    rotation_factor,
-    rotation_finding,
-)
+from morembs.diagnostics.readings import MANY, fitting_order, rotation_factor, rotation_finding
+from morembs.diagnostics.rigid import MOST, free_motions, mounted, residual, rigid_findings
 from morembs.diagnostics.units import estimate, unit_findings
 from morembs.errors import InputError
 from morembs.linalg.congruence import magnitudes
@@ -223,9 +214,10 @@ def _map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
     outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > 5)
     if outside.any():
         sentence = (
-            f"{int(outside.sum())} dofs name nodes or motions that do not exist (row {np.flatnonzero(outside)[0] + 1})"
+            f"{int(outside.sum())} dofs name nodes or components that do not exist (row "
+            f"{np.flatnonzero(outside)[0] + 1})"
         )
-        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="motions are 0 to 5"))
+        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="components are 0 to 5"))
         return findings
     key = np.sort(6 * dofs.node + dofs.component)
     twice = np.unique(key[1:][key[1:] == key[:-1]])

@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.diagnostics.findings import Finding, Names
-from morembs.diagnostics.rigid import motion, orders
+from morembs.diagnostics.readings import orders
+from morembs.diagnostics.rigid import motion
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.assembly import chunks, geometry, material_of_elements
 from morembs.model.elements import TYPES

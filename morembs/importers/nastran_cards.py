@@ -62,7 +62,7 @@ class Table:
             raise InputError(f"{self.file}: a {self.name} card has a field that is not one number")
         return values.reshape(part.shape[:2])
 
-    def whole(self, first: int, last: int) -> Ints:
+    def integers(self, first: int, last: int) -> Ints:
         """Integers (cards, last - first) of fields; a blank one is 0."""
         values = integers(self.reals(first, last).ravel(), f"an integer of a {self.name} card", self.file)
         return values.reshape(len(self), last - first)
@@ -98,7 +98,7 @@ def real(text: str, what: str) -> float:
     raise InputError(f"{what}: {text[:24]!r} cannot be read as a number; expected a finite one")
 
 
-def whole(text: str, what: str) -> int:
+def integer(text: str, what: str) -> int:
     """An integer; blank is 0."""
     if not text:
         return 0

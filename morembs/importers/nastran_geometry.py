@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.abaqus_keywords import LARGEST
 from morembs.importers.abaqus_materials import frame_of
-from morembs.importers.nastran_cards import Table, real, whole
+from morembs.importers.nastran_cards import Table, integer, real
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,7 +44,7 @@ class Systems:
         parts = [row[:4], row[4:8]] if name[4] == "1" else [row]
         for part in parts:
             if any(part):
-                number = whole(part[0], f"{self.file}: {name}")
+                number = integer(part[0], f"{self.file}: {name}")
                 if number < 1 or number in self._cards:
                     raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
                 self._cards[number] = name, part
@@ -60,13 +60,13 @@ class Systems:
         name, row = self._cards[number]
         what, above = f"{self.file}: {name} {number}", (*above, number)
         if name[4] == "1":
-            labels = [whole(text, what) for text in row[1:4]]
+            labels = [integer(text, what) for text in row[1:4]]
             points = np.array([grids.point(label, self, what, above) for label in [*labels, *[0] * 3][:3]])
         else:
             numbers = [real(text, what) for text in row[2:11]]
             if len(numbers) != 9:
                 raise InputError(f"{what} has {len(numbers)} coordinates; expected three points")
-            points = self.points(whole(row[1], what), np.array(numbers).reshape(3, 3), grids, above)
+            points = self.points(integer(row[1], what), np.array(numbers).reshape(3, 3), grids, above)
         axes = frame_of(points[1] - points[0], points[2] - points[0])
         if axes is None:
             raise InputError(f"{what}: its three points lie on a line")
@@ -102,12 +102,12 @@ class Grids:
 
     def add(self, table: Table) -> None:
         """GRID cards: label, CP, three coordinates, CD, PS, SEID."""
-        ids = table.whole(0, 1)[:, 0]
-        if table.whole(7, 8).any():
+        ids = table.integers(0, 1)[:, 0]
+        if table.integers(7, 8).any():
             raise InputError(f"{self.file} has grids of superelements (SEID), which are not supported")
-        permanent = table.whole(6, 7)[:, 0]
+        permanent = table.integers(6, 7)[:, 0]
         self.fixed += int((permanent != 0).sum())
-        systems = table.whole(1, 2)[:, 0], table.whole(5, 6)[:, 0]
+        systems = table.integers(1, 2)[:, 0], table.integers(5, 6)[:, 0]
         self._pieces.append((ids, table.reals(2, 5), *systems))
         self._systems.append((table.given(1, 2)[:, 0], table.given(5, 6)[:, 0]))
 
@@ -116,7 +116,7 @@ class Grids:
         if not self._pieces:
             raise InputError(f"{self.file} has no GRID cards; expected Nastran bulk data with a mesh")
         what = f"{self.file}: GRDSET"
-        cp, cd = (whole(default[i], what) if i < len(default) else 0 for i in (1, 5))
+        cp, cd = (integer(default[i], what) if i < len(default) else 0 for i in (1, 5))
         if len(default) > 6 and default[6]:
             self.fixed = max(self.fixed, 1)
         ids, xyz, cps, cds = (np.concatenate(part) for part in zip(*self._pieces, strict=True))
@@ -172,7 +172,7 @@ class Solids:
         total = len(order)
         filled = table.given(2, 2 + total)
         beyond = table.given(2 + total, max(table.width, 2 + total))
-        numbers = table.whole(0, 2 + total)
+        numbers = table.integers(0, 2 + total)
         middle = filled[:, corners:]
         wrong = ~filled[:, :corners].all(axis=1) | (middle.any(axis=1) & ~middle.all(axis=1)) | beyond.any(axis=1)
         if wrong.any():

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import turned
 from morembs.importers.imported import PointMass
-from morembs.importers.nastran_cards import real, whole
+from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.material import Material, isotropic
@@ -52,14 +52,14 @@ class Materials:
             row = padded(properties[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
                 raise InputError(f"{self.file}: PSOLID {pid} is of the kind {row[6]!r}; expected a structural one")
-            mid = whole(row[1], f"{self.file}: PSOLID {pid}")
+            mid = integer(row[1], f"{self.file}: PSOLID {pid}")
             if not mid:
                 self.lacking[name] = f"PSOLID {pid} names no material"
             elif mid in cards["MAT1"]:
                 materials += self._mat1(name, mid, cards["MAT1"][mid])
             elif mid in cards["MAT9"]:
                 materials += self._mat9(
-                    name, mid, cards["MAT9"][mid], whole(row[2], f"{self.file}: PSOLID {pid}"), systems, grids
+                    name, mid, cards["MAT9"][mid], integer(row[2], f"{self.file}: PSOLID {pid}"), systems, grids
                 )
             else:
                 raise InputError(f"{self.file}: PSOLID {pid} names the material {mid}, which is no MAT1 or MAT9 there")
@@ -68,7 +68,7 @@ class Materials:
     def _by_number(self, name: str, rows: Rows) -> dict[int, list[str]]:
         cards: dict[int, list[str]] = {}
         for row in rows:
-            number = whole(padded(row, 1)[0], f"{self.file}: {name}")
+            number = integer(padded(row, 1)[0], f"{self.file}: {name}")
             if number < 1 or number in cards:
                 raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
             cards[number] = row
@@ -129,7 +129,7 @@ def labels_of(texts: list[str], what: str, known: Ints) -> list[int]:
     while i < len(texts):
         text = texts[i]
         if text.upper() == "THRU" and labels and i + 1 < len(texts):
-            end = whole(texts[i + 1], what) if texts[i + 1] else None
+            end = integer(texts[i + 1], what) if texts[i + 1] else None
             if end is None or end < labels[-1]:
                 given = repr(texts[i + 1]) if texts[i + 1] else "nothing"
                 raise InputError(
@@ -139,7 +139,7 @@ def labels_of(texts: list[str], what: str, known: Ints) -> list[int]:
             labels += known[low:high].tolist()
             i += 1
         elif text:
-            labels.append(whole(text, what))
+            labels.append(integer(text, what))
         i += 1
     return labels
 
@@ -176,14 +176,14 @@ class Ties:
             self.notes.append(f"RBE2 {row[0]}: its thermal expansion {texts[-1]} is not carried over.")
             texts = texts[:-1]
         which = components(padded(row, 3)[2], what)
-        master = int(self._rows([whole(padded(row, 2)[1], what)], what)[0])
+        master = int(self._rows([integer(padded(row, 2)[1], what)], what)[0])
         slaves = np.unique(self._rows(labels_of(texts, what, self.grids.ids), what))
         self._add_rigid(what, f"RBE2_{row[0]}", master, slaves, which)
 
     def rbar(self, row: list[str]) -> None:
         row = padded(row, 7)
         what = f"{self.grids.file}: RBAR {row[0]}"
-        a, b = self._rows([whole(row[1], what), whole(row[2], what)], what).tolist()
+        a, b = self._rows([integer(row[1], what), integer(row[2], what)], what).tolist()
         kept = ["".join(sorted(text)) for text in row[3:5]]
         if "123456" not in kept or any(kept[1 - kept.index("123456")]):
             raise InputError(f"{what}: CNA = {row[3]!r}, CNB = {row[4]!r} was given; expected 123456 at one end only")
@@ -201,7 +201,7 @@ class Ties:
     def rbe3(self, row: list[str]) -> None:
         row = padded(row, 7)
         what = f"{self.grids.file}: RBE3 {row[0]}"
-        reference = int(self._rows([whole(row[2], what)], what)[0])
+        reference = int(self._rows([integer(row[2], what)], what)[0])
         which = components(row[3], what)
         self._refuse_turned(np.array([reference]), which, what)
         weight = np.zeros(len(self.grids.ids))
@@ -240,8 +240,8 @@ class Ties:
     def conm2(self, row: list[str]) -> None:
         row = padded(row, 14)
         what = f"{self.grids.file}: CONM2 {row[0]}"
-        node = int(self._rows([whole(row[1], what)], what)[0])
-        system = whole(row[2], what)
+        node = int(self._rows([integer(row[1], what)], what)[0])
+        system = integer(row[2], what)
         mass, *offset = (real(text, what) for text in row[3:7])
         i11, i21, i22, i31, i32, i33 = (real(text, what) for text in row[8:14])
         # The card gives int x1 x2 dm, which is the negative entry of the inertia.
