@@ -314,7 +314,7 @@ def test_material_beside_a_model_file(tmp_path: Path) -> None:
     ("name", "content", "arguments", "words"),
     [
         ("k.mtx", b"%%MatrixMarket matrix coordinate real general\n3 3 2\n1 1 1.0\n", [], "cannot be read"),
-        ("k.mtx", b"%%MatrixMarket matrix coordinate real general\n3 3 1\n1 9 1.0\n", [], "cannot be read"),
+        ("k.mtx", b"%%MatrixMarket matrix coordinate real general\n3 3 1\n1 9 1.0\n", [], "row or column 9"),
         ("k.mtx", b"%%MatrixMarket matrix coordinate pattern general\n1 1 1\n1 1\n", [], "pattern"),
         ("k.mtx", b"%%MatrixMarket matrix coordinate real general\n2 3 1\n1 1 1.0\n", [], "square"),
         ("k.mtx", b"%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 nan\n", [], "finite"),
