@@ -625,7 +625,7 @@ def test_damping_of_the_models_own():
         hz = np.linspace(100.0, 2500.0, 9)
         try:
             (its,) = certify(problem, [body], hz)
-        except SolverError as error:
+        except InputError as error:
             assert "damping" in str(error)
             return
         omega = 2 * np.pi * hz
