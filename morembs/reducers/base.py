@@ -235,7 +235,9 @@ def _without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:
         return K
     W = sl.solve(rigid.T @ M @ rigid, rigid.T @ M, assume_a="pos").T
     E -= 0.5 * W @ (rigid.T @ E)
-    return np.asarray(K - E @ W.T - W @ E.T)
+    off = E @ W.T
+    # In one sum, so that symmetry holds to the last bit.
+    return np.asarray(K - (off + off.T))
 
 
 def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:

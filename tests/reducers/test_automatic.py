@@ -43,7 +43,7 @@ def test_the_tolerance_holds(name, damping):
         omega, H, scale, modes = full(problem, BAND[name])
         floor = round_off(problem, omega, modes)
         orders = []
-        for tolerance in (1e-2, 1e-4, 1e-6):
+        for tolerance in (1e-2, 1e-6):
             body = AutoReducer(band_hz=BAND[name], tolerance=tolerance, measure="pointwise").reduce(problem)
             error = errors_of(body, omega, H, scale)
             show(name, damping, f"{tolerance:.0e}: {body.order - 6}", body.recipe["orders"], f"error {error.max():.1e}")
