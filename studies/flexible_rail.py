@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from moving_load import simulate_kept, write_run
+from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse, simulate_kept, write_run
 
 from morembs.model import DofMap, FEModel
 from morembs.model.assembly import assemble

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from moving_load import ELEMENTS, MODES, STEPS, Passage, cross, hermite_beam, reduce, write_run
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, hermite_beam, parse, write_run
+from moving_load import ELEMENTS, MODES, STEPS, Passage, cross, reduce
 
 from morembs.multibody.sliding.response import amplitudes, state_of
 
