@@ -18,13 +18,13 @@ from common import THEIRS, Curve, Floats, Panel, draw, hermite_beam, parse, simu
 
 from morembs import FEModel, Problem, ReducedModel, StaticModesSwitching
 from morembs.multibody import LinearBody, MovingLoad, Result, SlidingSwitch, SwitchingBody, System, local_response
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600
 FACTORS = {0.1: 1.096, 0.25: 1.258, 0.5: 1.705, 0.617: 1.732, 0.75: 1.702}
 
 
-def reduce(model: FEModel, modes: int = MODES, band: int | None = None) -> tuple[ReducedModel, Switching]:
+def reduce(model: FEModel, modes: int = MODES, band: int | None = None) -> tuple[ReducedModel, StaticModeTables]:
     """Modes of the beam, and static modes of deflection and rotation at all nodes."""
     reducer = StaticModesSwitching(base_options={"modes": modes}, candidates="set:BEAM", directions=[1, 5], band=band)
     with Problem(model) as problem:
@@ -44,7 +44,7 @@ class Passage:
 
 
 def cross(
-    beam: tuple[ReducedModel, Switching], speed: float, steps: int, *, variant: str = "quasi-static",
+    beam: tuple[ReducedModel, StaticModeTables], speed: float, steps: int, *, variant: str = "quasi-static",
     start: float = 0.0, end: float = 1.0, keep: Path | None = None,
 ) -> Passage:  # fmt: skip
     """A unit load goes from ``start`` to ``end``. What there is of a run that fails goes to ``keep``."""
