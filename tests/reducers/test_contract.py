@@ -1,4 +1,4 @@
-"""What every method of ``REDUCERS`` keeps to. A new method is run as soon as it is in the table; variants are listed."""
+"""What every method of ``REDUCERS`` keeps to. A new method is run once it is in the table; its variants are listed."""
 
 import gc
 import tracemalloc
