@@ -23,7 +23,7 @@ from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 Spec = dict[str, Any]
 LINE, SURFACE = "line, band 24", "surface, all pairs"
@@ -108,7 +108,7 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
     }  # fmt: skip
 
 
-def _difference(problem: Problem, reduced: ReducedModel, its: Switching) -> float:
+def _difference(problem: Problem, reduced: ReducedModel, its: StaticModeTables) -> float:
     """Of R: b' G b less what the modes give, for neighbours in the middle."""
     place = {int(label): row for row, label in enumerate(problem.model.nodes.ids)}
     some = its.of_nodes(len(its.node_ids) // 2, 2)

@@ -1,7 +1,7 @@
 """The resident memory that a process may use, and the disk for what does not fit.
 
-Large arrays can live in scratch files that are mapped into memory. ``rest`` lets go of their pages: the values
-stay in the file (and in the cache of the operating system), the resident memory of the process falls.
+Large arrays can live in scratch files that are mapped into memory. ``release_pages`` gives their pages back:
+the values stay in the file (and in the cache of the operating system), the resident memory of the process falls.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from morembs.errors import OutputError
 from morembs.memory import resident_bytes, trim
+from morembs.moved import with_old_names
 from morembs.scratch import ScratchFolder
 
 Values = NDArray[Any]
@@ -33,6 +34,7 @@ _WIDEST = 256
 _TIGHT = 0.3
 
 
+@with_old_names(rest="release_pages", relax="release_if_tight")
 @dataclass(eq=False)
 class Budget:
     """What a process may use.
@@ -100,8 +102,8 @@ class Budget:
         copy[...] = array
         return copy
 
-    def rest(self) -> None:
-        """Let go of the pages of all arrays in files, and of memory that was freed but not given back."""
+    def release_pages(self) -> None:
+        """Give back the pages of all arrays in files, and memory that was freed but still counts as resident."""
         if self._unlimited:
             return
         for mapped in self._maps:
@@ -109,11 +111,11 @@ class Budget:
                 mapped.madvise(mmap.MADV_DONTNEED)
         trim()
 
-    def relax(self) -> None:
-        """As ``rest``, where the budget is nearly used up: for loops over large arrays."""
+    def release_if_tight(self) -> None:
+        """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
         left = self.left()
         if left is not None and self._maps and left < _TIGHT * (self.memory or 0):
-            self.rest()
+            self.release_pages()
 
     def close(self) -> None:
         """Remove the files; arrays in them stay readable as long as somebody holds them."""

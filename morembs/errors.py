@@ -42,7 +42,7 @@ class OutputError(MorembsError, OSError):
 def nearest(name: str, known: Iterable[str]) -> str:
     """Words for an error message: the known name most like ``name``, else the list of all."""
     known = sorted(known)
-    same = [one for one in known if one.lower() == name.lower()]
+    same = [spelling for spelling in known if spelling.lower() == name.lower()]
     close = same or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if close:
         return f"did you mean {close[0]!r}?"

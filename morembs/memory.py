@@ -38,7 +38,7 @@ def available_bytes() -> int:
 
 def unpacked_bytes(archive: zipfile.ZipFile | None) -> int:
     """What all files of an archive take once they are unpacked."""
-    return 0 if archive is None else sum(one.file_size for one in archive.infolist())
+    return 0 if archive is None else sum(entry.file_size for entry in archive.infolist())
 
 
 def refuse_too_large(source: str, size: float) -> None:

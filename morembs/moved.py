@@ -9,10 +9,13 @@ import importlib
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+Class = TypeVar("Class")
 
 MOVED = {
     "conversion": "importers",
@@ -137,6 +140,37 @@ def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
         return getattr(sys.modules[module], new)
 
     return find
+
+
+def with_old_names(**names: str) -> Callable[[type[Class]], type[Class]]:
+    """Decorates a class whose fields, properties or methods had other names: ``old="new"``.
+
+    An old name warns, as an attribute and as a keyword of the constructor.
+    """
+
+    def decorate(cls: type[Class]) -> type[Class]:
+        construct = cls.__init__
+
+        def warned(old: str) -> str:
+            text = f"{old} of {cls.__name__} is now {names[old]}; the old name goes with the next version"
+            warnings.warn(text, DeprecationWarning, 3)
+            return names[old]
+
+        @wraps(construct)
+        def accept(self: Any, *values: Any, **keys: Any) -> None:
+            for old in names.keys() & keys.keys():
+                keys[warned(old)] = keys.pop(old)
+            construct(self, *values, **keys)
+
+        cls.__init__ = accept  # type: ignore[method-assign]
+        def reader(old: str) -> Callable[[Any], Any]:
+            return lambda self: getattr(self, warned(old))
+
+        for name in names:
+            setattr(cls, name, property(reader(name)))
+        return cls
+
+    return decorate
 
 
 def accept_old_names() -> None:

@@ -39,7 +39,7 @@ def pairs(texts: Iterable[str], flag: str = "--set") -> dict[str, Text]:
 def known(schema: Callable[..., object]) -> dict[str, bool]:
     """Name of each option -> whether it must be given."""
     parameters = inspect.signature(schema).parameters.values()
-    return {one.name: one.default is one.empty for one in parameters if one.kind is one.KEYWORD_ONLY}
+    return {option.name: option.default is option.empty for option in parameters if option.kind is option.KEYWORD_ONLY}
 
 
 def checked(
@@ -88,20 +88,20 @@ def _typed(hint: Any, key: str, value: object, where: str) -> Any:
             fault = error
         else:
             return reading
-    expected = " or ".join(dict.fromkeys(_expected(one["msg"]) for one in fault.errors()))
+    expected = " or ".join(dict.fromkeys(_expected(detail["msg"]) for detail in fault.errors()))
     shown = f"{key}={value}" if isinstance(value, Text) else f"{key} = {in_toml(value)}"
     raise InputError(f"{where}{shown} was given; expected {expected}")
 
 
 def _readings(text: Text) -> list[object]:
     """What a text may mean: a TOML value, itself, or words between commas. The last is what it most likely is."""
-    found: list[object] = []
-    for one in (text, text.lower()):
+    readings: list[object] = []
+    for spelling in (text, text.lower()):
         try:
-            found.append(tomllib.loads(f"value = {one}")["value"])
+            readings.append(tomllib.loads(f"value = {spelling}")["value"])
         except (tomllib.TOMLDecodeError, RecursionError, ValueError):
             continue
-    return [*found, str(text), [part for part in text.split(",") if part], *found[-1:]]
+    return [*readings, str(text), [part for part in text.split(",") if part], *readings[-1:]]
 
 
 def _expected(message: str) -> str:

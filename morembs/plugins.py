@@ -108,7 +108,7 @@ def subclass_fault(base: type, key: str) -> Callable[[str, object], str]:
     def fault(name: str, entry: object) -> str:
         if not (isinstance(entry, type) and issubclass(entry, base)):
             return f"{entry!r} is no subclass of {base.__module__}.{base.__name__}"
-        its = getattr(entry, key, None)
-        return "" if its == name else f"its {key} is {its!r}, expected {name!r}"
+        value = getattr(entry, key, None)
+        return "" if value == name else f"its {key} is {value!r}, expected {name!r}"
 
     return fault

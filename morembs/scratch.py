@@ -49,11 +49,11 @@ class PrivateFolder:
 
     def __init__(self, parent: Path | None, prefix: str = _PREFIX) -> None:
         remove_abandoned(parent, prefix)
-        handle, made = None, False
-        while not made:
+        handle, locked = None, False
+        while not locked:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent)).resolve()
             try:
-                handle, made = _lock(self.path), True
+                handle, locked = _lock(self.path), True
             except FileNotFoundError:
                 continue  # another run took it for one that was left behind
             except OSError:

@@ -1,4 +1,4 @@
-"""What pipelines and studies share: the command line, the body of a bar from a job, pictures of diagrams in a row."""
+"""What pipelines and studies share: command line, the body of a bar from a job, pictures, a beam, unfinished runs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+import scipy.sparse as sp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,7 +19,10 @@ from morembs.exporters.exudyn_system import ExudynBody
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import save
 from morembs.jobs.run import run_job
+from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.grid import box_mesh
+from morembs.multibody import Result, SlidingSwitch, System, UnfinishedRunError, simulate_sliding
+from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
 OURS, THEIRS, THIRD = "#d1495b", "#2e86ab", "#3d9970"
@@ -97,3 +101,41 @@ def difference(time: Floats, gap: Floats, length: float) -> Panel:
     """Distance (s,) m of the two simulators as a part of the length; what is below 1e-12 is drawn there."""
     curve = Curve(time, np.maximum(gap / length, 1e-12), color="#607d8b", width=1.0)
     return Panel("Difference of the two simulators", "time, s", "part of the length", [curve], logarithmic=True)
+
+
+def hermite_beam(n: int) -> FEModel:
+    """Beam of unit length, bending stiffness and mass per length in n elements, held at both ends."""
+    h = 1.0 / n
+    k = np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]) / h**3  # fmt: skip
+    m = h / 420 * np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+                            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])  # fmt: skip
+    dofs = 2 * np.arange(n)[:, None] + np.arange(4)
+    rows, columns = np.repeat(dofs, 4, axis=1).ravel(), np.tile(dofs, (1, 4)).ravel()
+    K, M = (sp.csr_array(sp.coo_array((np.tile(e.ravel(), n), (rows, columns)))) for e in (k, m))
+    keep = np.setdiff1d(np.arange(2 * n + 2), [0, 2 * n])
+    xyz = np.zeros((n + 1, 3))
+    xyz[:, 0] = np.linspace(0, 1, n + 1)
+    return FEModel(
+        K=sp.csr_array(K[keep][:, keep]), M=sp.csr_array(M[keep][:, keep]),
+        nodes=Nodes(ids=np.arange(1, n + 2), xyz=xyz, sets={"BEAM": np.arange(n + 1)}),
+        dofs=DofMap(node=keep // 2, component=np.where(keep % 2, 5, 1)), source="simply supported beam",
+    )  # fmt: skip
+
+
+def simulate_kept(
+    system: System, switch: SlidingSwitch, end: float, step: float, keep: Path | None, rho: float = 0.9
+) -> Result:
+    """A run; what there is of one that fails is kept."""
+    try:
+        return simulate_sliding(system, switch, end=end, step=step, rho=rho)
+    except UnfinishedRunError as error:
+        if keep is not None and error.result is not None:
+            write_run(keep, error.result)
+        raise
+
+
+def write_run(path: Path, result: Result) -> None:
+    """Times and configurations of a run, whole or not at all."""
+    with replacing(path) as file:
+        np.savez(file, time=result.time, x=np.concatenate([segment.x for segment in result.segments]))

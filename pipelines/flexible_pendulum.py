@@ -16,23 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from common import THEIRS, Curve, Floats, Panel, draw, parse
 
-from morembs.gmp import Formulation, ReducedMember
+from morembs.gmp import ReducedMember
 from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
 LENGTH, A, I, DENSITY, GRAVITY = 0.304, 7.854e-5, 4.909e-10, 2770.0, (0.0, -9.81)  # noqa: E741
+E, MODES, REACH = 3e6, 3, 0.83  # Pa; bending modes; range of the tables, rad: 1.4 times what the full model does
 ELEMENTS, END, STEP, QUICK_END = 24, 0.5, 5e-4, 0.15
-# Ranges (rad) of the tables, at least 1.4 times what the full model does: per Young's modulus and number of members.
-REACH = {3e6: {1: 0.83, 2: 0.56}, 1.5e7: {1: 0.26, 2: 0.18}, 1e6: {1: 1.3, 2: 0.75}}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """``members`` of the same length with ``modes`` bending modes each."""
-
-    E: float
-    members: int
-    modes: int
-    formulation: Formulation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,13 +39,17 @@ class Fall:
         energy = self.motion.kinetic + self.motion.potential
         return float(np.abs(energy - energy[0]).max() / self.motion.kinetic.max())
 
+    def error(self, reference: Fall) -> Floats:
+        """Distance (T,) of the tip to that of another run, per length of the rod."""
+        return np.linalg.norm(self.tip - reference.tip, axis=1) / LENGTH
 
-def rod(E: float, length: float, elements: int) -> PlanarBeam:
-    """A part of the rod."""
+
+def rod(E: float, length: float = LENGTH, elements: int = ELEMENTS) -> PlanarBeam:
+    """The rod, or a part of it."""
     return PlanarBeam.straight(length, elements, Section.of(E=E, A=A, I=I, density=DENSITY))
 
 
-def fall(member: Member, count: int, *, end: float, step: float, offline: float = 0.0) -> Fall:
+def fall(member: Member, count: int = 1, *, end: float = END, step: float = STEP, offline: float = 0.0) -> Fall:
     """``count`` equal members in a row; a member that leaves its tables goes on, which its motion then says."""
     mechanism = Mechanism(gravity=GRAVITY)
     points = [mechanism.point((LENGTH * k / count, 0), fixed="" if k else "xy") for k in range(count + 1)]
@@ -69,26 +62,6 @@ def fall(member: Member, count: int, *, end: float, step: float, offline: float 
     return Fall(motion=motion, tip=motion.q[:, points[-1].numbers], seconds=seconds, offline=offline)
 
 
-def full(E: float, *, end: float = END, step: float = STEP, elements: int = ELEMENTS) -> Fall:
-    """All degrees of freedom."""
-    return fall(FullMember(rod(E, LENGTH, elements)), 1, end=end, step=step)
-
-
-def reduced(case: Case, *, end: float = END, step: float = STEP, elements: int = ELEMENTS) -> Fall:
-    """The same mesh, reduced."""
-    begin = time.process_time()
-    member = ReducedMember(
-        rod(case.E, LENGTH / case.members, elements // case.members), modes=case.modes,
-        formulation=case.formulation, reach=REACH[case.E][case.members], points_per_angle=9,
-    )  # fmt: skip
-    return fall(member, case.members, end=end, step=step, offline=time.process_time() - begin)
-
-
-def error(one: Fall, reference: Fall) -> Floats:
-    """Distance (T,) of the tips, per length of the rod."""
-    return np.linalg.norm(one.tip - reference.tip, axis=1) / LENGTH
-
-
 def rms(values: Floats) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
@@ -97,20 +70,22 @@ def rms(values: Floats) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs both, prints the figures and draws the picture. Returns the exit code."""
     options = parse(arguments, "A very flexible pendulum: full beam and reduced member.", __file__)
-    end, case = QUICK_END if options.quick else END, Case(E=3e6, members=1, modes=3, formulation="membrane")
-    whole, member = full(case.E, end=end), reduced(case, end=end)
-    gap = error(member, whole)
-    print(f"tip at t = {end:g} s: ({member.tip[-1, 0]:.5f}, {member.tip[-1, 1]:.5f}) m, all coordinates "
-          f"({whole.tip[-1, 0]:.5f}, {whole.tip[-1, 1]:.5f}) m; error / length {rms(gap):.5f} rms, {gap.max():.5f} at "
-          f"most")  # fmt: skip
-    print(f"drift of the energy {member.drift:.1e}; {member.offline:.2f} s offline, {member.seconds:.2f} s online, "
-          f"all coordinates {whole.seconds:.2f} s")  # fmt: skip
-    paths = [Curve(whole.tip[:, 0], whole.tip[:, 1], "all coordinates", THEIRS, width=3.5),
-             Curve(member.tip[:, 0], member.tip[:, 1], "GMP, 3 modes", width=1.2)]  # fmt: skip
+    end = QUICK_END if options.quick else END
+    full = fall(FullMember(rod(E)), end=end)
+    begin = time.process_time()
+    member = ReducedMember(rod(E), modes=MODES, formulation="membrane", reach=REACH, points_per_angle=9)
+    reduced = fall(member, end=end, offline=time.process_time() - begin)
+    error, (x, y), (full_x, full_y) = reduced.error(full), reduced.tip[-1], full.tip[-1]
+    print(f"tip at t = {end:g} s: ({x:.5f}, {y:.5f}) m, all coordinates ({full_x:.5f}, {full_y:.5f}) m; "
+          f"error / length {rms(error):.5f} rms, {error.max():.5f} at most")  # fmt: skip
+    print(f"drift of the energy {reduced.drift:.1e}; {reduced.offline:.2f} s offline, {reduced.seconds:.2f} s online, "
+          f"all coordinates {full.seconds:.2f} s")  # fmt: skip
     draw(options.folder / "flexible_pendulum.png", "Very flexible pendulum", [
-        Panel(f"Path of the tip, E = {case.E:g} Pa", "m", "m", paths),
+        Panel(f"Path of the tip, E = {E:g} Pa", "m", "m", [
+            Curve(*full.tip.T, "all coordinates", THEIRS, width=3.5),
+            Curve(*reduced.tip.T, f"GMP, {MODES} modes", width=1.2)]),
         Panel("Error of the tip", "time, s", "part of the length",
-              [Curve(member.motion.times, np.maximum(gap, 1e-7))], logarithmic=True),
+              [Curve(reduced.motion.times, np.maximum(error, 1e-7))], logarithmic=True),
     ])  # fmt: skip
     return 0
 

@@ -14,51 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
-from common import THEIRS, Curve, Floats, Panel, draw, parse
+from common import THEIRS, Curve, Floats, Panel, draw, hermite_beam, parse, simulate_kept
 
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.multibody import (
-    LinearBody,
-    MovingLoad,
-    Result,
-    SlidingSwitch,
-    SwitchingBody,
-    System,
-    UnfinishedRunError,
-    local_response,
-    simulate_sliding,
-)
-from morembs.problem import Problem
-from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import Switching
-from morembs.storage.safefile import replacing
+from morembs import FEModel, Problem, ReducedModel, StaticModesSwitching
+from morembs.multibody import LinearBody, MovingLoad, Result, SlidingSwitch, SwitchingBody, System, local_response
+from morembs.reducers.switching_tables import StaticModeTables
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600
 FACTORS = {0.1: 1.096, 0.25: 1.258, 0.5: 1.705, 0.617: 1.732, 0.75: 1.702}
 
 
-def hermite_beam(n: int) -> FEModel:
-    """Beam of unit length, bending stiffness and mass per length in n elements, held at both ends."""
-    h = 1.0 / n
-    k = np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]) / h**3  # fmt: skip
-    m = h / 420 * np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-                            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])  # fmt: skip
-    dofs = 2 * np.arange(n)[:, None] + np.arange(4)
-    rows, columns = np.repeat(dofs, 4, axis=1).ravel(), np.tile(dofs, (1, 4)).ravel()
-    K, M = (sp.csr_array(sp.coo_array((np.tile(one.ravel(), n), (rows, columns)))) for one in (k, m))
-    keep = np.setdiff1d(np.arange(2 * n + 2), [0, 2 * n])
-    xyz = np.zeros((n + 1, 3))
-    xyz[:, 0] = np.linspace(0, 1, n + 1)
-    return FEModel(
-        K=sp.csr_array(K[keep][:, keep]), M=sp.csr_array(M[keep][:, keep]),
-        nodes=Nodes(ids=np.arange(1, n + 2), xyz=xyz, sets={"BEAM": np.arange(n + 1)}),
-        dofs=DofMap(node=keep // 2, component=np.where(keep % 2, 5, 1)), source="simply supported beam",
-    )  # fmt: skip
-
-
-def reduce(model: FEModel, modes: int = MODES, band: int | None = None) -> tuple[ReducedModel, Switching]:
+def reduce(model: FEModel, modes: int = MODES, band: int | None = None) -> tuple[ReducedModel, StaticModeTables]:
     """Modes of the beam, and static modes of deflection and rotation at all nodes."""
     reducer = StaticModesSwitching(base_options={"modes": modes}, candidates="set:BEAM", directions=[1, 5], band=band)
     with Problem(model) as problem:
@@ -78,36 +44,18 @@ class Passage:
 
 
 def cross(
-    made: tuple[ReducedModel, Switching], speed: float, steps: int, *, variant: str = "quasi-static",
+    beam: tuple[ReducedModel, StaticModeTables], speed: float, steps: int, *, variant: str = "quasi-static",
     start: float = 0.0, end: float = 1.0, keep: Path | None = None,
 ) -> Passage:  # fmt: skip
     """A unit load goes from ``start`` to ``end``. What there is of a run that fails goes to ``keep``."""
-    reduced, its = made
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=start, variant=variant)
+    reduced, tables = beam
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=start, variant=variant)
     system, switch = System(), SlidingSwitch(body)
     system.add(body)
     system.add(MovingLoad(body.path(), position=lambda t: start + speed * t, force=(0.0, 1.0, 0.0)))
     duration, begin = (end - start) / speed, time.process_time()
     result = simulate_kept(system, switch, duration, duration / steps, keep)
     return Passage(result=result, body=body, switch=switch, speed=speed, seconds=time.process_time() - begin)
-
-
-def simulate_kept(
-    system: System, switch: SlidingSwitch, end: float, step: float, keep: Path | None, rho: float = 0.9
-) -> Result:
-    """A run; what there is of one that fails is kept."""
-    try:
-        return simulate_sliding(system, switch, end=end, step=step, rho=rho)
-    except UnfinishedRunError as error:
-        if keep is not None and error.result is not None:
-            write_run(keep, error.result)
-        raise
-
-
-def write_run(path: Path, result: Result) -> None:
-    """Times and configurations of a run, whole or not at all."""
-    with replacing(path) as file:
-        np.savez(file, time=result.time, x=np.concatenate([one.x for one in result.segments]))
 
 
 def exact_deflection(t: Floats, v: float, x: float, terms: int = 200) -> Floats:
@@ -131,10 +79,10 @@ def exact_factor(v: float) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs, draws and prints the figures. Returns the exit code."""
     options = parse(arguments, "A load crosses a simply supported beam: modes and switched static modes.", __file__)
-    made, steps = reduce(hermite_beam(ELEMENTS)), STEPS // 2 if options.quick else STEPS
+    beam, steps = reduce(hermite_beam(ELEMENTS)), STEPS // 2 if options.quick else STEPS
     factors = {}
     for alpha, want in FACTORS.items():
-        run = cross(made, alpha * np.pi, steps, keep=options.folder / "moving_load.npz")
+        run = cross(beam, alpha * np.pi, steps, keep=options.folder / "moving_load.npz")
         factors[alpha] = dynamic_factor(run)
         print(f"speed {alpha:g} of the critical one: dynamic factor {factors[alpha]:.4f} (Fryba {want:.3f})")
     speeds, ours = np.array(list(factors.items())).T

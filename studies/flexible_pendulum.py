@@ -9,18 +9,48 @@ over foreshortened shapes, which need no nonlinear solves; linear shapes are no 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Panel, draw, parse
-from flexible_pendulum import END, REACH, Case, Fall, error, full, reduced, rms
+from flexible_pendulum import ELEMENTS, END, LENGTH, STEP, Fall, fall, rms, rod
 
 from morembs.errors import MorembsError
-from morembs.gmp import Formulation
+from morembs.gmp import Formulation, ReducedMember
+from morembs.nonlinear import FullMember
 
+# Ranges (rad) of the tables, at least 1.4 times what the full model does: per Young's modulus and number of members.
+REACH = {3e6: {1: 0.83, 2: 0.56}, 1.5e7: {1: 0.26, 2: 0.18}, 1e6: {1: 1.3, 2: 0.75}}
 NAMES: dict[Formulation, str] = {
     "linear": "linear shapes", "foreshortened": "foreshortened", "tangent": "GMP, tangent", "membrane": "GMP, membrane",
 }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """``members`` of the same length with ``modes`` bending modes each."""
+
+    E: float
+    members: int
+    modes: int
+    formulation: Formulation
+
+
+def full(E: float, *, end: float = END, step: float = STEP, elements: int = ELEMENTS) -> Fall:
+    """All degrees of freedom."""
+    return fall(FullMember(rod(E, elements=elements)), end=end, step=step)
+
+
+def reduced(case: Case, *, end: float = END, step: float = STEP, elements: int = ELEMENTS) -> Fall:
+    """The same mesh, reduced."""
+    begin = time.process_time()
+    member = ReducedMember(
+        rod(case.E, LENGTH / case.members, elements // case.members), modes=case.modes,
+        formulation=case.formulation, reach=REACH[case.E][case.members], points_per_angle=9,
+    )  # fmt: skip
+    return fall(member, case.members, end=end, step=step, offline=time.process_time() - begin)
 
 
 def table(end: float, moduli: Sequence[float]) -> dict[Case | float, Fall]:
@@ -35,15 +65,15 @@ def table(end: float, moduli: Sequence[float]) -> dict[Case | float, Fall]:
                 case = Case(E=E, members=members, modes=modes, formulation=formulation)
                 line = f"{E:<8.2g} {members:4d} {modes:5d}    {name:17}"
                 try:
-                    one = reduced(case, end=end)
+                    run = reduced(case, end=end)
                 except MorembsError as problem:
                     print(f"{line} fails: {problem}")
                     continue
-                done[case] = one
-                gap = error(one, reference)
-                print(f"{line}       {rms(gap):8.5f} {gap.max():8.5f}         {one.drift:.1e} "
-                      f"{one.offline:6.2f} {one.seconds:6.2f}")  # fmt: skip
-                for warning in one.motion.warnings:
+                done[case] = run
+                gap = run.error(reference)
+                print(f"{line}       {rms(gap):8.5f} {gap.max():8.5f}         {run.drift:.1e} "
+                      f"{run.offline:6.2f} {run.seconds:6.2f}")  # fmt: skip
+                for warning in run.motion.warnings:
                     print(f"         warning: {warning}")
     return done
 
@@ -57,15 +87,15 @@ def panels(done: dict[Case | float, Fall], E: float) -> list[Panel]:
     reference = done[E]
     paths = [Curve(x=reference.tip[:, 0], y=reference.tip[:, 1], label="full model", color=THEIRS, width=3.5)]
     errors = []
-    for case, one in done.items():
+    for case, run in done.items():
         if isinstance(case, float) or E != case.E or (case.members, case.formulation) not in looks:
             continue
         color, style = looks[case.members, case.formulation]
         label = f"{NAMES[case.formulation]}, {case.members} member{'s' * (case.members > 1)}"
         if case.members == 1:
-            paths.append(Curve(x=one.tip[:, 0], y=one.tip[:, 1], label=label, color=color, width=1.2))
-        gap = np.maximum(error(one, reference), 1e-7)
-        errors.append(Curve(x=one.motion.times, y=gap, label=label, color=color, style=style, width=1.2))
+            paths.append(Curve(x=run.tip[:, 0], y=run.tip[:, 1], label=label, color=color, width=1.2))
+        gap = np.maximum(run.error(reference), 1e-7)
+        errors.append(Curve(x=run.motion.times, y=gap, label=label, color=color, style=style, width=1.2))
     return [
         Panel(title=f"Path of the tip, E = {E:g} Pa", x="m", y="m", curves=paths),
         Panel(title="Error of the tip", x="time, s", y="part of the length", curves=errors, logarithmic=True),

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from moving_load import simulate_kept, write_run
+from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse, simulate_kept, write_run
 
 from morembs.model import DofMap, FEModel
 from morembs.model.assembly import assemble
@@ -42,7 +41,7 @@ from morembs.multibody import (
 )
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 LENGTH, WIDTH, HEIGHT = 5.0, 0.06, 0.12  # m
 CELLS, QUICK_CELLS = (500, 4, 7), (100, 2, 3)
@@ -85,7 +84,7 @@ def ramp(t: float) -> float:
     return float(np.sin(0.5 * np.pi * min(max(t / 0.02, 0.0), 1.0)) ** 2)
 
 
-def reduce(rail: Rail) -> tuple[ReducedModel, Switching, float]:
+def reduce(rail: Rail) -> tuple[ReducedModel, StaticModeTables, float]:
     """Modes, static modes of all nodes of the path, and the seconds that took."""
     begin = time.process_time()
     reducer = StaticModesSwitching(
@@ -93,8 +92,8 @@ def reduce(rail: Rail) -> tuple[ReducedModel, Switching, float]:
     )
     with Problem(rail.model) as problem:
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
-    return reduced, its, time.process_time() - begin
+        tables = reducer.switching(problem, reduced)
+    return reduced, tables, time.process_time() - begin
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,9 +107,11 @@ class Crossing:
     seconds: float
 
 
-def with_switching(reduced: ReducedModel, its: Switching, steps: int, keep: Path) -> tuple[Crossing, SlidingSwitch]:
+def with_switching(
+    reduced: ReducedModel, tables: StaticModeTables, steps: int, keep: Path
+) -> tuple[Crossing, SlidingSwitch]:
     """The load on the modes, static modes under it alone."""
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K, name="rail"), its, at=BEGIN, look_ahead=LOOK_AHEAD)
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K, name="rail"), tables, at=BEGIN, look_ahead=LOOK_AHEAD)
     system, switch = System(), SlidingSwitch(body)
     system.add(body)
     load = system.add(_load(body))
@@ -131,11 +132,10 @@ def _load(body: SwitchingBody) -> MovingLoad:
     )
 
 
-def with_all_static_modes(reduced: ReducedModel, its: Switching, steps: int) -> tuple[int, float]:
+def with_all_static_modes(reduced: ReducedModel, tables: StaticModeTables, steps: int) -> tuple[int, float]:
     """Coordinates, and seconds of the whole run as some of its steps tell, in one window of all candidates."""
-    body = SwitchingBody(
-        LinearBody(reduced.M, reduced.K, name="rail"), its, at=BEGIN, variant="dynamic", look_ahead=len(its.node_ids)
-    )
+    modes = LinearBody(reduced.M, reduced.K, name="rail")
+    body = SwitchingBody(modes, tables, at=BEGIN, variant="dynamic", look_ahead=len(tables.node_ids))
     system, switch = System(), SlidingSwitch(body)
     system.add(body)
     system.add(_load(body))
@@ -151,7 +151,7 @@ def with_all_static_modes(reduced: ReducedModel, its: Switching, steps: int) -> 
     return body.size, seconds[few] + (steps - few) * step
 
 
-def with_all_dofs(rail: Rail, its: Switching, steps: int) -> Crossing:
+def with_all_dofs(rail: Rail, tables: StaticModeTables, steps: int) -> Crossing:
     """The load on the whole model: trapezoidal rule, one factorisation."""
     model, h = rail.model, (END - BEGIN) / SPEED / steps
     table = np.full(len(model.nodes), -1)
@@ -166,7 +166,7 @@ def with_all_dofs(rail: Rail, its: Switching, steps: int) -> Crossing:
     for k in range(steps + 1):
         t = k * h
         s = BEGIN + SPEED * t
-        curve = its.curve(s)
+        curve = tables.curve(s)
         nodes, weights = curve.span.nodes, curve.value @ curve.span.base
         if k:
             u += h * rate + h * h / 4 * a
@@ -177,7 +177,7 @@ def with_all_dofs(rail: Rail, its: Switching, steps: int) -> Crossing:
             u += h * h / 4 * a
             rate += h / 2 * a
         pause = time.process_time()
-        c = (s - its.s[curve.span.interval]) / curve.span.length
+        c = (s - tables.s[curve.span.interval]) / curve.span.length
         ends = pick(u, curve.span.interval)
         rows.append((t, weights @ u[dofs[nodes]], (1 - c) * ends[0] + c * ends[1]))
         watching += time.process_time() - pause
@@ -191,22 +191,22 @@ class _StressAt:
 
     def __init__(self, rail: Rail) -> None:
         model = rail.model
-        its: StressOperator = stress_operator(rail.solid, rail.path)
-        self.place = np.searchsorted(its.nodes, rail.path)
-        self.gradient, self.elasticity = its.gradient, its.elasticity[0]
+        operator: StressOperator = stress_operator(rail.solid, rail.path)
+        self.place = np.searchsorted(operator.nodes, rail.path)
+        self.gradient, self.elasticity = operator.gradient, operator.elasticity[0]
         self.node, self.component = model.dofs.node, model.dofs.component
         self.count = len(model.nodes)
 
     def __call__(self, u: Floats, i: int) -> Floats:
         whole = np.zeros((self.count, 3))
         whole[self.node, self.component] = u
-        found = []
+        stress = []
         for p in self.place[i : i + 2]:
             H = self.gradient[3 * p : 3 * p + 3] @ whole
             strain = 0.5 * (H + H.T)
             six = strain[[0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]]
-            found.append(float(self.elasticity[0] @ six))
-        return np.array(found)
+            stress.append(float(self.elasticity[0] @ six))
+        return np.array(stress)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,23 +219,22 @@ class Ride:
     switches: int
 
 
-def ride(reduced: ReducedModel, its: Switching, steps: int, keep: Path) -> Ride:
+def ride(reduced: ReducedModel, tables: StaticModeTables, steps: int, keep: Path) -> Ride:
     """A mass is driven along the rail, on the compliance of its static modes."""
     system = System(gravity=(0, 0, -GRAVITY))
     # It starts in equilibrium, with the mass on it; the mass begins along the slope that the rail has there.
-    curve = its.curve(BEGIN)
-    here = its.of_nodes(int(curve.span.nodes[0]), len(curve.span.nodes))
+    curve = tables.curve(BEGIN)
+    here = tables.of_nodes(int(curve.span.nodes[0]), len(curve.span.nodes))
     row = curve.rows(here)[2]
-    down = its.weight[:, 2] * -GRAVITY + (row @ its.modes[here]) * -MASS * GRAVITY
-    body = SwitchingBody(
-        LinearBody(reduced.M, reduced.K, weight=its.weight, start=np.linalg.solve(reduced.K, down), name="rail"), its,
-        at=BEGIN, look_ahead=LOOK_AHEAD,
-    )  # fmt: skip
+    down = tables.weight[:, 2] * -GRAVITY + (row @ tables.modes[here]) * -MASS * GRAVITY
+    start = np.linalg.solve(reduced.K, down)
+    modes = LinearBody(reduced.M, reduced.K, weight=tables.weight, start=start, name="rail")
+    body = SwitchingBody(modes, tables, at=BEGIN, look_ahead=LOOK_AHEAD)
     switch = SlidingSwitch(body)
     system.add(body)
     path = body.path()
     there = path.place(body.start()[0]).at(BEGIN)
-    start = there.position - [0.0, 0.0, MASS * GRAVITY * float(row @ its.R(here) @ row)]
+    start = there.position - [0.0, 0.0, MASS * GRAVITY * float(row @ tables.R(here) @ row)]
     velocity = SPEED * there.slope / there.slope[0]
     mass = system.add(
         RigidBody(MASS, (1, 1, 1), position=start, velocity=velocity, markers={"c": (0, 0, 0)}, name="mass")
@@ -259,21 +258,21 @@ def ride(reduced: ReducedModel, its: Switching, steps: int, keep: Path) -> Ride:
 
 
 def _forces(result: Result, support: PathSupport) -> Floats:
-    found = []
+    forces = []
     for segment in result.segments:
         for x in segment.x:
-            places = [segment.assembly.place(one, x) for one in support.markers]
-            found.append(support.wrenches(0.0, places, [])[1][2])
-    return np.array(found)
+            places = [segment.assembly.place(marker, x) for marker in support.markers]
+            forces.append(support.wrenches(0.0, places, [])[1][2])
+    return np.array(forces)
 
 
 def compared(full: Crossing, switched: Crossing) -> tuple[float, float]:
     """Largest errors of deflection and stress, as parts of the largest value of the full model."""
-    found = []
+    errors = []
     for name in ("deflection", "stress"):
         want = np.interp(switched.time, full.time, getattr(full, name))
-        found.append(float(np.abs(getattr(switched, name) - want).max() / np.abs(want).max()))
-    return found[0], found[1]
+        errors.append(float(np.abs(getattr(switched, name) - want).max() / np.abs(want).max()))
+    return errors[0], errors[1]
 
 
 def picture(path: Path, full: Crossing, switched: Crossing, modes: Floats, travel: Ride) -> None:
@@ -314,35 +313,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments, "A flexible rail under a moving load and a travelling mass.", __file__)
     file, steps = options.folder / "flexible_rail.npz", QUICK_STEPS if options.quick else STEPS
     rail = make_rail(QUICK_CELLS if options.quick else CELLS)
-    reduced, its, offline = reduce(rail)
-    print(f"rail of {rail.model.size} dofs, {its.count} candidates; reduced in {offline:.1f} s")
-    switched, switch = with_switching(reduced, its, steps, file)
+    reduced, tables, offline = reduce(rail)
+    print(f"rail of {rail.model.size} dofs, {tables.count} candidates; reduced in {offline:.1f} s")
+    switched, switch = with_switching(reduced, tables, steps, file)
     print(f"{len(switch.log)} switches in {steps} steps")
-    full = with_all_dofs(rail, its, steps)
+    full = with_all_dofs(rail, tables, steps)
     deflection, stress = compared(full, switched)
     print(f"errors against all dofs: deflection {100 * deflection:.2f} %, stress {100 * stress:.2f} %")
-    count, seconds = with_all_static_modes(reduced, its, steps)
+    count, seconds = with_all_static_modes(reduced, tables, steps)
     print(f"coordinates: {switched.coordinates} switched, {count} with all static modes, {full.coordinates} in all")
     print(f"seconds: {switched.seconds:.2f} switched, {seconds:.1f} with all static modes, {full.seconds:.1f} in all")
     fewer, faster, than_all = count / switched.coordinates, seconds / switched.seconds, full.seconds / switched.seconds
     print(f"{fewer:.0f} times fewer coordinates than with all static modes, {faster:.0f} times faster")
     print(f"{than_all:.0f} times faster than all dofs")
-    travel = ride(reduced, its, steps, file)
+    travel = ride(reduced, tables, steps, file)
     print(f"mass: largest drop {-1e3 * travel.drop.min():.3f} mm, force {travel.force.min():.3f} to "
           f"{travel.force.max():.3f} of the weight, {travel.switches} switches")  # fmt: skip
-    picture(options.folder / "flexible_rail.png", full, switched, _alone(switched, reduced, its), travel)
+    picture(options.folder / "flexible_rail.png", full, switched, _alone(switched, reduced, tables), travel)
     return 0
 
 
-def _alone(switched: Crossing, reduced: ReducedModel, its: Switching) -> Floats:
+def _alone(switched: Crossing, reduced: ReducedModel, tables: StaticModeTables) -> Floats:
     """Deflection without the static modes: these are the load times their compliance."""
-    found = []
+    deflection = []
     for t, w in zip(switched.time, switched.deflection, strict=True):
-        curve = its.curve(BEGIN + SPEED * float(t))
-        here = its.of_nodes(int(curve.span.nodes[0]), len(curve.span.nodes))
+        curve = tables.curve(BEGIN + SPEED * float(t))
+        here = tables.of_nodes(int(curve.span.nodes[0]), len(curve.span.nodes))
         row = curve.rows(here)[2]
-        found.append(w + LOAD * ramp(float(t)) * (row @ its.R(here) @ row))
-    return np.array(found)
+        deflection.append(w + LOAD * ramp(float(t)) * (row @ tables.R(here) @ row))
+    return np.array(deflection)
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def exudyn(factor: float = 1.0, *, elements: tuple[int, int] = ELEMENTS, end: fl
 
     ground = at(mbs.AddNode(items.NodePointGround()), 0)
     pairs = [(ground, at(crank[0], 0)), (ground, at(crank[0], 1)), (ground, at(rod[-1], 1))]
-    pairs += [(at(one, k), at(other, k)) for one, other in ((crank[-1], rod[0]), (slider, rod[-1])) for k in (0, 1)]
+    pairs += [(at(node, k), at(other, k)) for node, other in ((crank[-1], rod[0]), (slider, rod[-1])) for k in (0, 1)]
     for pair in pairs:
         mbs.AddObject(items.CoordinateConstraint(markerNumbers=list(pair)))
     mbs.AddLoad(
@@ -164,7 +164,7 @@ def exudyn(factor: float = 1.0, *, elements: tuple[int, int] = ELEMENTS, end: fl
     mbs.SolveDynamic(settings)
     seconds = time.process_time() - begin
     data = [np.array(mbs.GetSensorStoredData(sensor)) for sensor in sensors]
-    times, points = data[0][:, 0], [one[:, 1:4] for one in data]
+    times, points = data[0][:, 0], [samples[:, 1:4] for samples in data]
     first, middle, last = (p[:, :2] for p in points)
     return Run(
         time=times, slider=last[:, 0], deflection=across(first, middle, last), coordinates=3 * (sum(elements) + 2) + 2,
@@ -181,11 +181,11 @@ def compare(factor: float, *, elements: tuple[int, int], end: float) -> dict[str
     largest = np.abs(reference.deflection).max() / ROD
     print(f"{factor:g} times the stiffness, {sum(elements)} elements: largest deflection {largest:.4f} of the rod")
     print("                    coordinates   rms error: deflection, slider   ms per step (gain)      offline, s")
-    for name, one in done.items():
-        deflection, slider = one.errors(reference)
-        print(f"  {name:18} {one.coordinates:8d}       {deflection:12.5f}  {slider:12.6f}   {1e3 * one.step:10.3f} "
-              f"({reference.step / one.step:5.1f}) {one.offline:12.2f}")  # fmt: skip
-        for warning in one.motion.warnings if one.motion else ():
+    for name, run in done.items():
+        deflection, slider = run.errors(reference)
+        print(f"  {name:18} {run.coordinates:8d}       {deflection:12.5f}  {slider:12.6f}   {1e3 * run.step:10.3f} "
+              f"({reference.step / run.step:5.1f}) {run.offline:12.2f}")  # fmt: skip
+        for warning in run.motion.warnings if run.motion else ():
             print(f"    warning: {warning}")
     return done
 
@@ -208,10 +208,10 @@ def check(elements: tuple[int, int], end: float) -> None:
 def large(steps: int = 50) -> None:
     """Prints what a step of the full model costs with four times the elements; that of reduced ones is the same."""
     elements = 4 * ELEMENTS[0], 4 * ELEMENTS[1]
-    one = full(elements=elements, end=steps * STEP)
+    whole = full(elements=elements, end=steps * STEP)
     other = reduced("GMP", elements=elements, end=steps * STEP)
-    print(f"{sum(elements)} elements: full {1e3 * one.step:.3f} ms per step, GMP {1e3 * other.step:.3f} "
-          f"({one.step / other.step:.1f}), offline {other.offline:.2f} s")  # fmt: skip
+    print(f"{sum(elements)} elements: full {1e3 * whole.step:.3f} ms per step, GMP {1e3 * other.step:.3f} "
+          f"({whole.step / other.step:.1f}), offline {other.offline:.2f} s")  # fmt: skip
 
 
 def panels(soft: dict[str, Run], stiff: dict[str, Run]) -> list[Panel]:
@@ -221,11 +221,11 @@ def panels(soft: dict[str, Run], stiff: dict[str, Run]) -> list[Panel]:
     shown, errors = [Curve(x=reference.time, y=reference.deflection / ROD, label="full", color=THEIRS, width=3.5)], []
     hard = [Curve(x=stiff["full"].time, y=stiff["full"].deflection / ROD, label="full", color=THEIRS, width=3.5)]
     for name, color in colors.items():
-        one = soft[name]
-        shown.append(Curve(x=one.time, y=one.deflection / ROD, label=name, color=color, width=1.2))
+        run = soft[name]
+        shown.append(Curve(x=run.time, y=run.deflection / ROD, label=name, color=color, width=1.2))
         hard.append(Curve(x=stiff[name].time, y=stiff[name].deflection / ROD, label=name, color=color, width=1.0))
-        gap = np.maximum(np.abs(one.deflection - reference.deflection) / np.abs(reference.deflection).max(), 1e-7)
-        errors.append(Curve(x=one.time, y=gap, label=name, color=color, width=1.2))
+        gap = np.maximum(np.abs(run.deflection - reference.deflection) / np.abs(reference.deflection).max(), 1e-7)
+        errors.append(Curve(x=run.time, y=gap, label=name, color=color, width=1.2))
     part = "part of the length"
     return [
         Panel(title="Deflection of the middle of the rod, nominal stiffness", x="time, s", y=part, curves=shown),

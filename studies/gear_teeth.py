@@ -26,7 +26,7 @@ from morembs.interface import make_interface
 from morembs.multibody.contact.lemke import lemke
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 MODES = 20
 FORCE = 4000.0  # N along the line of action, 200 N/mm
@@ -42,7 +42,7 @@ class Reduced:
 
     sector: Sector
     reduced: ReducedModel
-    tables: Switching
+    tables: StaticModeTables
 
     @cached_property
     def elastic(self) -> Ints:
@@ -67,15 +67,15 @@ class Reduced:
 
 def reduce(gear: Gear, modes: int = MODES, cells: Sequence[int] = CELLS) -> Reduced:
     """Modes of the held sector, and static modes of all flank nodes along their normals."""
-    made = sector(gear, cells)
-    ids = ",".join(map(str, made.model.nodes.ids[np.sort(made.flank.ravel())]))
+    teeth = sector(gear, cells)
+    ids = ",".join(map(str, teeth.model.nodes.ids[np.sort(teeth.flank.ravel())]))
     reducer = StaticModesSwitching(
         base="craig-bampton", base_options={"modes": modes}, candidates=f"ids:{ids}", directions="normals",
         kind="surface",
     )  # fmt: skip
-    with Problem(made.model, [make_interface(made.model, name="hub", nodes=made.bore)]) as problem:
+    with Problem(teeth.model, [make_interface(teeth.model, name="hub", nodes=teeth.bore)]) as problem:
         reduced = reducer.reduce(problem)
-        return Reduced(sector=made, reduced=reduced, tables=reducer.switching(problem, reduced))
+        return Reduced(sector=teeth, reduced=reduced, tables=reducer.switching(problem, reduced))
 
 
 def whole_compliance(gear: Reduced) -> Floats:
@@ -110,15 +110,15 @@ def base_pitch() -> float:
 
 def touch(gears: tuple[Reduced, Reduced], place: float) -> Touch:
     """Points on the line of action where the middle pair is ``place`` m behind the pitch point."""
-    one, two = (g.sector.gear for g in gears)
-    along = (one.pitch + two.pitch) * math.sin(PRESSURE)
+    driver, driven = (g.sector.gear for g in gears)
+    along = (driver.pitch + driven.pitch) * math.sin(PRESSURE)
     pairs, gaps = [], []
     rolls: list[tuple[float, float]] = []
     for k in (-1, 0, 1):
-        first = one.pitch * math.sin(PRESSURE) + place + k * base_pitch()
+        first = driver.pitch * math.sin(PRESSURE) + place + k * base_pitch()
         second = along - first
-        if one.lowest <= first <= one.highest and two.lowest <= second <= two.highest:
-            nearest = min(one.highest - first, two.highest - second)
+        if driver.lowest <= first <= driver.highest and driven.lowest <= second <= driven.highest:
+            nearest = min(driver.highest - first, driven.highest - second)
             pairs.append(k)
             rolls.append((first, second))
             gaps.append(RELIEF * max(0.0, 1 - nearest / RELIEVED) ** 2)
@@ -142,36 +142,36 @@ def _weights(gear: Reduced, teeth: Sequence[int], rolls: Sequence[float]) -> tup
     A point is the mean of a strip as wide as an element: such elements do not resolve what is narrower, such as Hertz's
     pressure. Along the strip the shape functions of element edges hold.
     """
-    its = gear.sector
-    lines, step = its.flank.shape[2], 2 * (its.roll[1] - its.roll[0])
+    teeth = gear.sector
+    lines, step = teeth.flank.shape[2], 2 * (teeth.roll[1] - teeth.roll[0])
     strip = step * ((np.arange(STRIP) + 0.5) / STRIP - 0.5)
     rows = []
     for roll in rolls:
-        x = (np.clip(roll + strip, its.roll[0], its.roll[-1]) - its.roll[0]) / step
-        element = np.minimum(x.astype(int), (len(its.roll) - 1) // 2 - 1)
+        x = (np.clip(roll + strip, teeth.roll[0], teeth.roll[-1]) - teeth.roll[0]) / step
+        element = np.minimum(x.astype(int), (len(teeth.roll) - 1) // 2 - 1)
         x -= element
-        row = np.zeros(len(its.roll))
+        row = np.zeros(len(teeth.roll))
         for k, values in enumerate(((2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1))):
             np.add.at(row, 2 * element + k, values / STRIP)
         rows.append(row)
     used = [gear.candidate[tooth + 1, row != 0] for tooth, row in zip(teeth, rows, strict=True)]
-    some = np.unique(np.concatenate([one.ravel() for one in used]))
+    some = np.unique(np.concatenate([nodes.ravel() for nodes in used]))
     W = np.zeros((lines * len(used), len(some)))
-    for number, (one, row) in enumerate(zip(used, rows, strict=True)):
+    for number, (nodes, row) in enumerate(zip(used, rows, strict=True)):
         for line in range(lines):
-            W[number * lines + line, np.searchsorted(some, one[:, line])] = row[row != 0]
+            W[number * lines + line, np.searchsorted(some, nodes[:, line])] = row[row != 0]
     return some, W
 
 
 def solve(at: Touch, C: Sequence[Floats], force: float = FORCE) -> tuple[float, Floats]:
     """Approach (m) along the line of action and forces (p,) N: 0 <= gap + C f - approach, 0 <= f, sum f = force."""
-    A = sum(W @ one @ W.T for W, one in zip(at.weights, C, strict=True))
+    A = sum(W @ compliance @ W.T for W, compliance in zip(at.weights, C, strict=True))
     p, unit = len(A), float(np.abs(A).max())
     M = np.zeros((p + 1, p + 1))
     # The approach is the last unknown; its row says that the forces carry the torque.
     M[:p, :p], M[:p, p], M[p, :p] = A / unit, -1.0, 1.0
-    found = lemke(M, np.concatenate((at.gap / (unit * force), [-1.0]))).z
-    return float(found[p] * unit * force), found[:p] * force
+    solution = lemke(M, np.concatenate((at.gap / (unit * force), [-1.0]))).z
+    return float(solution[p] * unit * force), solution[:p] * force
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,7 +190,7 @@ def cycle(gears: tuple[Reduced, Reduced], places: Floats, whole: Sequence[Floats
     for place in places:
         at = touch(gears, float(place))
         if whole is not None:
-            C = [one[np.ix_(some, some)] for one, some in zip(whole, at.active, strict=True)]
+            C = [compliance[np.ix_(some, some)] for compliance, some in zip(whole, at.active, strict=True)]
         else:
             C = [g.compliance(some) if static else g.by_modes(some) for g, some in zip(gears, at.active, strict=True)]
         near, f = solve(at, C)
@@ -238,10 +238,10 @@ def picture(path: Path, places: Floats, switched: Cycle, full: Cycle, modes: Cyc
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs, draws and prints the figures. Returns the exit code."""
     options = parse(arguments, "Meshing gear teeth with switched static modes.", __file__)
-    one, two = (reduce(gear, cells=QUICK_CELLS if options.quick else CELLS) for gear in pair())
-    gears = (one, two)
+    driver, driven = (reduce(gear, cells=QUICK_CELLS if options.quick else CELLS) for gear in pair())
+    gears = (driver, driven)
     candidates = sum(g.tables.count for g in gears)
-    print(f"two sectors of {one.sector.model.size} and {two.sector.model.size} dofs, {candidates} candidates")
+    print(f"two sectors of {driver.sector.model.size} and {driven.sector.model.size} dofs, {candidates} candidates")
     places = base_pitch() * np.linspace(-0.5, 0.5, QUICK_PLACES if options.quick else PLACES)
     switched = cycle(gears, places, None)
     full = cycle(gears, places, [whole_compliance(g) for g in gears])

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from moving_load import ELEMENTS, MODES, STEPS, Passage, cross, hermite_beam, reduce, write_run
+from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, hermite_beam, parse, write_run
+from moving_load import ELEMENTS, MODES, STEPS, Passage, cross, reduce
 
 from morembs.multibody.sliding.response import amplitudes, state_of
 
@@ -30,11 +30,11 @@ def exact_moment(t: float, v: float, terms: int = 4000) -> float:
 
 def moments(run: Passage, every: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Positions of the load, moments under it: exact, with static modes, with the modes alone."""
-    its, n = run.body.switching, len(run.body.switching.node_ids) - 1
-    all_, rows = np.arange(its.count), []
-    moving = np.flatnonzero(~its.turns)
-    at = np.concatenate((2 * its.node[moving], 2 * its.node[its.turns] + 1))
-    order = np.concatenate((moving, np.flatnonzero(its.turns)))
+    tables, n = run.body.switching, len(run.body.switching.node_ids) - 1
+    all_, rows = np.arange(tables.count), []
+    moving = np.flatnonzero(~tables.turns)
+    at = np.concatenate((2 * tables.node[moving], 2 * tables.node[tables.turns] + 1))
+    order = np.concatenate((moving, np.flatnonzero(tables.turns)))
 
     def of(u: Floats, s: float) -> float:
         e = min(int(s * n), n - 1)
@@ -47,8 +47,8 @@ def moments(run: Passage, every: int) -> tuple[Floats, Floats, Floats, Floats]:
         for k in range(0, len(segment.time), every):
             state = state_of(segment, k)
             q, candidates, a = amplitudes(state, run.body)
-            u, s = its.modes @ q + its.R(all_, candidates) @ a, run.speed * state.time
-            rows.append((s, exact_moment(state.time, run.speed), of(u, s), of(its.modes @ q, s)))
+            u, s = tables.modes @ q + tables.R(all_, candidates) @ a, run.speed * state.time
+            rows.append((s, exact_moment(state.time, run.speed), of(u, s), of(tables.modes @ q, s)))
     s_, exact, switched, alone = np.array(rows).T
     return s_, exact, switched, alone
 
@@ -58,27 +58,27 @@ def step_times(sizes: Sequence[int], timed: int, rounds: int = ROUNDS) -> tuple[
 
     First with all nodes as candidates, then with the 41 of the coarsest beam in every model.
     """
-    made = []
+    beams = []
     for n in sizes:
         model = hermite_beam(n)
         sets = {"BEAM": np.arange(0, n + 1, n // sizes[0])}
         few = replace(model, nodes=replace(model.nodes, sets=sets))
-        made += [(reduce(model, band=12), 1.0 / n), (reduce(few, band=12), 1.0 / sizes[0])]
-    found = np.full(len(made), np.inf)
+        beams += [(reduce(model, band=12), 1.0 / n), (reduce(few, band=12), 1.0 / sizes[0])]
+    shortest = np.full(len(beams), np.inf)
     for _ in range(rounds):
         # The shortest of several runs, in turn: other programs only make them longer.
-        for number, (one, spacing) in enumerate(made):
+        for number, (beam, spacing) in enumerate(beams):
             steps = min(timed, round(0.9 / spacing * PER_NODE))
-            run = cross(one, 0.5, steps, start=0.02, end=0.02 + steps * spacing / PER_NODE)
-            found[number] = min(found[number], 1e3 * run.seconds / steps)
-    return found[::2], found[1::2]
+            run = cross(beam, 0.5, steps, start=0.02, end=0.02 + steps * spacing / PER_NODE)
+            shortest[number] = min(shortest[number], 1e3 * run.seconds / steps)
+    return shortest[::2], shortest[1::2]
 
 
 def panels(
-    found: tuple[Floats, Floats, Floats, Floats], sizes: Sequence[int], times: tuple[Floats, Floats]
+    moments: tuple[Floats, Floats, Floats, Floats], sizes: Sequence[int], times: tuple[Floats, Floats]
 ) -> list[Panel]:
     """Both diagrams."""
-    s, want, switched, alone = found
+    s, want, switched, alone = moments
     ratio = np.array(sizes) / sizes[0]
     return [
         Panel(
@@ -109,9 +109,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     file = options.folder / "moving_load.npz"
     run = cross(reduce(hermite_beam(ELEMENTS)), SPEED * np.pi, steps, keep=file)
     write_run(file, run.result)
-    found = moments(run, 4)
-    size = np.abs(found[1]).max()
-    errors = [100 * np.abs(values - found[1]).max() / size for values in found[2:]]
+    curves = moments(run, 4)
+    size = np.abs(curves[1]).max()
+    errors = [100 * np.abs(values - curves[1]).max() / size for values in curves[2:]]
     print(f"moment under the load: error {errors[0]:.2f} % with static modes, {errors[1]:.1f} % without")
     print(f"{len(run.switch.log)} switches, the first: nodes {run.switch.log[0].on} on, {run.switch.log[0].off} off")
     sizes, timed, rounds = (SIZES[:2], QUICK_TIMED, 1) if options.quick else (SIZES, TIMED, ROUNDS)
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for what, values in zip(("all nodes are candidates", f"{sizes[0] + 1} candidates"), times, strict=True):
         listed = ", ".join(f"{t:.3f} ms with {n} elements" for n, t in zip(sizes, values, strict=True))
         print(f"cost of a step, {what}: {listed}")
-    draw(options.folder / "moving_load_moment.png", "A load crosses a beam", panels(found, sizes, times))
+    draw(options.folder / "moving_load_moment.png", "A load crosses a beam", panels(curves, sizes, times))
     return 0
 
 

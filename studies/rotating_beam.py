@@ -35,9 +35,9 @@ STEP, RHO, PERIODS = 5e-4, 0.95, 8
 SWING = 1e-4  # m, of the tip
 
 
-def linearised(made: ExudynBody, speed: float, axis: int, *, stiffening: bool) -> float:
+def linearised(blade: ExudynBody, speed: float, axis: int, *, stiffening: bool) -> float:
     """Lowest frequency (rad/s) of the modes that move the tip along ``axis``, about steady spin."""
-    frame = made.floating
+    frame = blade.floating
     body = FlexibleBody(frame, angular_velocity=(0, 0, speed), stiffening=stiffening)
     x, v = body.start()
     n, still = frame.count, np.zeros(3)
@@ -57,9 +57,9 @@ def linearised(made: ExudynBody, speed: float, axis: int, *, stiffening: bool) -
     return float(values[moving].imag.min())
 
 
-def first_flap(made: ExudynBody) -> Floats:
+def first_flap(blade: ExudynBody) -> Floats:
     """(n,) elastic coordinates of the first flap shape at rest, the tip off by ``SWING``."""
-    frame = made.floating
+    frame = blade.floating
     _, Y = sl.eigh(frame.Ke, frame.integrals.Me)
     tip = frame.markers["tip"].motion[:3] @ Y
     flap = int(np.flatnonzero(np.abs(tip[FLAP]) > 0.9 * np.linalg.norm(tip, axis=0))[0])
@@ -73,12 +73,12 @@ def frequency(time: Floats, z: Floats) -> float:
     return float(2 * math.pi * (len(zeros) - 1) / (zeros[-1] - zeros[0]))
 
 
-def in_ours(made: ExudynBody, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
+def in_ours(source: ExudynBody, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
     """Times and flapping of the tip in morembs.multibody."""
-    frame = made.floating
+    frame = source.floating
     system = System()
     blade = system.add(FlexibleBody(
-        frame, position=frame.origin, angular_velocity=(0, 0, speed), elastic=first_flap(made), stiffening=stiffening,
+        frame, position=frame.origin, angular_velocity=(0, 0, speed), elastic=first_flap(source), stiffening=stiffening,
         name="blade"))  # fmt: skip
     shaft = ground.marker_at()
     system.add(RevoluteJoint(shaft, blade.marker("root"), axis=(0, 0, 1)))
@@ -87,42 +87,43 @@ def in_ours(made: ExudynBody, speed: float, end: float, *, stiffening: bool) -> 
     return result.time, result.position(blade.marker("tip"))[:, FLAP]
 
 
-def in_theirs(made: ExudynBody, speed: float, end: float) -> tuple[Floats, Floats]:
+def in_theirs(source: ExudynBody, speed: float, end: float) -> tuple[Floats, Floats]:
     """Times and flapping of the tip in Exudyn."""
     system = ExudynSystem()
-    start = {"angular_velocity": (0, 0, speed), "elastic": first_flap(made)}
-    blade = system.elastic(made, position=made.floating.origin, **start)
+    start = {"angular_velocity": (0, 0, speed), "elastic": first_flap(source)}
+    blade = system.elastic(source, position=source.floating.origin, **start)
     system.joint(system.at_ground(), system.at_interface(blade, "root"), (1, 1, 1, 1, 1, 0))
     system.drive(blade, axis=2, speed=speed)
     time, (tip,) = system.solve(end=end, step=STEP, rho=RHO, watch=[system.at_interface(blade, "tip")])
     return time, tip[:, FLAP]
 
 
-def coefficients(made: ExudynBody, axis: int, *, stiffening: bool) -> Floats:
+def coefficients(blade: ExudynBody, axis: int, *, stiffening: bool) -> Floats:
     """c at each of ``SPEEDS``, by linearisation."""
-    rest = linearised(made, 0.0, axis, stiffening=stiffening)
-    speeds = np.array(SPEEDS) * linearised(made, 0.0, FLAP, stiffening=stiffening)
-    found = np.array([linearised(made, speed, axis, stiffening=stiffening) for speed in speeds])
-    return np.asarray((found**2 - rest**2) / speeds**2)
+    rest = linearised(blade, 0.0, axis, stiffening=stiffening)
+    speeds = np.array(SPEEDS) * linearised(blade, 0.0, FLAP, stiffening=stiffening)
+    frequencies = np.array([linearised(blade, speed, axis, stiffening=stiffening) for speed in speeds])
+    return np.asarray((frequencies**2 - rest**2) / speeds**2)
 
 
-def simulated(made: ExudynBody, parts: Sequence[float] = SIMULATED, periods: int = PERIODS) -> dict[str, Floats]:
+def simulated(blade: ExudynBody, parts: Sequence[float] = SIMULATED, periods: int = PERIODS) -> dict[str, Floats]:
     """c of the first flap mode at speeds that are ``parts`` of the frequency at rest, by simulation."""
-    rest = linearised(made, 0.0, FLAP, stiffening=False)
+    rest = linearised(blade, 0.0, FLAP, stiffening=False)
     speeds, end = np.array(parts) * rest, periods * 2 * math.pi / rest
-    at_rest = frequency(*in_ours(made, 0.0, end, stiffening=False))
+    at_rest = frequency(*in_ours(blade, 0.0, end, stiffening=False))
     runs = {"with stiffening": True, "without": False}
-    found = {
-        f"morembs {name}": [frequency(*in_ours(made, speed, end, stiffening=s)) for speed in speeds]
+    measured = {
+        f"morembs {name}": [frequency(*in_ours(blade, speed, end, stiffening=s)) for speed in speeds]
         for name, s in runs.items()
     }
     if not exudyn_missing():
-        found["Exudyn"] = [frequency(*in_theirs(made, speed, end)) for speed in speeds]
-    return {name: (np.array(one) ** 2 - at_rest**2) / speeds**2 for name, one in found.items()}
+        measured["Exudyn"] = [frequency(*in_theirs(blade, speed, end)) for speed in speeds]
+    return {name: (np.array(frequencies) ** 2 - at_rest**2) / speeds**2 for name, frequencies in measured.items()}
 
 
 def picture(
-    path: Path, made: ExudynBody, lines: dict[tuple[int, bool], Floats], parts: Sequence[float], dots: dict[str, Floats]
+    path: Path, blade: ExudynBody, lines: dict[tuple[int, bool], Floats], parts: Sequence[float],
+    dots: dict[str, Floats],
 ) -> None:  # fmt: skip
     """Coefficients of flap and lag over the speed, and the flap frequency that follows from them."""
     speeds, few = np.array(SPEEDS), np.array(parts)
@@ -136,7 +137,7 @@ def picture(
         if axis == FLAP:
             curves += [Curve(few, c, f"{name}, simulated", *looks[name]) for name, c in dots.items()]
         panels.append(Panel(f"Southwell coefficient, first {words}", x, "c", curves))
-    rest = linearised(made, 0.0, FLAP, stiffening=True) / (2 * math.pi)
+    rest = linearised(blade, 0.0, FLAP, stiffening=True) / (2 * math.pi)
     curves = [Curve(speeds, rest * np.sqrt(1 + lines[FLAP, s] * speeds**2), name, color) for s, name, color in kinds]
     panels.append(Panel("First flap frequency", x, "Hz", curves))
     draw(path, "Rotating beam", panels)
@@ -145,19 +146,19 @@ def picture(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes body and picture, prints the figures. Returns the exit code."""
     options = parse(arguments, "A rotating beam with and without geometric stiffening.", __file__)
-    made = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
-    lines = {(axis, s): coefficients(made, axis, stiffening=s) for axis in (FLAP, LAG) for s in (True, False)}
+    blade = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
+    lines = {(axis, s): coefficients(blade, axis, stiffening=s) for axis in (FLAP, LAG) for s in (True, False)}
     parts = SIMULATED[-1:] if options.quick else SIMULATED
-    dots = simulated(made, parts, 3 if options.quick else PERIODS)
+    dots = simulated(blade, parts, 3 if options.quick else PERIODS)
     for axis, name in ((FLAP, "flap"), (LAG, "lag")):
         right, wrong = lines[axis, True], lines[axis, False]
         print(f"{name}, linearised: c = {right.min():.4f} to {right.max():.4f} with stiffening, {wrong.min():.4f} to "
               f"{wrong.max():.4f} without; beam theory {SOUTHWELL[axis]}")  # fmt: skip
     for name, c in dots.items():
-        print(f"flap, simulated, {name}: c = {', '.join(f'{one:.4f}' for one in c)}")
+        print(f"flap, simulated, {name}: c = {', '.join(f'{value:.4f}' for value in c)}")
     if exudyn_missing():
         print(f"{exudyn_missing()}. One simulator is shown alone.")
-    picture(options.folder / "rotating_beam.png", made, lines, parts, dots)
+    picture(options.folder / "rotating_beam.png", blade, lines, parts, dots)
     return 0
 
 

@@ -203,7 +203,7 @@ def reduced(path: Path, *, static: bool = True) -> Run:
     seconds = (time.process_time() - begin) / (count - 1)
     if static:
         answers = answers + path.rest
-    tip = np.array([path.nominal.tip(x, one) for x, one in zip(path.x, answers, strict=True)])
+    tip = np.array([path.nominal.tip(x, answer) for x, answer in zip(path.x, answers, strict=True)])
     return Run(time=path.times, deflection=across(path.times, tip), step=seconds, offline=path.seconds)
 
 
@@ -213,7 +213,7 @@ def residual_frequency(run: Run) -> float:
     t, w = run.time[after] - MOVE, run.deflection[after]
 
     def waves(t: Floats, f: float, g: float, *amplitudes: float) -> Floats:
-        parts = [function(2 * np.pi * one * t) for one in (f, g) for function in (np.cos, np.sin)]
+        parts = [function(2 * np.pi * frequency * t) for frequency in (f, g) for function in (np.cos, np.sin)]
         return np.asarray(amplitudes @ np.array(parts))
 
     return float(curve_fit(waves, t, w, p0=(3.0, 23.0, 1e-2, 1e-2, 0, 0))[0][0])
@@ -234,10 +234,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     runs: dict[str, Run] = {}
     cases = [(modes, static, fine) for modes in (1, 2) for static in (False, True)] + [(2, True, coarse_step)]
     for modes, static, step in cases:
-        one = reduced(prepare(modes, end=end, step=step, elements=elements), static=static)
-        runs.setdefault(f"{modes} mode{'s' * (modes > 1)}{', static answers' * static}", one)
-        print(f"{modes:5d}  {'yes' if static else 'no':14}  {step:7g}   {one.error(reference):26.4f}   "
-              f"{residual_frequency(one):8.4f}   {1e3 * one.step:11.4f}   {one.offline:10.2f}")  # fmt: skip
+        run = reduced(prepare(modes, end=end, step=step, elements=elements), static=static)
+        runs.setdefault(f"{modes} mode{'s' * (modes > 1)}{', static answers' * static}", run)
+        print(f"{modes:5d}  {'yes' if static else 'no':14}  {step:7g}   {run.error(reference):26.4f}   "
+              f"{residual_frequency(run):8.4f}   {1e3 * run.step:11.4f}   {run.offline:10.2f}")  # fmt: skip
     coarse = full(end=end, step=coarse_step, elements=elements)
     gap = coarse.error(reference)
     print(f"all coordinates, steps of {coarse_step:g} s: error {gap:.4f}, {1e3 * coarse.step:.3f} ms each")
@@ -245,11 +245,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     shown = [Curve(x=reference.time, y=1e3 * reference.deflection, label="all coordinates", color=THEIRS, width=3.5)]
     errors = []
     for name, color in looks.items():
-        one = runs[name]
-        shown.append(Curve(x=one.time, y=1e3 * one.deflection, label=name, color=color, width=1.2))
-        gap = np.abs(one.deflection - np.interp(one.time, reference.time, reference.deflection))
+        run = runs[name]
+        shown.append(Curve(x=run.time, y=1e3 * run.deflection, label=name, color=color, width=1.2))
+        gap = np.abs(run.deflection - np.interp(run.time, reference.time, reference.deflection))
         part = np.maximum(gap / np.abs(reference.deflection).max(), 1e-6)
-        errors.append(Curve(x=one.time, y=part, label=name, color=color, width=1.2))
+        errors.append(Curve(x=run.time, y=part, label=name, color=color, width=1.2))
     draw(options.folder / "two_link_manipulator.png", "Two-link manipulator", [
         Panel(title="Deflection of the tip", x="time, s", y="mm", curves=shown),
         Panel(title="Error", x="time, s", y="part of the largest", curves=errors, logarithmic=True),

@@ -61,7 +61,7 @@ def test_large_arrays_live_in_a_file_without_a_name(tmp_path: Path, order: str) 
         (folder,) = tmp_path.iterdir()
         # The space is taken now, and nothing but the mark of the owner is left if the process is killed.
         assert [path.name for path in folder.iterdir()] == ["owner.lock"]
-        budget.rest()
+        budget.release_pages()
         np.testing.assert_array_equal(A, values.astype(np.complex64))
         assert budget.empty(3).base is None
     assert not list(tmp_path.iterdir())
@@ -82,9 +82,9 @@ A = budget.empty(10_000_000)
 empty = resident_bytes()
 A[:] = np.arange(1e7)
 full = resident_bytes()
-budget.relax()
+budget.release_if_tight()
 relaxed = resident_bytes()
-budget.rest()
+budget.release_pages()
 rested, off = resident_bytes(), budget.left() + resident_bytes() - memory
 print(empty, full, relaxed, rested, int(A.sum() == 49999995000000.0), off)
 """

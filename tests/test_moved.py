@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import morembs
 from morembs.moved import MOVED
+from morembs.reducers import Basis
 
 # What ``from morembs import *`` gave in 0.1.0.
 RELEASED = """
@@ -57,6 +61,7 @@ def test_an_old_public_name_is_still_there(name: str) -> None:
         ("linalg.dynamic_stiffness", "sprung", "grounded"),
         ("linalg.sparse.select", "Automatic", "AutoSolver"),
         ("reducers", "Automatic", "AutoReducer"),
+        ("reducers.switching_tables", "Switching", "StaticModeTables"),
     ],
 )
 def test_an_old_name_in_a_module_warns_and_gives_the_new_one(module: str, old: str, new: str) -> None:
@@ -89,3 +94,32 @@ def test_an_old_name_warns_and_gives_the_new_one(module: str, old: str, new: str
         assert getattr(holder, old) is getattr(holder, new)
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
         getattr(holder, "Nothing")  # noqa: B009
+
+
+@pytest.mark.parametrize(
+    ("module", "holder", "old", "new"),
+    [
+        ("budget", "Budget", "rest", "release_pages"),
+        ("budget", "Budget", "relax", "release_if_tight"),
+        ("linalg.sparse.solver", "LinearSolver", "knowing", "with_near_null_space"),
+        ("reducers", "Basis", "left", "W"),
+        ("reducers", "Basis", "inertial", "V_velocity"),
+        ("reducers", "ReducedModel", "left", "W"),
+    ],
+)
+def test_an_old_attribute_warns_and_gives_the_new_one(module: str, holder: str, old: str, new: str) -> None:
+    home = getattr(importlib.import_module(f"morembs.{module}"), holder)
+    thing = SimpleNamespace(**{new: 2.5})
+    with pytest.warns(DeprecationWarning, match=f"{old} of {holder} is now {new}; the old name goes") as told:
+        assert getattr(home, old).__get__(thing) == 2.5
+    assert told[0].filename == __file__
+
+
+def test_a_basis_is_made_by_the_old_keywords() -> None:
+    V, W = np.eye(3, 2), np.ones((3, 2))
+    with pytest.warns(DeprecationWarning, match="left of Basis is now W") as told:
+        basis = Basis(V=V, kinds=("elastic",) * 2, K=np.eye(2), rigid=np.eye(2, 0), left=W)
+    assert basis.W is W and basis.V_velocity is None and told[0].filename == __file__
+    assert dataclasses.replace(basis, V_velocity=V).V_velocity is V
+    with pytest.raises(TypeError, match="right"):
+        Basis(V=V, kinds=(), K=V, rigid=V, right=W)

@@ -20,7 +20,7 @@ from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -79,7 +79,7 @@ class ElasticBody:
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
     recovery: Recovery | None = None
-    switching: Switching | None = None
+    switching: StaticModeTables | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property

@@ -19,7 +19,7 @@ from morembs.moved import renamed
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class BodyOptions:
 def build_body(
     problem: Problem, reduced: ReducedModel, part: Part, options: BodyOptions, *,
     certificate: Certificate | None = None, operator: StressOperator | None = None,
-    switching: Switching | None = None, progress: Progress = SILENT,
+    switching: StaticModeTables | None = None, progress: Progress = SILENT,
 ) -> ElasticBody:  # fmt: skip
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads.

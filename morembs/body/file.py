@@ -26,7 +26,7 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
-    from morembs.reducers.switching_tables import Switching
+    from morembs.reducers.switching_tables import StaticModeTables
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -172,11 +172,11 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
         with opened() as file:
             return basis_columns(file[f"bodies/{name}/basis"], columns)
 
-    def switching(name: str) -> Switching:
+    def switching(name: str) -> StaticModeTables:
         with opened() as file:
             checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/switching/"))
             group = file[f"bodies/{name}/switching"]
-            return cast("Switching", read_rows(group, tables.SWITCHING, "the switching data lack"))
+            return cast("StaticModeTables", read_rows(group, tables.SWITCHING, "the switching data lack"))
 
     with opened() as file:
         check_file(place, file)

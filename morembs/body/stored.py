@@ -20,7 +20,7 @@ from morembs.storage.table_check import refuse_not_finite
 if TYPE_CHECKING:
     from morembs.interface import CouplingKind
     from morembs.reducers.base import ReducedModel
-    from morembs.reducers.switching_tables import Switching
+    from morembs.reducers.switching_tables import StaticModeTables
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -79,7 +79,7 @@ class StoredBody:
     recipe: dict[str, Any]
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
-    read_switching: Callable[[str], Switching]
+    read_switching: Callable[[str], StaticModeTables]
     full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
@@ -103,12 +103,12 @@ class StoredBody:
         symmetric = np.array_equal(self.output_matrix, self.input_matrix.T)
         return ReducedModel(
             name=self.name, M=self.mass_matrix, K=self.stiffness_matrix, D=self.damping_matrix, B=self.input_matrix,
-            C=self.output_matrix, V=np.zeros((0, n)), left=None if symmetric else np.zeros((0, n)),
+            C=self.output_matrix, V=np.zeros((0, n)), W=None if symmetric else np.zeros((0, n)),
             mode_kind=self.mode_kind, rigid_count=self.rigid_count, recipe=self.recipe,
             structural=float(self.recipe.get(STRUCTURAL, 0.0)),
         )  # fmt: skip
 
-    def switching(self) -> Switching:
+    def switching(self) -> StaticModeTables:
         """Static modes of candidate loads, read from the file at each call.
 
         Raises:

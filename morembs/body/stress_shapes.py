@@ -157,7 +157,7 @@ def stress_recovery(
                 stress_shapes(problem, block, elements.operator, out=jump_correction[:, some])
                 _subtract(jump_correction[:, some], corrected[:, some], elements.point)
             missing[:, some], motions[:, some] = block, frames.T @ block
-            budget.relax()
+            budget.release_if_tight()
         markers = {name: motions[rows] for name, rows in problem.coupling.frame_columns.items()}
     return Recovery(
         points=model.nodes.ids[operator.nodes], coordinates=model.nodes.xyz[operator.nodes],
@@ -246,5 +246,5 @@ def stress_shapes(
     for at in range(0, X.shape[1], width):
         u = np.asarray(T @ X[:, at : at + width])
         values[:, at : at + width] = operator.strain(u) if strain else operator.stress(u)
-        budget.relax()
+        budget.release_if_tight()
     return values

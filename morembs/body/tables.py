@@ -19,7 +19,7 @@ from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
-    from morembs.reducers.switching_tables import Switching
+    from morembs.reducers.switching_tables import StaticModeTables
 
 
 def _stiffening(terms: tuple[str, ...] = (), share: Any = (), load: Any = (), **values: Any) -> Stiffening:
@@ -48,16 +48,16 @@ def _ranking_parts(terms: Sequence[RankedTerm]) -> Mapping[str, object]:
 
 
 def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
-    limits = {name: (one.lower, one.upper, one.at_hz) for name, one in certificate.limits.items()}
+    limits = {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in certificate.limits.items()}
     more = {name: getattr(certificate, name) for name in ("bound_kind", "absolute_error")}
     return vars(certificate) | more | {"limits": limits, "version": CERTIFICATE_VERSION}
 
 
-def _switching(**values: Any) -> Switching:
+def _switching(**values: Any) -> StaticModeTables:
     # Not at the top: files are shown without what reduces.
-    from morembs.reducers.switching_tables import Switching
+    from morembs.reducers.switching_tables import StaticModeTables
 
-    return Switching(**values)
+    return StaticModeTables(**values)
 
 
 # 2: limits hold at every frequency of a band; files without a version have errors at samples.

@@ -34,24 +34,25 @@ class Certified:
 def print_certificates(console: Console, known: Sequence[Certified], interfaces: Sequence[str]) -> None:
     """Tables of the certificates: one for each band and damping floor."""
     groups: dict[tuple[float, ...], list[Certified]] = {}
-    for one in known:
-        if "version" in one.values:
-            groups.setdefault((*map(float, one.values["band_hz"]), float(one.values["damping_floor"])), []).append(one)
+    for certified in known:
+        if "version" in certified.values:
+            band, floor = certified.values["band_hz"], float(certified.values["damping_floor"])
+            groups.setdefault((*map(float, band), floor), []).append(certified)
         else:
-            _at_samples(console, one)
-    for (low, high, floor), its in groups.items():
-        holds = any(KINDS[one.text("bound_kind")] != "sampled" for one in its)
+            _at_samples(console, certified)
+    for (low, high, floor), group in groups.items():
+        holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in group)
         what = "holds at every frequency" if holds else "errors at samples"
-        titled(console, f"certificate: {what} from {low:,.4g} to {high:,.4g} Hz", _table(its))
+        titled(console, f"certificate: {what} from {low:,.4g} to {high:,.4g} Hz", _table(group))
         if floor:
             console.print(
                 f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "
                 "without it",
                 highlight=False, soft_wrap=True,
             )  # fmt: skip
-        for one in its:
-            for note in (*_does_not_serve(one, interfaces), *_notes(one)):
-                console.print(f"  {one.name}: {note}", highlight=False, soft_wrap=True)
+        for certified in group:
+            for note in (*_does_not_serve(certified, interfaces), *_notes(certified)):
+                console.print(f"  {certified.name}: {note}", highlight=False, soft_wrap=True)
 
 
 def _table(known: Sequence[Certified]) -> Any:
@@ -59,18 +60,18 @@ def _table(known: Sequence[Certified]) -> Any:
         "body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "static", "modes off by",
         "residues off by", "MAC", "kind",
     )  # fmt: skip
-    for one in known:
-        its = one.values
-        kind = KINDS[one.text("bound_kind")]
-        limits = [np.asarray(its[f"limits/{name}"], dtype=float) for name in MEASURES]
-        worst = limits[MEASURES.index(one.text("measure"))]
-        residue = np.asarray(its["residue_deviation"], dtype=float)
-        mac = np.asarray(its["mode_mac"], dtype=float)[np.isfinite(residue)]
+    for certified in known:
+        values = certified.values
+        kind = KINDS[certified.text("bound_kind")]
+        limits = [np.asarray(values[f"limits/{name}"], dtype=float) for name in MEASURES]
+        worst = limits[MEASURES.index(certified.text("measure"))]
+        residue = np.asarray(values["residue_deviation"], dtype=float)
+        mac = np.asarray(values["mode_mac"], dtype=float)[np.isfinite(residue)]
         table.add_row(
-            one.name, str(one.order), *("-" if kind == "sampled" else _limit(limit[1]) for limit in limits),
+            certified.name, str(certified.order), *("-" if kind == "sampled" else _limit(limit[1]) for limit in limits),
             "-" if kind == "sampled" else f"{worst[2]:,.6g}",
-            "-" if kind == "sampled" else _limit(np.max(its["block_limit"], initial=0.0)),
-            f"{float(its['static_error']):.1e}", f"{np.nanmax(its['mode_deviation'], initial=0.0):.1e}",
+            "-" if kind == "sampled" else _limit(np.max(values["block_limit"], initial=0.0)),
+            f"{float(values['static_error']):.1e}", f"{np.nanmax(values['mode_deviation'], initial=0.0):.1e}",
             f"{np.nanmax(residue, initial=0.0):.1e}", f"{mac.min(initial=1.0):.4f}", kind,
         )  # fmt: skip
     return table
@@ -87,39 +88,39 @@ def _limit(value: float) -> str:
     return shown
 
 
-def _does_not_serve(one: Certified, interfaces: Sequence[str]) -> list[str]:
+def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str]:
     """That a body is wrong by more than all of its response, and what is most wrong."""
-    its = one.values
-    least, _, at_hz = np.asarray(its["limits/envelope"], dtype=float)
+    values = certified.values
+    least, _, at_hz = np.asarray(values["limits/envelope"], dtype=float)
     if not least > 1:
         return []
-    lost = np.asarray(its["mode_frequencies_hz"])[
-        (np.asarray(its["mode_mac"]) < MISSING) & np.isfinite(np.asarray(its["residue_deviation"], dtype=float))
+    lost = np.asarray(values["mode_frequencies_hz"])[
+        (np.asarray(values["mode_mac"]) < MISSING) & np.isfinite(np.asarray(values["residue_deviation"], dtype=float))
     ]
     if len(lost):
         listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + ("" if len(lost) <= 5 else ", ...")
         why = f"modes not in this body: {listed} Hz"
     else:
-        blocks = np.asarray(its["block_limit"], dtype=float)
+        blocks = np.asarray(values["block_limit"], dtype=float)
         i, j = divmod(int(np.argmax(blocks)), len(blocks))
         why = f"worst are motions of {interfaces[i]} under loads on {interfaces[j]}"
     return [f"the error exceeds 1, at {at_hz:,.6g} Hz; it does not serve in this band; {why}"]
 
 
-def _notes(one: Certified) -> list[str]:
-    infinite = [name for name in MEASURES if not np.isfinite(one.values[f"limits/{name}"][1])]
-    found = []
-    if infinite == ["pointwise"] and one.text("bound_kind") != "none":
-        at_hz = float(one.values["limits/pointwise"][2])
-        found.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
-    return [*found, *([one.text("notes")] if one.text("notes") else []), *one.notes]
+def _notes(certified: Certified) -> list[str]:
+    infinite = [name for name in MEASURES if not np.isfinite(certified.values[f"limits/{name}"][1])]
+    notes = []
+    if infinite == ["pointwise"] and certified.text("bound_kind") != "none":
+        at_hz = float(certified.values["limits/pointwise"][2])
+        notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
+    return [*notes, *([certified.text("notes")] if certified.text("notes") else []), *certified.notes]
 
 
-def _at_samples(console: Console, one: Certified) -> None:
-    hz, error, bound = (np.asarray(one.values[key]) for key in ("frequencies_hz", "error", "bound"))
-    known = f", {one.text('bound_kind')} {bound.max():.1e}" if np.isfinite(bound).all() else ""
+def _at_samples(console: Console, certified: Certified) -> None:
+    hz, error, bound = (np.asarray(certified.values[key]) for key in ("frequencies_hz", "error", "bound"))
+    known = f", {certified.text('bound_kind')} {bound.max():.1e}" if np.isfinite(bound).all() else ""
     console.print(
-        f"  {one.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies from "
-        f"{hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
+        f"  {certified.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies "
+        f"from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
         highlight=False, soft_wrap=True,
     )  # fmt: skip

@@ -143,7 +143,7 @@ def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None
             values = dict(certificate_values(body.certificate))
             choice = [str(body.recipe["choice"])] if "choice" in body.recipe else []
             known.append(Certified(name=body.name, order=body.reduced.order, values=values, notes=choice))
-    print_certificates(console, known, [one.name for one in bodies[0].part.interfaces])
+    print_certificates(console, known, [interface.name for interface in bodies[0].part.interfaces])
 
 
 def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:

@@ -77,9 +77,7 @@ class Diagnosis:
             InputError: there are errors; the message holds them all.
         """
         if self.errors:
-            raise InputError(
-                "; ".join(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in self.errors)
-            )
+            raise InputError("; ".join(sentences(self.errors)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,4 +125,4 @@ def listed(labels: Sequence[str], count: int | None = None, what: str = "") -> s
 
 def sentences(findings: Sequence[Finding]) -> tuple[str, ...]:
     """What is found with its cure, a sentence each."""
-    return tuple(f"{one.sentence}; {one.cure}" if one.cure else one.sentence for one in findings)
+    return tuple(f"{finding.sentence}; {finding.cure}" if finding.cure else finding.sentence for finding in findings)

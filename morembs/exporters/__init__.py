@@ -34,7 +34,7 @@ _ALL: tuple[type[Exporter], ...] = (
     MatrixMarketExporter,
 )
 EXPORTERS: Table[type[Exporter]] = Table(
-    "morembs.exporters", {one.name: one for one in _ALL}, subclass_fault(Exporter, "name")
+    "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
 )
 # Programs by name, in small letters -> what to export to instead.
 ADVICE: dict[str, str] = {

@@ -126,7 +126,7 @@ class ExportContext:
             "certificate": body.certificate is not None,
             "switching": body.has_switching,
         }
-        return tuple(f"the file cannot hold {LOSSES[one]}; left behind" for one in what if has[one])
+        return tuple(f"the file cannot hold {LOSSES[part]}; left behind" for part in what if has[part])
 
 
 @dataclass(frozen=True, kw_only=True)

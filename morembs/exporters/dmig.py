@@ -33,55 +33,57 @@ def write_dmig(path: str | Path, matrices: Mapping[str, DmigMatrix], before: str
         InputError: a name, label or number that the fields cannot hold.
         OutputError: the file cannot be written.
     """
-    for name, one in matrices.items():
-        _check(name, one)
+    for name, matrix in matrices.items():
+        _check(name, matrix)
     with replacing(Path(path)) as file:
         file.write(before.encode("ascii"))
-        for name, one in matrices.items():
+        for name, matrix in matrices.items():
             file.doing = f"matrix {name}"
-            for text in _cards(name.upper(), one):
+            for text in _cards(name.upper(), matrix):
                 file.write(text.encode("ascii"))
 
 
-def _check(name: str, one: DmigMatrix) -> None:
+def _check(name: str, given: DmigMatrix) -> None:
     if not _NAME.fullmatch(name):
         raise InputError(
             f"the matrix name {name!r} does not fit DMIG; expected a letter, then up to 7 letters or digits"
         )
-    if one.matrix.shape != (len(one.rows), len(one.columns)):
+    if given.matrix.shape != (len(given.rows), len(given.columns)):
         raise InputError(
-            f"matrix {name!r} has the shape {one.matrix.shape} but {len(one.rows)} and {len(one.columns)} labels"
+            f"matrix {name!r} has the shape {given.matrix.shape} but {len(given.rows)} and {len(given.columns)} labels"
         )
-    if one.form not in (1, 2, 6, 9) or (one.form in (1, 6) and not np.array_equal(one.rows, one.columns)):
-        raise InputError(f"matrix {name!r} has form {one.form}; expected 1 or 6 with rows labelled as columns, 2 or 9")
-    if one.form == 6 and (one.matrix != one.matrix.T).nnz:
+    if given.form not in (1, 2, 6, 9) or (given.form in (1, 6) and not np.array_equal(given.rows, given.columns)):
+        raise InputError(
+            f"matrix {name!r} has form {given.form}; expected 1 or 6 with rows labelled as columns, 2 or 9"
+        )
+    if given.form == 6 and (given.matrix != given.matrix.T).nnz:
         raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1")
-    labels = np.concatenate([one.rows, one.columns])
+    labels = np.concatenate([given.rows, given.columns])
     if len(labels) and (
         labels[:, 0].min() < 1 or labels[:, 0].max() > _LARGEST or not np.isin(labels[:, 1], range(7)).all()
     ):
         raise InputError(f"matrix {name!r} has labels outside 1 to {_LARGEST} or components outside 0 to 6")
-    if not one.matrix.nnz:
+    if not given.matrix.nnz:
         raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out")
-    in_two_digits(f"matrix {name!r}", np.abs(one.matrix.data), "DMIG")
+    in_two_digits(f"matrix {name!r}", np.abs(given.matrix.data), "DMIG")
 
 
-def _cards(name: str, one: DmigMatrix) -> Iterator[str]:
-    complex_ = one.matrix.dtype.kind == "c"
-    kind = one.type if (one.type > 2) == complex_ else 4 if complex_ else 2
-    count = one.matrix.shape[1] if one.form == 9 else ""
-    yield f"{'DMIG*':8}{name:16}{0:16}{one.form:16}{kind:16}\n{'*':8}{kind:16}{0:16}{'':16}{count:>16}\n"
+def _cards(name: str, given: DmigMatrix) -> Iterator[str]:
+    complex_ = given.matrix.dtype.kind == "c"
+    kind = given.type if (given.type > 2) == complex_ else 4 if complex_ else 2
+    count = given.matrix.shape[1] if given.form == 9 else ""
+    yield f"{'DMIG*':8}{name:16}{0:16}{given.form:16}{kind:16}\n{'*':8}{kind:16}{0:16}{'':16}{count:>16}\n"
     # The lower triangle in columns.
-    A = sp.csc_array(sp.tril(one.matrix) if one.form == 6 else one.matrix)
+    A = sp.csc_array(sp.tril(given.matrix) if given.form == 6 else given.matrix)
     A.sort_indices()
     for j in range(A.shape[1]):
         part = slice(A.indptr[j], A.indptr[j + 1])
         if part.start == part.stop:
             continue
-        grid, component = one.columns[j]
+        grid, component = given.columns[j]
         lines = [f"{'DMIG*':8}{name:16}{grid:16}{component:16}\n"]
         for i, value in zip(A.indices[part], A.data[part], strict=True):
-            row = f"{'*':8}{one.rows[i, 0]:16}{one.rows[i, 1]:16}{sixteen(value.real)}"
+            row = f"{'*':8}{given.rows[i, 0]:16}{given.rows[i, 1]:16}{sixteen(value.real)}"
             lines.append(row + (f"{sixteen(value.imag)}\n" if complex_ else "\n"))
         yield "".join(lines)
 

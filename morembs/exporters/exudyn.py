@@ -156,7 +156,7 @@ def _triangles(path: Path, count: int) -> Ints:
     """Outer faces (t, 3) of the mesh in the body file, rows of its nodes; faces with mid-nodes are split at them."""
     grid = read_grid(path)
     check_grid(path, count, grid.points, grid.connectivity, grid.offsets, grid.types)
-    known = {one.vtk for one in (*TYPES.values(), *FACES.values())}
+    known = {element.vtk for element in (*TYPES.values(), *FACES.values())}
     cells = {
         vtk: _cells(grid.types == vtk, grid.offsets, grid.connectivity)
         for vtk in np.unique(grid.types).tolist()

@@ -58,7 +58,7 @@ def _groups(name: str, frame: FloatingFrame, markers: dict[str, Marker]) -> Iter
     yield "** MBDyn modal FEM data of an elastic body, SI units\n"
     title = name.encode("ascii", "replace").decode("ascii").replace("\n", " ")
     yield f"** RECORD GROUP 1, HEADER\n** {title}\n    {_REVISION} {len(points)} {n} 0 0 0\n"
-    yield _group(2, "FINITE ELEMENT NODE LIST", ["".join(f"{one}\n" for one in markers)])
+    yield _group(2, "FINITE ELEMENT NODE LIST", ["".join(f"{label}\n" for label in markers)])
     yield _group(3, "INITIAL MODAL DISPLACEMENTS", [_line(np.zeros(n))])
     yield _group(4, "INITIAL MODAL VELOCITIES", [_line(np.zeros(n))])
     for axis in range(3):
@@ -89,15 +89,15 @@ def _inertia(frame: FloatingFrame) -> list[str]:
 
 def _invariants(frame: FloatingFrame) -> Iterator[tuple[int, str, Floats]]:
     """Groups 14 to 18: three rows each; columns run over components, then the first mode, then the second."""
-    one, n = frame.integrals, frame.count
-    yield 14, "INVARIANT 3", np.asarray(one.Ct.T)
-    yield 15, "INVARIANT 4", np.asarray(one.Cr.T)
+    integrals, n = frame.integrals, frame.count
+    yield 14, "INVARIANT 3", np.asarray(integrals.Ct.T)
+    yield 15, "INVARIANT 4", np.asarray(integrals.Cr.T)
     # [a, l, b] of -int x~ phi_l~.
-    yield 16, "INVARIANT 8", -one.C4.transpose(1, 0, 2).reshape(3, 3 * n)
+    yield 16, "INVARIANT 8", -integrals.C4.transpose(1, 0, 2).reshape(3, 3 * n)
     # [a, j, k] of int phi_j x phi_k, where Cr1[k, j] = int phi_j x phi_k.
-    yield 17, "INVARIANT 5", one.Cr1.transpose(2, 1, 0).reshape(3, n * n)
+    yield 17, "INVARIANT 5", integrals.Cr1.transpose(2, 1, 0).reshape(3, n * n)
     # [a, j, k, b] of int phi_j~ phi_k~.
-    yield 18, "INVARIANT 9", one.C6.transpose(2, 0, 1, 3).reshape(3, 3 * n * n)
+    yield 18, "INVARIANT 9", integrals.C6.transpose(2, 0, 1, 3).reshape(3, 3 * n * n)
 
 
 def _symmetric(A: Floats) -> Floats:

@@ -159,8 +159,8 @@ def _binary(source: _Source, layout: _Layout) -> Iterator[bytes]:
             body.write(values.astype(kind).tobytes())
         first = strings[0][0] + 1 if layout.storage == "dense" else 0
         yield layout.record(layout.ints(j + 1, first, body.tell() // layout.word), body.getvalue())
-    one = np.ones(1, dtype=kind).tobytes()
-    yield layout.record(layout.ints(columns + 1, 1, size), one)
+    unit = np.ones(1, dtype=kind).tobytes()
+    yield layout.record(layout.ints(columns + 1, 1, size), unit)
 
 
 def _text(source: _Source, storage: str) -> Iterator[bytes]:

@@ -159,7 +159,7 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
             angular_acceleration=_both(T, stiff.angular_acceleration),
             wrench={name: _both(T, G) for name, G in stiff.wrench.items()},
         )  # fmt: skip
-    markers = {name: Marker(point=one.point, motion=one.motion @ T) for name, one in frame.markers.items()}
+    markers = {name: Marker(point=marker.point, motion=marker.motion @ T) for name, marker in frame.markers.items()}
     return replace(
         frame, elastic=frame.elastic @ T, integrals=integrals, Ke=_both(T, Ke), De=_both(T, frame.De),
         markers=markers, stiffening=stiff,

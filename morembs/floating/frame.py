@@ -81,10 +81,10 @@ class FloatingFrame:
             InputError: unknown kind, or interfaces that do not define such a frame.
         """
         momentum = np.hstack([self.integrals.Ct, self.integrals.Cr]).T
-        c = _followed(self, kind, interfaces, {name: one.motion for name, one in self.markers.items()}, momentum)
+        c = _followed(self, kind, interfaces, {name: marker.motion for name, marker in self.markers.items()}, momentum)
         markers = {
-            name: Marker(point=one.point, motion=one.motion - _motion_of(one.point) @ c)
-            for name, one in self.markers.items()
+            name: Marker(point=marker.point, motion=marker.motion - _motion_of(marker.point) @ c)
+            for name, marker in self.markers.items()
         }
         return replace(
             self, kind=kind, interfaces=tuple(interfaces), elastic=self.elastic - self.rigid @ c,
@@ -102,7 +102,7 @@ class FloatingFrame:
         d = np.asarray(origin, dtype=float) - self.origin
         H = np.eye(6)
         H[:3, 3:] = skew(d)
-        markers = {name: Marker(point=one.point - d, motion=one.motion) for name, one in self.markers.items()}
+        markers = {name: Marker(point=marker.point - d, motion=marker.motion) for name, marker in self.markers.items()}
         return replace(
             self, origin=self.origin + d, rigid=self.rigid @ H, integrals=self.integrals.about(d), markers=markers,
             stiffening=None if self.stiffening is None else self.stiffening.about(d),
@@ -256,7 +256,7 @@ def _on_model(problem: Problem, shapes: Floats) -> Floats:
     for first in range(0, shapes.shape[1], width):
         block = slice(first, first + width)
         out[:, block] = T @ shapes[:, block]
-        problem.budget.relax()
+        problem.budget.release_if_tight()
     return np.asarray(out)
 
 
@@ -269,9 +269,9 @@ def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
     # Unit diagonal: coordinates of different units would spoil the factor.
     scale = 1.0 / np.sqrt(np.diag(reduced.M))
     factor = sl.cho_factor(reduced.M * np.outer(scale, scale))
-    found = np.zeros((reduced.order, R.shape[1]))
+    coordinates = np.zeros((reduced.order, R.shape[1]))
     rest = R
     for _ in range(2):
-        found += scale[:, None] * sl.cho_solve(factor, scale[:, None] * dot(reduced.V, problem.M @ rest))
-        rest = R - reduced.V @ found
-    return found
+        coordinates += scale[:, None] * sl.cho_solve(factor, scale[:, None] * dot(reduced.V, problem.M @ rest))
+        rest = R - reduced.V @ coordinates
+    return coordinates

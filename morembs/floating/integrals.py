@@ -52,9 +52,9 @@ class ShapeIntegrals:
     phi_phi: Floats
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if one.name != "mass":
-                object.__setattr__(self, one.name, frozen(np.asarray(getattr(self, one.name), dtype=float)))
+        for entry in fields(self):
+            if entry.name != "mass":
+                object.__setattr__(self, entry.name, frozen(np.asarray(getattr(self, entry.name), dtype=float)))
 
     @property
     def count(self) -> int:
@@ -175,17 +175,17 @@ def shape_integrals(model: FEModel, shapes: Floats, origin: Floats, budget: Budg
                 rows = slice(other, min(other + width, n))
                 for a in range(3):
                     phi_phi[a, b, rows, block] = _component(shapes, dofs, at, a, rows).T @ Y
-            budget.relax()
+            budget.release_if_tight()
     second = x.T @ weighted[:, 1:]
     Cr = np.einsum("abc,bcl->la", PERMUTATION, x_phi)
-    found = ShapeIntegrals(
+    integrals = ShapeIntegrals(
         mass=float(weighted[:, 0].sum()), first=x.T @ weighted[:, 0],
         inertia=np.trace(second) * np.eye(3) - second, second=0.5 * (second + second.T), Ct=Ct, Cr=Cr,
         Me=np.einsum("aakl->kl", phi_phi), x_phi=x_phi, phi_phi=phi_phi,
     )  # fmt: skip
     if exact:
-        return found, ""
-    return _with_consistent_parts(found, model, shapes, x), (
+        return integrals, ""
+    return _with_consistent_parts(integrals, model, shapes, x), (
         "inertia terms of second order come from the mean translational mass: the mass of this model is not the same "
         "along x, y and z, or it turns"
     )
@@ -220,7 +220,7 @@ def _along(M: sp.csr_array, dofs: NDArray[np.int64]) -> sp.csr_array:
     return sp.csr_array((rows @ M) @ rows.T)
 
 
-def _with_consistent_parts(found: ShapeIntegrals, model: FEModel, shapes: Floats, x: Floats) -> ShapeIntegrals:
+def _with_consistent_parts(integrals: ShapeIntegrals, model: FEModel, shapes: Floats, x: Floats) -> ShapeIntegrals:
     """Rigid and linear terms from the whole mass matrix."""
     R = rigid_motion(x[model.dofs.node], model.dofs.component)
     MR = model.M @ R
@@ -229,6 +229,6 @@ def _with_consistent_parts(found: ShapeIntegrals, model: FEModel, shapes: Floats
     first = np.array([G[1, 5] - G[2, 4], G[2, 3] - G[0, 5], G[0, 4] - G[1, 3]]) / 2
     Me = shapes.T @ (model.M @ shapes)
     return replace(
-        found, mass=float(np.trace(G[:3, :3]) / 3), first=first, inertia=0.5 * (G[3:, 3:] + G[3:, 3:].T),
+        integrals, mass=float(np.trace(G[:3, :3]) / 3), first=first, inertia=0.5 * (G[3:, 3:] + G[3:, 3:].T),
         Ct=rows[:, :3], Cr=rows[:, 3:], Me=0.5 * (Me + Me.T),
     )  # fmt: skip

@@ -62,14 +62,14 @@ class Links:
         """
         spread = self.spread @ wrench
         passed = self.K @ U + inertial - spread
-        found = {}
+        terms = {}
         for name, place in self.places.items():
             a = self.arms[name]
             r = (passed if name in self.carried else self._alone(name, wrench))[place]
             virial = np.einsum("sak,sb->kab", r.reshape(len(a), 3, -1), a)
             trace = np.einsum("kaa->k", virial)
-            found[name] = 0.5 * (virial + virial.transpose(0, 2, 1)) - trace[:, None, None] * np.eye(3)
-        return found
+            terms[name] = 0.5 * (virial + virial.transpose(0, 2, 1)) - trace[:, None, None] * np.eye(3)
+        return terms
 
     def _alone(self, name: str, wrench: Floats) -> Floats:
         """Nodal forces (ns, k) of the wrench on one interface whose coupling spreads it."""

@@ -264,9 +264,9 @@ def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
     for nodes in (rows, np.arange(len(model.nodes))):
         dofs = model.dofs.of_nodes(nodes).ravel()
         if len(dofs) >= 6:
-            found = dofs[support_dofs(R[dofs])]
-            if np.linalg.cond(R[found]) < LOOSE:
-                return np.asarray(found)
+            supports = dofs[support_dofs(R[dofs])]
+            if np.linalg.cond(R[supports]) < LOOSE:
+                return np.asarray(supports)
         if names:
             raise InputError(
                 f"preload: the nodes of {', '.join(names)} lie on a line or in a point, and no frame can follow them; "
@@ -327,7 +327,7 @@ def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array, budget: Budget)
         data[used : used + whole.nnz], indices[used : used + whole.nnz] = whole.data, whole.indices
         indptr[3 * first + 1 : 3 * last + 1] = used + whole.indptr[1:]
         used += whole.nnz
-        budget.relax()
+        budget.release_if_tight()
     total = sp.csr_array((data[:used], indices[:used], indptr), shape=K.shape)
     total.has_canonical_format = True
     return total

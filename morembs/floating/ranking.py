@@ -108,12 +108,12 @@ def _sizes(frame: FloatingFrame, motion: _Motion, values: Floats, Y: Floats) -> 
     sizes[("elastic", "Ge")] = elastic(np.einsum("kla,k->l", np.abs(I.Ge), v) * w)
     sizes[("elastic", "Oe1")] = elastic(np.einsum("iml,l->i", np.abs(I.Oe1), q) * w**2)
     if frame.stiffening is not None:
-        its = frame.stiffening
-        sizes[("elastic", "stiffening, acceleration")] = elastic(np.abs(its.acceleration).sum(axis=0) @ q * a)
+        stiffening = frame.stiffening
+        sizes[("elastic", "stiffening, acceleration")] = elastic(np.abs(stiffening.acceleration).sum(axis=0) @ q * a)
         sizes[("elastic", "stiffening, angular acceleration")] = elastic(
-            np.abs(its.angular_acceleration).sum(axis=0) @ q * alpha
+            np.abs(stiffening.angular_acceleration).sum(axis=0) @ q * alpha
         )
-        sizes[("elastic", "stiffening, rotation")] = elastic(np.abs(its.rotation).sum(axis=0) @ q * w**2)
+        sizes[("elastic", "stiffening, rotation")] = elastic(np.abs(stiffening.rotation).sum(axis=0) @ q * w**2)
     return sizes
 
 

@@ -47,10 +47,10 @@ class Envelope:
     share: float = 0.01
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
+        for entry in fields(self):
+            value = getattr(self, entry.name)
             if value is not None and not (value >= 0 and math.isfinite(value)):
-                raise InputError(f"envelope: {one.name} = {value} was given; expected zero or a positive number")
+                raise InputError(f"envelope: {entry.name} = {value} was given; expected zero or a positive number")
 
     def limits(self, interfaces: Sequence[str]) -> dict[str, float | None]:
         """Largest value of every load of a body with these ``interfaces``, by name (rad2/s2 for rotations)."""

@@ -169,9 +169,9 @@ def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
         Y = np.empty((len(V), len(kg) * w))
         for place, matrix in enumerate(kg):
             Y[:, place * w : (place + 1) * w] = T.T @ (matrix @ by_node).reshape(-1, w)
-        found = dot(V, Y, budget)
-        P[:, :, first : first + w] = found.reshape(order, len(kg), w).transpose(1, 0, 2)
-        budget.relax()
+        product = dot(V, Y, budget)
+        P[:, :, first : first + w] = product.reshape(order, len(kg), w).transpose(1, 0, 2)
+        budget.release_if_tight()
     return P
 
 
@@ -179,12 +179,12 @@ def _kept(problem: Problem, frame: FloatingFrame, G: Floats, envelope: Envelope)
     """The terms (loads, n, n) that matter within the envelope."""
     columns = problem.coupling.frame_columns
     share, load, dropped = {}, {}, []
-    for one, (name, limit) in zip(G, envelope.limits(list(columns)).items(), strict=True):
+    for term, (name, limit) in zip(G, envelope.limits(list(columns)).items(), strict=True):
         load[name] = 1.0 if limit is None else limit
-        share[name] = load[name] * _largest_change(one, frame.Ke)
-        if limit is not None and one.any() and share[name] < envelope.share:
+        share[name] = load[name] * _largest_change(term, frame.Ke)
+        if limit is not None and term.any() and share[name] < envelope.share:
             dropped.append(name)
-            one[:] = 0.0
+            term[:] = 0.0
     return Stiffening(
         acceleration=G[:3], angular_acceleration=G[3:6], rotation=G[6:12],
         wrench={name: G[12:][at] for name, at in columns.items()}, share=share, load=load, dropped=tuple(dropped),

@@ -94,7 +94,7 @@ def shapes(
         W = np.array([[0.5 * np.array([a, b]) @ law.angles @ np.array([a, b]) for b in grid] for a in grid])
         energy = Table.through(reach, W, curved=True)
     H0 = np.zeros(len(available.squares)) if formulation == "linear" else law.straight_diagonal()
-    of = fields(component, np.column_stack([one for s in samples for one in (s.X, s.A)] + [available.Psi]))
+    of = fields(component, np.column_stack([column for s in samples for column in (s.X, s.A)] + [available.Psi]))
     flat = np.array([s.flat(of, int(solver.second[0])) for s in samples]).reshape(count, count, -1)
     data = Parameterised(
         formulation=formulation, reach=reach, length=solver.length, count=modes, table=Table.through(reach, flat),

@@ -227,8 +227,8 @@ def _errors(samples: Sequence[_Sample], table: Table, energy: Table, of: Fields,
     for number, sample in enumerate(samples):
         t = values[[number // grid, number % grid]]
         slope = table.at(t)[1][:, : of.size]
-        for one, exact in zip(slope, sample.slopes, strict=True):
-            shape = max(shape, float(np.abs(of.expanded(one) - exact.ravel()).max()))
+        for approximate, exact in zip(slope, sample.slopes, strict=True):
+            shape = max(shape, float(np.abs(of.expanded(approximate) - exact.ravel()).max()))
             top_shape = max(top_shape, float(np.abs(exact).max()))
         moment = max(moment, float(np.abs(energy.at(t)[1] - sample.moments).max()))
         top_moment = max(top_moment, float(np.abs(sample.moments).max()))

@@ -74,7 +74,7 @@ def symmetries(component: Shaped, length: float) -> tuple[Symmetry, ...]:
     if turning is None:
         return ()
     candidates = [_matched(component, turning, length, *motion) for motion in _MOTIONS]
-    return tuple(one for one in candidates if one is not None and _holds(component, one, length))
+    return tuple(symmetry for symmetry in candidates if symmetry is not None and _holds(component, symmetry, length))
 
 
 def _turning(component: Shaped) -> Integers | None:
@@ -120,7 +120,7 @@ def _matched(
     return Symmetry(name=name, order=order, sign=sign, along=along, turn=np.array(turn, dtype=np.int64), end=end)
 
 
-def _holds(component: Shaped, one: Symmetry, length: float) -> bool:
+def _holds(component: Shaped, symmetry: Symmetry, length: float) -> bool:
     """Whether inner forces of a few smooth, large deflections move as the nodes do."""
     random, at = np.random.default_rng(11), component.translations
     s = component.reference[at[:, 0]] / length
@@ -131,7 +131,7 @@ def _holds(component: Shaped, one: Symmetry, length: float) -> bool:
         for axis in range(2):
             x[at[:, axis]] += 0.1 * length * np.polynomial.polynomial.polyval(s, random.uniform(-1, 1, 4))
         x[rest] += random.uniform(-0.3, 0.3, len(rest))
-        before, after = component.force(x), component.force(one.moved(x))
-        if np.abs(after - one.sign * before[one.order]).max() > _SAME * np.abs(before).max():
+        before, after = component.force(x), component.force(symmetry.moved(x))
+        if np.abs(after - symmetry.sign * before[symmetry.order]).max() > _SAME * np.abs(before).max():
             return False
     return True

@@ -119,11 +119,14 @@ def _element_sets(mesh: Mesh) -> dict[str, Ints]:
 
 def _couplings(model: FEModel) -> dict[str, object]:
     couplings: list[dict[str, object]] = []
-    for one in model.couplings.values():
-        reference, nodes = (one.master, one.slaves) if isinstance(one, RigidElement) else (one.reference, one.nodes)
+    for element in model.couplings.values():
+        if isinstance(element, RigidElement):
+            kind, reference, nodes = "rigid", element.master, element.slaves
+        else:
+            kind, reference, nodes = "average", element.reference, element.nodes
         couplings.append({
-            "kind": "rigid" if isinstance(one, RigidElement) else "average", "reference": reference, "nodes": nodes,
-            "components": one.components, "point": model.nodes.xyz[reference],
-            "weights": getattr(one, "weights", None),
+            "kind": kind, "reference": reference, "nodes": nodes,
+            "components": element.components, "point": model.nodes.xyz[reference],
+            "weights": getattr(element, "weights", None),
         })  # fmt: skip
-    return {"names": [one.name for one in model.couplings.values()], "couplings": couplings}
+    return {"names": [element.name for element in model.couplings.values()], "couplings": couplings}

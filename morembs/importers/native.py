@@ -67,7 +67,8 @@ def _materials(sets: tuple[str, ...], stiffness: Any, density: Any) -> tuple[Mat
 
 
 def _materials_parts(materials: Iterable[Material]) -> Mapping[str, object]:
-    sets, stiffness, density = zip(*((one.set, one.stiffness, one.density) for one in materials), strict=True)
+    rows = ((material.set, material.stiffness, material.density) for material in materials)
+    sets, stiffness, density = zip(*rows, strict=True)
     return {"sets": sets, "stiffness": np.stack(stiffness), "density": density}
 
 
@@ -211,13 +212,13 @@ def _couplings(
     path: Path, group: Mapping[str, Any], count: int
 ) -> tuple[tuple[RigidElement, ...], tuple[AverageElement, ...]]:
     rigid, average = [], []
-    for name, one in zip(group["names"], group["couplings"], strict=True):
-        reference, nodes, components = one["reference"], one["nodes"], one["components"]
+    for name, coupling in zip(group["names"], group["couplings"], strict=True):
+        reference, nodes, components = coupling["reference"], coupling["nodes"], coupling["components"]
         _refuse_outside(path, np.append(nodes, reference), count, f"coupling {name!r}")
         if not set(components) <= set(range(6)):
             raise InputError(f"{path}: coupling {name!r} has components {components}; expected some of 0 to 5")
-        if one.pop("kind") == "rigid":
+        if coupling.pop("kind") == "rigid":
             rigid.append(RigidElement(name=name, master=reference, slaves=nodes, components=components))
         else:
-            average.append(AverageElement(name=name, **one))
+            average.append(AverageElement(name=name, **coupling))
     return tuple(rigid), tuple(average)

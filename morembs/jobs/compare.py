@@ -91,9 +91,9 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
     )  # fmt: skip
 
 
-def _steps(its: Certificate) -> Floats:
+def _steps(certificate: Certificate) -> Floats:
     """(2, 2 nc) ends of the cells and their limits of the error relative to H."""
-    return np.stack([its.cells_hz.ravel(), np.repeat(its.cell_limit[:, POINTWISE], 2)])
+    return np.stack([certificate.cells_hz.ravel(), np.repeat(certificate.cell_limit[:, POINTWISE], 2)])
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:

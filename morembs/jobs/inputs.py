@@ -155,7 +155,7 @@ def solver_of(job: Job) -> LinearSolver:
     solver = select_solver(given.name, memory=job.memory, scratch=scratch)
     if not given.out_of_core:
         return solver
-    able = {name: kind for name, kind in SOLVERS.items() if any(one.name == "out_of_core" for one in fields(kind))}
+    able = {name: kind for name, kind in SOLVERS.items() if any(field.name == "out_of_core" for field in fields(kind))}
     if given.name not in able:
         raise InputError(f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}")
     return replace(solver, out_of_core=True)  # type: ignore[call-arg]

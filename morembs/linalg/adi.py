@@ -207,7 +207,7 @@ class _Factor:
         self.Zp[:, self.size : self.size + width] = Xp
         self.Zv[:, self.size : self.size + width] = Xv
         self.size += width
-        self.budget.relax()
+        self.budget.release_if_tight()
 
     def compress(self) -> None:
         """Turn the columns onto the principal directions of Z and drop the negligible ones.
@@ -221,7 +221,7 @@ class _Factor:
                 rows = slice(first, first + _ROWS)
                 rows_too = np.vstack([R, scale[rows, None] * Z[rows, : self.size]])
                 R = sl.qr(rows_too, mode="r", overwrite_a=True, check_finite=False)[0][: self.size]
-                self.budget.relax()
+                self.budget.release_if_tight()
         _, values, Y = sl.svd(R, full_matrices=False)
         keep = values > NEGLIGIBLE * values[0]
         kept = int(keep.sum())

@@ -37,7 +37,7 @@ def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
     parts = []
     for block in _blocks(V):
         parts.append(V[:, block].conj().T @ W)
-        budget.relax()
+        budget.release_if_tight()
     return np.vstack(parts) if parts else np.zeros((0, W.shape[1]))
 
 
@@ -45,7 +45,7 @@ def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> Non
     """W -= V C in place, a block of columns of ``V`` at a time."""
     for block in _blocks(V):
         W -= V[:, block] @ C[block]
-        budget.relax()
+        budget.release_if_tight()
 
 
 def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Floats:
@@ -53,7 +53,7 @@ def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED)
     for first in range(0, len(V), _ROWS):
         rows = slice(first, first + _ROWS)
         out[rows] = V[rows] @ Y
-        budget.relax()
+        budget.release_if_tight()
     return out
 
 
@@ -69,7 +69,7 @@ def hstack(*parts: Floats, budget: Budget) -> Floats:
     for part in parts:
         V[:, at : at + part.shape[1]] = part
         at += part.shape[1]
-        budget.relax()
+        budget.release_if_tight()
     return V
 
 
@@ -81,7 +81,7 @@ def map_columns(
     width = budget.columns(F.shape[0])
     for at in range(0, F.shape[1], width):
         X[:, at : at + width] = apply(dense(F[:, at : at + width]))
-        budget.relax()
+        budget.release_if_tight()
     return X
 
 
@@ -106,7 +106,7 @@ def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
         if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
             # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
             column *= -1.0
-        budget.relax()
+        budget.release_if_tight()
     return V
 
 

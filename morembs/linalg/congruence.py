@@ -44,7 +44,7 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array
         data[used:end], indices[used:end] = part.data, part.indices
         indptr[row + 1 : row + 1 + part.shape[0]] = used + part.indptr[1:]
         used, row = end, row + part.shape[0]
-        budget.relax()
+        budget.release_if_tight()
     result = sp.csr_array((data, indices, indptr), shape=(f + m, f + m))
     result.has_canonical_format = True
     return result

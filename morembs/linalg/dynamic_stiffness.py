@@ -83,7 +83,7 @@ class DynamicStiffness:
             structure = "complex-symmetric" if A.data.dtype.kind == "c" else "symmetric"
         what = f"s^2 M + s D + K at s = {s:.6g}"
         if structure not in self._analyses:
-            self.budget.rest()
+            self.budget.release_pages()
             self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
         return self._analyses[structure].factorize(A, what)
 
@@ -150,7 +150,7 @@ def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
         column, row = np.divmod(keys, A.n)
         indptr[first + 1 : last + 1] = np.bincount(column, minlength=last - first)
         pieces.append(budget.store(row.astype(A.indices.dtype)))
-        budget.relax()
+        budget.release_if_tight()
     np.cumsum(indptr, out=indptr)
     indices = budget.empty(int(indptr[-1]), A.indices.dtype)
     used = 0
@@ -163,7 +163,7 @@ def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
     for first in range(0, A.nnz, _CHUNK):
         part = slice(first, first + _CHUNK)
         wide.data[place[part]] = A.data[part]
-        budget.relax()
+        budget.release_if_tight()
     return wide
 
 
@@ -187,12 +187,12 @@ def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Ints:
         last = min(first + rows, A.n)
         keys = [_keys(B, first, last) for B in (A, other)]
         begin, end = other.indptr[first], other.indptr[last]
-        found = np.searchsorted(keys[0], keys[1])
-        missing = found == len(keys[0])
-        found[missing] = 0
-        missing |= keys[0][found] != keys[1] if len(keys[0]) else True
-        place[begin:end] = np.where(missing, -1, found + A.indptr[first])
-        budget.relax()
+        at = np.searchsorted(keys[0], keys[1])
+        missing = at == len(keys[0])
+        at[missing] = 0
+        missing |= keys[0][at] != keys[1] if len(keys[0]) else True
+        place[begin:end] = np.where(missing, -1, at + A.indptr[first])
+        budget.release_if_tight()
     return place
 
 

@@ -184,17 +184,17 @@ def _sparse(
         if cut is None:
             wanted = min(wanted + block, M.shape[0] - body.count)
             continue
-        found = int((values < cut).sum())
+        counted = int((values < cut).sum())
         lanczos.store()
         true = count if below is not None else body.count_below(cut)
-        log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), found)
-        if found == true:
+        log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), counted)
+        if counted == true:
             vectors = fix_signs(Y[:, :count], body.statics.budget)
-            held = float(cut) if found == count else float(values[count])
+            held = float(cut) if counted == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
     raise SolverError(
-        f"the Sturm count finds {true} {what} below {np.sqrt(cut) / (2 * np.pi):.6g} Hz, the eigensolver {found}; "
+        f"the Sturm count finds {true} {what} below {np.sqrt(cut) / (2 * np.pi):.6g} Hz, the eigensolver {counted}; "
         "ask for a few modes more or less, so that the limit does not cut a cluster"
         if cut is not None
         else f"the first {wanted} {what} lie in one cluster; ask for more of them"

@@ -162,7 +162,7 @@ class StreamedSVD:
             rows.append(project_out(W, S, X))
             self.V[:, used : used + W.shape[1]] = W
             used += W.shape[1]
-            self.budget.relax()
+            self.budget.release_if_tight()
         left = np.zeros((used, r))
         np.fill_diagonal(left, self.sigma)
         U, sigma, _ = sl.svd(np.hstack([left, np.vstack(rows)]), full_matrices=False)

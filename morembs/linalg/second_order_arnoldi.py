@@ -94,7 +94,7 @@ class SecondOrderArnoldi:
         for block in self.blocks:
             total += block @ C[at : at + block.shape[1]]
             at += block.shape[1]
-            self.budget.relax()
+            self.budget.release_if_tight()
         return total
 
     def _add(self, Q: Values) -> None:

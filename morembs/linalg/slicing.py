@@ -93,9 +93,9 @@ def sliced_modes(
         SolverError: a slice does not converge, or a mode is missing.
     """
     budget = body.statics.budget
-    found = budget.empty((M.shape[0], count), order="F")
+    locked = budget.empty((M.shape[0], count), order="F")
     size = min(len(values), count)
-    found[:, :size], lam = vectors[:, :size], np.array(values[:size])
+    locked[:, :size], lam = vectors[:, :size], np.array(values[:size])
     while size < count:
         recent = np.sort(lam)[-per_slice:]
         gap = (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
@@ -104,7 +104,7 @@ def sliced_modes(
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
-            new, V = _slice(shifted, found[:, near], missing, limit, 2 * per_slice, progress)
+            new, V = _slice(shifted, locked[:, near], missing, limit, 2 * per_slice, progress)
         if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
             raise SolverError(
                 f"{missing} more modes lie below {_hz(shifted.sigma)}, the eigensolver found "
@@ -112,14 +112,14 @@ def sliced_modes(
             )
         if not len(new) and sigma >= below:
             raise SolverError(f"{count} modes lie below {_hz(below)}, {size} were found; move the limit by a percent")
-        found[:, size : size + len(new)] = V
+        locked[:, size : size + len(new)] = V
         lam, size = np.append(lam, new), size + len(new)
         log.info("slice at %s: %d of %d modes", _hz(shifted.sigma), size, count)
         progress.update(f"{size} of {count} modes in slices")
     order = np.argsort(lam, kind="stable")
-    result = budget.empty(found.shape, order="F")
+    result = budget.empty(locked.shape, order="F")
     for column, source in enumerate(order):
-        result[:, column] = found[:, source]
+        result[:, column] = locked[:, source]
     return lam[order], result
 
 

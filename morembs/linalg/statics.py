@@ -278,7 +278,7 @@ class ConstrainedStatics:
 
 def room_for_factor(budget: Budget) -> int | None:
     """Bytes that a factorisation may take once everything that can rest does."""
-    budget.rest()
+    budget.release_pages()
     left = budget.left()
     return None if left is None else max(0, left)
 

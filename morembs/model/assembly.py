@@ -107,7 +107,7 @@ def assemble(
                 values = stiffness[:, a::3, b::3].ravel()
                 np.add.at(k_data, first + a * step + b, values)
         done += len(rows)
-        budget.relax()
+        budget.release_if_tight()
         progress.update(f"assembled {done} of {total} elements")
     if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")

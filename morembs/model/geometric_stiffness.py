@@ -73,7 +73,7 @@ class StressedMesh:
             for u, values in zip(U.T, data, strict=True):
                 stress = stress_at_points(at_points.dN, u.reshape(-1, 3)[nodes], C)
                 np.add.at(values, at, element_stiffness(at_points.dN, at_points.dV, stress).ravel())
-            budget.relax()
+            budget.release_if_tight()
         return [self._matrix(values) for values in data]
 
     def _matrix(self, values: Floats) -> sp.csr_array:

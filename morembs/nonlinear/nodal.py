@@ -85,18 +85,18 @@ class _Run:
         matrices = [*(m.J for m in states), *(None for _ in mechanism.masses)]
         if self.dense:
             J = np.zeros(shape)
-            for part, (free, columns), one in zip(self.slices, self.free, matrices, strict=True):
-                if one is None:
+            for part, (free, columns), matrix in zip(self.slices, self.free, matrices, strict=True):
+                if matrix is None:
                     J[part.start + free, columns] = 1
                 else:
-                    J[part, columns] = one[:, free]
+                    J[part, columns] = matrix[:, free]
             return x, states, J
         rows, places, values = [], [], []
-        for part, (free, columns), one in zip(self.slices, self.free, matrices, strict=True):
+        for part, (free, columns), matrix in zip(self.slices, self.free, matrices, strict=True):
             count = part.stop - part.start
-            rows.append(part.start + (free if one is None else np.repeat(np.arange(count), len(free))))
-            places.append(columns if one is None else np.tile(columns, count))
-            values.append(np.ones(len(free)) if one is None else one[:, free].ravel())
+            rows.append(part.start + (free if matrix is None else np.repeat(np.arange(count), len(free))))
+            places.append(columns if matrix is None else np.tile(columns, count))
+            values.append(np.ones(len(free)) if matrix is None else matrix[:, free].ravel())
         where = np.concatenate(rows), np.concatenate(places)
         return x, states, sp.csr_matrix((np.concatenate(values), where), shape=shape)
 

@@ -94,14 +94,14 @@ class NonlinearSolid:
     @property
     def frames(self) -> Mapping[str, Ints]:
         """Interfaces: numbers of the coordinates, (6,) of a rigid frame, those of its components of a direct one."""
-        found = {name: frame.numbers for name, frame in self._rigid.items()}
+        frames = {name: frame.numbers for name, frame in self._rigid.items()}
         for name, interface in self.interfaces.items():
             if not interface.kind.framed:
                 own = self._row[interface.nodes]
                 if (own < 0).any():
                     raise InputError(f"interface {name!r}: some nodes belong to a rigid frame; take others")
-                found[name] = (3 * own[:, None] + np.array(interface.components)).ravel()
-        return found
+                frames[name] = (3 * own[:, None] + np.array(interface.components)).ravel()
+        return frames
 
     @property
     def translations(self) -> Ints:

@@ -98,10 +98,10 @@ def equilibrium(
     def solved(at: Floats, before: float, now: float) -> Floats:
         moved = np.array(at)
         moved[held] = start[held] + now * shift
-        found, factor = newton(component, moved, free, now * force)
+        state, factor = newton(component, moved, free, now * force)
         if factor.negative:
             raise SolverError("the equilibrium is not stable, the load is beyond that of buckling")
-        return found
+        return state
 
     return follow(solved, start, 1 / steps, "the load")
 

@@ -83,7 +83,7 @@ class SaintVenantKirchhoff:
             C = self._stiffness[self._owner[id(block)][rows]]
             yield _Chunk(nodes, here.dN, here.dV, C, first, self._places[key])
             first += here.dV.size
-            self.budget.relax()
+            self.budget.release_if_tight()
 
     def _gradients(self, chunk: _Chunk, x: Floats) -> tuple[Floats, Floats]:
         """H = F - 1 (ne, nq, 3, 3) and stress S (ne, nq, 6), from displacements, which keeps small strains exact."""

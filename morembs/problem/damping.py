@@ -115,8 +115,8 @@ class Damping:
         """Viscous D (n, n) of a reduced pencil whose M-orthonormal rigid motions are ``rigid`` (n, r)."""
         Mr = M @ rigid
         if self.is_modal and not symmetric:
-            found, X = sl.eig(K, M)
-            return np.asarray((M @ (X * self.of_modes(found.real)) @ np.linalg.inv(X)).real)
+            eigenvalues, X = sl.eig(K, M)
+            return np.asarray((M @ (X * self.of_modes(eigenvalues.real)) @ np.linalg.inv(X)).real)
         if self.is_modal:
             values, Y = sl.eigh(K, M)
             values[: rigid.shape[1]] = 0.0

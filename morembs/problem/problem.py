@@ -78,9 +78,9 @@ class Problem:
         self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
         self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
         self.B = self.coupling.B
-        self.budget.rest()
+        self.budget.release_pages()
         self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
-        self.budget.rest()
+        self.budget.release_pages()
         self._refuse_unconnected()
         self.rigid, self._held = self._rigid_motions()
         self._elastic: Modes | None = None
@@ -91,8 +91,8 @@ class Problem:
         """What ``make`` gives, computed once: solutions that several reducers need."""
         if key not in self._shared:
             self._shared[key] = make()
-        found: Shared = self._shared[key]
-        return found
+        value: Shared = self._shared[key]
+        return value
 
     @cached_property
     def mass_properties(self) -> tuple[float, Floats, Floats]:
@@ -113,7 +113,8 @@ class Problem:
     @cached_property
     def motion_scale(self) -> Floats:
         """One for displacements and ``length`` for rotations, for each column of B."""
-        return np.concatenate([np.ones(0), *(one.kind.scale(one, self.length) for one in self.interfaces)])
+        scales = (interface.kind.scale(interface, self.length) for interface in self.interfaces)
+        return np.concatenate([np.ones(0), *scales])
 
     @property
     def solver_name(self) -> str:
@@ -267,9 +268,9 @@ class Problem:
         held = statics.held
         if not held.shape[1]:
             return
-        found = statics.apply(statics.supported(held)) - held
+        change = statics.apply(statics.supported(held)) - held
         # The motions are M-orthonormal.
-        lost = float(np.sqrt(np.linalg.norm(found.T @ (self.M @ found), 2)))
+        lost = float(np.sqrt(np.linalg.norm(change.T @ (self.M @ change), 2)))
         if not lost <= LOST:
             raise SolverError(
                 f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
@@ -313,16 +314,16 @@ class Problem:
         sigma = MECHANISM * float(np.finfo(float).eps) * lost
         try:
             solver = self.solver.with_memory(self.budget.left())
-            found = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
+            count = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
         except MorembsError:
             return (
                 "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
                 "far from its interface points that double precision does not resolve it; check the mesh and the units"
             )
-        if found <= self.rigid.shape[1]:
+        if count <= self.rigid.shape[1]:
             return "the stiffness matrix is singular to working precision; check the units and the material"
         return (
-            f"the model has a mechanism: {found} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
+            f"the model has a mechanism: {count} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
             "look for parts that touch in a node or an edge only, or nodes that should be merged"
         )
 

@@ -31,7 +31,7 @@ _OWN: tuple[type[Reducer], ...] = (
     StaticModesSwitching,
 )
 REDUCERS: Table[type[Reducer]] = Table(
-    "morembs.reducers", {one.method: one for one in _OWN}, subclass_fault(Reducer, "method")
+    "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
 )
 
 __all__ = [

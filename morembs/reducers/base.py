@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply, multiply_into, projected
 from morembs.linalg.eigen import graded_modes
+from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
@@ -22,7 +23,7 @@ from morembs.responses.band import MOST_HZ as MOST_HZ
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
-    from morembs.reducers.switching_tables import Switching
+    from morembs.reducers.switching_tables import StaticModeTables
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ MODE_KINDS = (
 )  # fmt: skip
 
 
+@with_old_names(left="W", inertial="V_velocity")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Basis:
     """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, their stiffness ``K`` (n, n), and the
@@ -45,8 +47,8 @@ class Basis:
     "constraint" columns are unit interface motions, and "fixed-interface" columns (with the attachment modes
     beside them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
 
-    Equations are tested with ``left`` (Nc, n) where that is not V; accelerations and velocities are expanded with
-    ``inertial`` (Nc, n) where that is not V. K is left' K V then. Rigid-body modes come first in all of them.
+    Equations are tested with ``W`` (Nc, n) where that is not V; accelerations and velocities are expanded with
+    ``V_velocity`` (Nc, n) where that is not V. K is W' K V then. Rigid-body modes come first in all of them.
     ``notes`` say what was chosen on the way and join the recipe of the body.
     """
 
@@ -55,18 +57,19 @@ class Basis:
     K: Floats
     rigid: Floats
     holds_interfaces: bool = False
-    left: Floats | None = None
-    inertial: Floats | None = None
+    W: Floats | None = None
+    V_velocity: Floats | None = None
     notes: Mapping[str, object] = field(default_factory=dict)
 
 
+@with_old_names(left="W")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedModel:
     """M q'' + D q' + K q = B f, interface motions C q: the projection on ``V`` (Nc, n).
 
     ``M``, ``K``, ``D`` (n, n), ``B`` (n, m) one column per interface motion, ``C`` (m, n); ``mode_kind`` the
     kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span. A Galerkin
-    projection has symmetric matrices and C = B'; in others (``left`` (Nc, n) is what the equations were tested
+    projection has symmetric matrices and C = B'; in others (``W`` (Nc, n) is what the equations were tested
     with, ``is_projection`` says whether one V expands all of M, D and K) the rigid-body modes come first.
     ``structural`` is a loss factor: in the frequency domain the stiffness is (1 + i structural) K; D has none of it.
     """
@@ -81,7 +84,7 @@ class ReducedModel:
     rigid_count: int
     recipe: Mapping[str, object] = field(default_factory=dict)
     C: Floats
-    left: Floats | None = None
+    W: Floats | None = None
     is_projection: bool = True
     structural: float = 0.0
 
@@ -93,7 +96,7 @@ class ReducedModel:
     @property
     def symmetric(self) -> bool:
         """Whether this is a Galerkin projection, whose matrices are symmetric."""
-        return self.left is None
+        return self.W is None
 
     def modes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).
@@ -103,11 +106,11 @@ class ReducedModel:
         if self.symmetric:
             return graded_modes(self.K, self.M)
         r = self.rigid_count
-        found, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
-        order = np.argsort(found.real, kind="stable")
+        values, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
+        order = np.argsort(values.real, kind="stable")
         Y = np.eye(self.order)
         Y[r:, r:] = vectors[:, order].real
-        return np.concatenate([np.zeros(r), found.real[order]]), Y
+        return np.concatenate([np.zeros(r), values.real[order]]), Y
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +172,7 @@ class Reducer(ABC):
     def switching(
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
         progress: Progress = SILENT,
-    ) -> Switching | None:  # fmt: skip
+    ) -> StaticModeTables | None:  # fmt: skip
         """Tables of static modes beside ``reduced``, which this reducer made; None for all but one method."""
         return None
 
@@ -196,32 +199,32 @@ class Reducer(ABC):
                 "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
                 "simulation program"
             )
-        if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.left is not None and basis.left.shape != basis.V.shape):
+        if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.W is not None and basis.W.shape != basis.V.shape):
             raise SolverError(
                 f'method "{self.method}" gave a basis of {basis.V.shape[1]} columns and a stiffness {basis.K.shape}'
             )
         V, budget = basis.V, problem.budget
         outputs = _interface_motions(basis, problem)
-        if basis.left is None:
+        if basis.W is None:
             M = projected(V, problem.M, budget)
             K = _without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
             B = outputs.T
         else:
-            moved = V if basis.inertial is None else basis.inertial
-            M, K = projected(moved, problem.M, budget, basis.left), basis.K
-            B = np.asarray((problem.B.T @ basis.left).T)
+            moved = V if basis.V_velocity is None else basis.V_velocity
+            M, K = projected(moved, problem.M, budget, basis.W), basis.K
+            B = np.asarray((problem.B.T @ basis.W).T)
         _refuse_wrong_stiffness(self.method, replace(basis, K=K), M, problem)
         # Velocities see the stiffness through their own basis.
-        slow = K if basis.inertial is None else projected(basis.inertial, problem.K, budget, basis.left)
-        D = problem.damping.matrix(M, slow, basis.rigid, basis.left is None)
+        slow = K if basis.V_velocity is None else projected(basis.V_velocity, problem.K, budget, basis.W)
+        D = problem.damping.matrix(M, slow, basis.rigid, basis.W is None)
         if problem.D is not None:
-            D = D + projected(V if basis.inertial is None else basis.inertial, problem.D, budget, basis.left)
+            D = D + projected(V if basis.V_velocity is None else basis.V_velocity, problem.D, budget, basis.W)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         structural = problem.damping.structural
         recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
         return ReducedModel(
             name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
-            rigid_count=basis.rigid.shape[1], recipe=recipe, left=basis.left, is_projection=basis.inertial is None,
+            rigid_count=basis.rigid.shape[1], recipe=recipe, W=basis.W, is_projection=basis.V_velocity is None,
             structural=structural,
         )  # fmt: skip
 
@@ -249,9 +252,9 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     Raises:
         SolverError: they differ, or K in double precision does not hold a mode or a rigid motion.
     """
-    V, W, K = basis.V, basis.V if basis.left is None else basis.left, basis.K
+    V, W, K = basis.V, basis.V if basis.W is None else basis.W, basis.K
     n, r, eps = len(K), basis.rigid.shape[1], float(np.finfo(float).eps)
-    coupled = basis.left is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
+    coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
     values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
     noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR

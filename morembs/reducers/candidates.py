@@ -111,15 +111,15 @@ class Candidates:
     def stress_rows(self, problem: Problem, operator: StressOperator | None) -> Callable[[Floats], Floats]:
         """Stress (nc, 6, k) at the nodes of the path for displacements (Nc, k) in coupled dofs."""
         rows = self.rows
-        its = operator if operator is not None else _operator(problem, rows)
-        order = np.argsort(its.nodes, kind="stable")
-        at = np.searchsorted(its.nodes[order], rows)
-        found = its.nodes[order][np.minimum(at, len(order) - 1)] == rows
-        if not found.all():
+        at_nodes = operator if operator is not None else _operator(problem, rows)
+        order = np.argsort(at_nodes.nodes, kind="stable")
+        at = np.searchsorted(at_nodes.nodes[order], rows)
+        covered = at_nodes.nodes[order][np.minimum(at, len(order) - 1)] == rows
+        if not covered.all():
             raise InputError(
-                f"stress: node {problem.model.nodes.ids[rows[~found][0]]} is not among those of the stress"
+                f"stress: node {problem.model.nodes.ids[rows[~covered][0]]} is not among those of the stress"
             )
-        if len(np.unique(its.nodes)) < len(its.nodes):
+        if len(np.unique(at_nodes.nodes)) < len(at_nodes.nodes):
             raise InputError("stress: materials meet at a candidate node; leave such nodes out, or leave stress out")
         place, model = order[at], problem.model
         into = np.flatnonzero(model.dofs.component < 3)
@@ -128,7 +128,7 @@ class Candidates:
         def stress(X: Floats) -> Floats:
             u = np.zeros((3 * len(model.nodes), X.shape[1]))
             u[target] = (problem.coupling.T @ X)[into]
-            return its.stress(u).reshape(len(its.nodes), 6, -1)[place]
+            return at_nodes.stress(u).reshape(len(at_nodes.nodes), 6, -1)[place]
 
         return stress
 

@@ -85,14 +85,14 @@ class FixedInterfaceBody:
         """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
         if self.rows is None:
             return self.problem.fixed_modes(count=count, below=below)
-        found = lowest_modes(
+        modes = lowest_modes(
             self.constrained, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
         )
         if count is None and below is not None:
-            count = int((found.eigenvalues <= below * (1 + GAP)).sum())
-        found = found.first(len(found.eigenvalues) if count is None else count)
+            count = int((modes.eigenvalues <= below * (1 + GAP)).sum())
+        modes = modes.first(len(modes.eigenvalues) if count is None else count)
         return Modes(
-            eigenvalues=found.eigenvalues, vectors=self._whole(found.vectors), verified_below=found.verified_below
+            eigenvalues=modes.eigenvalues, vectors=self._whole(modes.vectors), verified_below=modes.verified_below
         )
 
     def close(self) -> None:

@@ -43,8 +43,8 @@ def two_sided_basis(
         D = D + projected(moved, problem.D, budget, W)
     refuse_unstable(mass, D, K[r:, r:], what, instead)
     return Basis(
-        V=hstack(Z, V, budget=budget), left=hstack(Z, W, budget=budget),
-        inertial=None if inertial is None else hstack(Z, inertial, budget=budget),
+        V=hstack(Z, V, budget=budget), W=hstack(Z, W, budget=budget),
+        V_velocity=None if inertial is None else hstack(Z, inertial, budget=budget),
         K=K, kinds=("rigid",) * r + (kind,) * n, rigid=np.eye(r + n, r), notes=notes,
     )  # fmt: skip
 

@@ -157,9 +157,9 @@ def lyapunov_factor(values: Floats, damping: Floats, F: Floats) -> tuple[Floats,
     # Positions in units of velocities at their own frequency, or rounding would hide the velocities.
     scale = np.concatenate([np.sqrt(values), np.ones(len(values))])
     P = scale[:, None] * np.block([[X, Y], [Y.T, V]]) * scale
-    found, Q = sl.eigh(P)
-    keep = found > 0
-    Z = (Q[:, keep] * np.sqrt(found[keep])) / scale[:, None]
+    eigenvalues, Q = sl.eigh(P)
+    keep = eigenvalues > 0
+    Z = (Q[:, keep] * np.sqrt(eigenvalues[keep])) / scale[:, None]
     return Z[: len(values)], Z[len(values) :]
 
 

@@ -146,7 +146,7 @@ class ExpansionPoint:
             self._extend_with(lambda F: map_columns(problem.elastic.flexibility, F, problem.budget), wanted)
             return
         s = self.at if complex(self.at).imag else complex(self.at).real
-        problem.budget.rest()
+        problem.budget.release_pages()
         with problem.stiffness.factorize(s) as factor:
             kind = factor.dtype
 

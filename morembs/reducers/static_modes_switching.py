@@ -8,7 +8,7 @@ M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its siz
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -33,11 +33,12 @@ from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
-from morembs.reducers.switching_tables import KINDS, Switching
+from morembs.reducers.switching_tables import KINDS, StaticModeTables
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-BASES: Mapping[str, type[Reducer]] = {one.method: one for one in (Modal, CraigBampton, FreeInterface, Krylov, Gramian)}
+_BASES: tuple[type[Reducer], ...] = (Modal, CraigBampton, FreeInterface, Krylov, Gramian)
+BASES = {reducer.method: reducer for reducer in _BASES}
 # Static modes with less than this part of the largest static answer are round-off.
 EMPTY = 1e-12
 # Columns solved for at a time.
@@ -88,15 +89,15 @@ class StaticModesSwitching(Reducer):
         try:
             return BASES[self.base](**self.base_options)
         except TypeError as error:
-            its = fields(BASES[self.base])
-            wrong = [f"{key!r} is no key of it" for key in self.base_options if key not in {one.name for one in its}]
+            keys = {field.name: field for field in fields(BASES[self.base])}
+            wrong = [f"{key!r} is no key of it" for key in self.base_options if key not in keys]
             lacking = [
-                f"{one.name!r} is missing" for one in its
-                if one.default is MISSING and one.default_factory is MISSING and one.name not in self.base_options
+                f"{key!r} is missing" for key, field in keys.items()
+                if field.default is MISSING and field.default_factory is MISSING and key not in self.base_options
             ]  # fmt: skip
             raise InputError(
                 f"base_options = {self.base_options} does not fit base = {self.base!r}: "
-                f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(one.name for one in its)}"
+                f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(keys)}"
             ) from None
 
     def chosen(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:
@@ -144,7 +145,7 @@ class StaticModesSwitching(Reducer):
     def switching(
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
         progress: Progress = SILENT,
-    ) -> Switching:  # fmt: skip
+    ) -> StaticModeTables:  # fmt: skip
         """Tables of all candidates beside ``reduced``, which this reducer made.
 
         One solve for each candidate, in blocks. Peak memory: the columns of a block and of the band (all candidates
@@ -186,21 +187,21 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
 
 
 def _tables(
-    problem: Problem, its: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
+    problem: Problem, candidates: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
     stress: Callable[[Floats], Floats] | None, progress: Progress,
-) -> Switching:  # fmt: skip
+) -> StaticModeTables:  # fmt: skip
     """All tables, a block of candidates at a time; only the band's columns before the block stay."""
     budget = problem.budget
-    T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, its.count, its.width()
-    B = sp.csc_array(T.T @ its.loads)
+    T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, candidates.count, candidates.width()
+    B = sp.csc_array(T.T @ candidates.loads)
     Bt = sp.csr_array(B.T)
-    nodes, size = len(its.rows), len(V)
+    nodes, size = len(candidates.rows), len(V)
     R, Q = budget.empty((w + 1, c)), budget.empty((w + 1, c))
     coupling, gravity, whole = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
     width = max(1, min(WIDEST, budget.columns(size, copies=8), c))
     kept, before = budget.empty((size, w + width), order="F"), 0
     moving = M @ problem.coupling.R[:, :3]
-    on_stress = _StressTable(its, w, budget) if stress is not None else None
+    on_stress = _StressTable(candidates, w, budget) if stress is not None else None
     for first in range(0, c, width):
         last = min(first + width, c)
         old = min(first, w)
@@ -219,20 +220,20 @@ def _tables(
             on_stress.add(stress(Psi), first)
         before = old + last - first
         progress.update(f"static modes: {last} of {c} candidates")
-        budget.relax()
+        budget.release_if_tight()
     model = problem.model
     sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
-    largest = [whole[its.turns == kind].max(initial=0.0) for kind in (False, True)]
-    alive = R[0] > EMPTY * np.where(its.turns, largest[1], largest[0])
+    largest = [whole[candidates.turns == kind].max(initial=0.0) for kind in (False, True)]
+    alive = R[0] > EMPTY * np.where(candidates.turns, largest[1], largest[0])
     if not alive.any():
         raise InputError(
             "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"
         )
     cosine = np.abs(coupling[:, alive]) / sizes[:, None] / np.sqrt(Q[0, alive])
-    return Switching(
-        kind=its.kind, node_ids=model.nodes.ids[its.rows], xyz=model.nodes.xyz[its.rows],
-        node=its.node, direction=its.direction, turns=its.turns, modes=np.asarray(Bt @ V), stiffness=R, mass=Q,
-        coupling=coupling, weight=V.T @ moving, static_weight=gravity,
+    return StaticModeTables(
+        kind=candidates.kind, node_ids=model.nodes.ids[candidates.rows], xyz=model.nodes.xyz[candidates.rows],
+        node=candidates.node, direction=candidates.direction, turns=candidates.turns,
+        modes=np.asarray(Bt @ V), stiffness=R, mass=Q, coupling=coupling, weight=V.T @ moving, static_weight=gravity,
         stress=None if stress is None else np.asarray(stress(V), dtype=np.float32),
         static_stress=None if on_stress is None else on_stress.values,
         stress_first=None if on_stress is None else on_stress.first,
@@ -260,11 +261,11 @@ def _into_band(table: Floats, rows: Floats, row_first: int, first: int, w: int) 
 class _StressTable:
     """Stress at each node of the candidates in its band, single precision."""
 
-    def __init__(self, its: Candidates, w: int, budget: Budget) -> None:
-        self.count, nodes = its.count, len(its.rows)
-        self.width = min(its.count, 2 * w + 1)
-        starts = np.searchsorted(its.node, np.arange(nodes))
-        self.first = np.clip(starts - w, 0, its.count - self.width).astype(np.int64)
+    def __init__(self, candidates: Candidates, w: int, budget: Budget) -> None:
+        self.count, nodes = candidates.count, len(candidates.rows)
+        self.width = min(candidates.count, 2 * w + 1)
+        starts = np.searchsorted(candidates.node, np.arange(nodes))
+        self.first = np.clip(starts - w, 0, candidates.count - self.width).astype(np.int64)
         self.values = budget.empty((nodes, 6, self.width), np.float32)
 
     def add(self, stress: Floats, first: int) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model import frozen
+from morembs.moved import renamed
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float32] | Floats
@@ -30,7 +31,7 @@ _KEPT = 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Switching:
+class StaticModeTables:
     """Tables of c candidate dofs on nc nodes beside a constant basis of n coordinates.
 
     ``kind`` "path" (nodes in the order in which a load passes them) or "surface". ``node_ids`` (nc,) labels, ``xyz``
@@ -129,8 +130,8 @@ class Switching:
                 f"stress at node {self.node_ids[node]} was asked for under a load that is further away than the band "
                 "holds; reduce again with a larger band, or with none"
             )
-        found = self.stress[node].astype(np.float64) @ coordinates
-        return np.asarray(found + self.static_stress[node][:, at[acts]].astype(np.float64) @ loads[acts])
+        smooth = self.stress[node].astype(np.float64) @ coordinates
+        return np.asarray(smooth + self.static_stress[node][:, at[acts]].astype(np.float64) @ loads[acts])
 
     @cached_property
     def s(self) -> Floats:
@@ -184,7 +185,7 @@ def _hermite(x: float) -> tuple[Floats, Floats]:
 class Span:
     """One interval of a path: weights ``base`` (4, .) of ``nodes``: value and slope (times ``length``) at its ends."""
 
-    switching: Switching
+    switching: StaticModeTables
     interval: int
     length: float
     nodes: Ints
@@ -202,46 +203,46 @@ class Span:
     def rows(self, candidates: Ints) -> Floats:
         """(4, 3, k) of the displacement for a run of ``candidates``; zero for those that it does not depend on."""
         key = (int(candidates[0]), len(candidates)) if len(candidates) else (0, 0)
-        found = self._rows.get(key)
-        if found is None:
+        rows = self._rows.get(key)
+        if rows is None:
             if len(self._rows) > _KEPT:
                 self._rows.clear()
-            found = self._rows[key] = self._of(candidates)
-        return found
+            rows = self._rows[key] = self._of(candidates)
+        return rows
 
     def _of(self, candidates: Ints) -> Floats:
-        its = self.switching
-        found = np.zeros((4, 3, len(candidates)))
-        node = its.node[candidates]
-        if not its.turns.any():
+        tables = self.switching
+        rows = np.zeros((4, 3, len(candidates)))
+        node = tables.node[candidates]
+        if not tables.turns.any():
             near = np.flatnonzero((node >= self.nodes[0]) & (node <= self.nodes[-1]))
             weights = self.base[:, node[near] - self.nodes[0]]
-            found[:, :, near] = weights[:, None, :] * its.direction[candidates[near]].T
-            return found
-        along = its.xyz[self.interval + 1] - its.xyz[self.interval]
+            rows[:, :, near] = weights[:, None, :] * tables.direction[candidates[near]].T
+            return rows
+        along = tables.xyz[self.interval + 1] - tables.xyz[self.interval]
         for column in np.flatnonzero((node == self.interval) | (node == self.interval + 1)):
             j, end = candidates[column], int(node[column]) - self.interval
-            if its.turns[j]:
+            if tables.turns[j]:
                 # The slope that a small rotation gives the path, times the length of the interval.
-                found[2 * end + 1, :, column] = np.cross(its.direction[j], along)
+                rows[2 * end + 1, :, column] = np.cross(tables.direction[j], along)
             else:
-                found[2 * end, :, column] = its.direction[j]
-        return found
+                rows[2 * end, :, column] = tables.direction[j]
+        return rows
 
 
-def _span(its: Switching, i: int, interpolation: str) -> Span:
-    length = float(its.s[i + 1] - its.s[i])
+def _span(tables: StaticModeTables, i: int, interpolation: str) -> Span:
+    length = float(tables.s[i + 1] - tables.s[i])
     if interpolation == "linear":
         base = np.zeros((4, 2))
         base[0, 0] = base[2, 1] = 1.0
-        return Span(its, i, length, np.array([i, i + 1]), base)
-    low, high = max(i - 1, 0), min(i + 2, len(its.s) - 1)
+        return Span(tables, i, length, np.array([i, i + 1]), base)
+    low, high = max(i - 1, 0), min(i + 2, len(tables.s) - 1)
     base = np.zeros((4, high + 1 - low))
     base[0, i - low] = base[2, i + 1 - low] = 1.0
     for row, j in ((1, i), (3, i + 1)):
         a, b = max(j - 1, low), min(j + 1, high)
-        base[row, b - low], base[row, a - low] = np.array([length, -length]) / (its.s[b] - its.s[a])
-    return Span(its, i, length, np.arange(low, high + 1), base)
+        base[row, b - low], base[row, a - low] = np.array([length, -length]) / (tables.s[b] - tables.s[a])
+    return Span(tables, i, length, np.arange(low, high + 1), base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,21 +290,21 @@ class ActiveSet:
         return len(self.omega)
 
 
-def active_set(its: Switching, candidates: Ints) -> ActiveSet:
+def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
     """Coordinates of the static modes of ``candidates``.
 
     Raises:
         InputError: nothing is left of them: the constant basis holds these loads already, or the candidates do not
             move at all.
     """
-    R, Q = its.R(candidates), its.Q(candidates)
+    R, Q = tables.R(candidates), tables.Q(candidates)
     size = np.sqrt(np.maximum(np.diag(R), 0.0))
     # Forces are measured against forces and moments against moments, so that units do not matter.
-    turns = its.turns[candidates]
-    largest = [float(np.max(its.stiffness[0, its.turns == kind], initial=0.0)) for kind in (False, True)]
+    turns = tables.turns[candidates]
+    largest = [float(np.max(tables.stiffness[0, tables.turns == kind], initial=0.0)) for kind in (False, True)]
     alive = size > np.sqrt(RANK * np.where(turns, largest[1], largest[0]))
     if not alive.any():
-        named = ", ".join(str(int(k)) for k in np.unique(its.node_ids[its.node[candidates]]))
+        named = ", ".join(str(int(k)) for k in np.unique(tables.node_ids[tables.node[candidates]]))
         raise InputError(
             f"the active set at nodes {named} has lost its rank: the constant basis gives the static answer to these "
             "loads already, or the nodes are held; take other candidates or fewer modes"
@@ -317,3 +318,5 @@ def active_set(its: Switching, candidates: Ints) -> ActiveSet:
     heavy = inverse > RANK * inverse[-1]
     omega = 1.0 / np.sqrt(inverse[heavy])
     return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)
+
+__getattr__ = renamed(__name__, {"Switching": "StaticModeTables"})

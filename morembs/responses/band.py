@@ -42,8 +42,8 @@ def band_frequencies(
     damped = (width > 0) | (problem.D is not None)
     width = np.maximum(width, NEAR * omega)
     for flank in FLANKS:
-        found = (omega + flank * width) / (2 * np.pi)
-        grid.append(found[(found > low) & (found < high) & (damped | bool(flank))])
+        flanks = (omega + flank * width) / (2 * np.pi)
+        grid.append(flanks[(flanks > low) & (flanks < high) & (damped | bool(flank))])
     hz = np.unique(np.concatenate(grid))
     on = np.abs(hz[:, None] - omega[~damped] / (2 * np.pi)) <= ON * hz[:, None]
     # At the top of an undamped resonance there is no response: its flank within the band takes its place.

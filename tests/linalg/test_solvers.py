@@ -372,7 +372,7 @@ def test_a_closed_factor_gives_its_memory_back(name: str) -> None:
     budget = Budget(memory=10**12)
 
     def resident() -> int:
-        budget.rest()
+        budget.release_pages()
         return resident_bytes()
 
     with SOLVERS[name]().analyse(A, "spd") as analysis:

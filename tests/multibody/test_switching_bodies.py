@@ -20,7 +20,7 @@ from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
 from morembs.multibody.sliding.response import local_response
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
-from morembs.reducers.switching_tables import Switching
+from morembs.reducers.switching_tables import StaticModeTables
 from tests.support.meshes import box, steel, where
 from tests.support.sliding import reduced_beam
 
@@ -171,7 +171,7 @@ def test_the_path_is_a_smooth_curve():
     angle = np.linspace(0, 2.5, 40) ** 1.1
     xyz = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     c = len(xyz)
-    its = Switching(
+    its = StaticModeTables(
         kind="path", node_ids=np.arange(c), xyz=xyz, node=np.arange(c), direction=np.tile([0.0, 0, 1], (c, 1)),
         turns=np.zeros(c, bool), modes=np.zeros((c, 1)), stiffness=np.eye(1, c), mass=np.eye(1, c),
         coupling=np.zeros((1, c)), weight=np.zeros((1, 3)), static_weight=np.zeros((c, 3)),

@@ -1,20 +1,14 @@
 """Pipelines and studies with large deflections: figures that docs/gmp.md states."""
 
 import functools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-PIPELINES = Path(__file__).parents[2] / "pipelines"
-sys.path.insert(0, str(PIPELINES))
-
-import flexible_pendulum as pendulum  # noqa: E402
-
-from morembs.exporters.exudyn_system import exudyn_missing  # noqa: E402
-from studies import flexible_slider_crank as crank  # noqa: E402
-from studies import two_link_manipulator as arm  # noqa: E402
+from morembs.exporters.exudyn_system import exudyn_missing
+from studies import flexible_pendulum as pendulum
+from studies import flexible_slider_crank as crank
+from studies import two_link_manipulator as arm
 
 MESH, STEP = (6, 12), 2e-3
 
@@ -32,9 +26,9 @@ def test_reduced_pendulums_are_as_near_as_stated(E, members, modes, limit):
     errors = {}
     for formulation in ("foreshortened", "membrane"):
         case = pendulum.Case(E=E, members=members, modes=modes, formulation=formulation)
-        one = pendulum.reduced(case, step=1e-3, elements=8)
-        assert one.motion.warnings == () and one.drift < 3e-4
-        errors[formulation] = pendulum.rms(pendulum.error(one, reference))
+        run = pendulum.reduced(case, step=1e-3, elements=8)
+        assert run.motion.warnings == () and run.drift < 3e-4
+        errors[formulation] = pendulum.rms(run.error(reference))
     assert errors["membrane"] < limit
     # The tables are worth something over shapes with foreshortening, which need no nonlinear solves.
     assert errors["membrane"] < 0.6 * errors["foreshortened"]

@@ -9,6 +9,7 @@ import pytest
 PIPELINES = Path(__file__).parents[2] / "pipelines"
 sys.path.insert(0, str(PIPELINES))
 
+import common  # noqa: E402
 import moving_load  # noqa: E402
 
 from data import make_spur_gear  # noqa: E402
@@ -18,9 +19,9 @@ from studies import gear_teeth  # noqa: E402
 
 def test_a_run_that_leaves_the_beam_stays_on_disk(tmp_path):
     file = tmp_path / "run.npz"
-    made = moving_load.reduce(moving_load.hermite_beam(32))
+    beam = moving_load.reduce(common.hermite_beam(32))
     with pytest.raises(UnfinishedRunError, match=r"outside all candidates at t = 0\.50\d* s") as error:
-        moving_load.cross(made, 2.0, 240, end=1.2, keep=file)
+        moving_load.cross(beam, 2.0, 240, end=1.2, keep=file)
     with np.load(file) as kept:
         assert kept["time"][-1] == pytest.approx(0.5) and len(kept["x"]) == len(kept["time"])
         assert np.array_equal(kept["time"], error.value.result.time)

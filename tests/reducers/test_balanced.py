@@ -135,7 +135,7 @@ def test_gramian_of_a_free_body_is_that_of_its_elastic_part():
         assert one.rigid_count == 6 and one.order == 30
         assert error(reduced_response(one, OMEGA), H) < 1e-3
         # Elastic motion does not move the body as a whole, and no force is lost on it.
-        for X in (one.V[:, 6:], *([] if one.left is None else [one.left[:, 6:]])):
+        for X in (one.V[:, 6:], *([] if one.W is None else [one.W[:, 6:]])):
             assert np.abs(Z.T @ M @ X).max() < 1e-10 * np.sqrt(np.abs(np.einsum("ij,ij->j", X, M @ X)).max())
 
 

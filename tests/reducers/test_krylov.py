@@ -224,7 +224,7 @@ def test_two_sided_matches_the_moments_of_both_chains():
     full = moments(K, M, B, C.T, s2, 3)
     for r, matched in ((both, 2), (one, 1)):
         V = r.V[:, 6:]
-        W = V if r.left is None else r.left[:, 6:]
+        W = V if r.W is None else r.W[:, 6:]
         error = differences(full, moments(W.T @ K @ V, W.T @ M @ V, W.T @ B, C.T @ V, s2, 3))
         assert error[:matched].max() < 1e-10 and error[matched] > 1e-8
 

@@ -134,7 +134,7 @@ class _Hierarchy:
 
         blocks, place, near = _by_nodes(A, near, starts)
         try:
-            made = pyamg.smoothed_aggregation_solver(
+            levels = pyamg.smoothed_aggregation_solver(
                 blocks, B=near, symmetry="symmetric", strength=("symmetric", {"theta": _STRENGTH}), smooth=_ENERGY,
                 improve_candidates=None, presmoother=None, postsmoother=None, max_levels=12,
                 max_coarse=_COARSEST // _MOTIONS,
@@ -142,15 +142,15 @@ class _Hierarchy:
         except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
             raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
         del blocks, near
-        for number, level in enumerate(made[:-1]):
+        for number, level in enumerate(levels[:-1]):
             P = sp.csr_array(level.P, dtype=np.float32)
             self.levels.append(_level(sp.csr_array(level.A) if number else A, P if number else P[place], self.unit))
-            made[number] = None
-        if made[-1].A.shape[0] > 4 * _COARSEST:
+            levels[number] = None
+        if levels[-1].A.shape[0] > 4 * _COARSEST:
             raise SolverError(
-                f"multigrid could not coarsen below {made[-1].A.shape[0]} rows: the unknowns hardly couple; {_CURE}"
+                f"multigrid could not coarsen below {levels[-1].A.shape[0]} rows: the unknowns hardly couple; {_CURE}"
             )
-        return sp.csr_array(made[-1].A) if len(made) > 1 else A
+        return sp.csr_array(levels[-1].A) if len(levels) > 1 else A
 
     def precondition(self, R: Floats) -> Floats:
         """One V-cycle for A Z = R (n, k); the solution where there is one level only."""
@@ -240,20 +240,20 @@ class _AmgFactor(Factorization):
         """Raises SolverError where the iteration does not converge."""
         for first in range(0, B.shape[1], self._columns):
             part = B[:, first : first + self._columns]
-            found = conjugate_gradients(
+            solution = conjugate_gradients(
                 self._A.__matmul__, self._hierarchy.precondition, part, norm=self._norm, accuracy=_ACCURACY,
                 max_steps=_MOST_STEPS,
             )  # fmt: skip
-            self.steps = found.steps
-            error = float(found.residual.max(initial=0.0))
-            log.debug("multigrid: %d steps to a backward error of %.1e", found.steps, error)
-            if found.stagnated or not error <= _BACKWARD:
+            self.steps = solution.steps
+            error = float(solution.residual.max(initial=0.0))
+            log.debug("multigrid: %d steps to a backward error of %.1e", solution.steps, error)
+            if solution.stagnated or not error <= _BACKWARD:
                 raise SolverError(
-                    f"multigrid came to a backward error of only {error:.1e} in {found.steps} steps (needed "
+                    f"multigrid came to a backward error of only {error:.1e} in {solution.steps} steps (needed "
                     f"{_BACKWARD:.0e}); it converges slowly for slender bodies, thin walls and stretched elements, and "
                     f"not at all for a body that is not held: {_CURE}"
                 )
-            part[:] = found.X
+            part[:] = solution.X
         return B
 
     def _negative_pivots(self) -> int | None:

@@ -133,9 +133,9 @@ def _open(path: str, header: Path) -> Library:
         library.cholmod_version(numbers)
     except (OSError, AttributeError) as error:
         raise UnusableError(f"it cannot be loaded: {error}") from None
-    found = ".".join(str(number) for number in numbers)
-    if found != version:
-        raise UnusableError(f"its header {header} has version {version}, the library {found}")
+    loaded = ".".join(str(number) for number in numbers)
+    if loaded != version:
+        raise UnusableError(f"its header {header} has version {version}, the library {loaded}")
     for name, result in _FUNCTIONS.items():
         functions[name].restype = result
     holder = padded(structures["common"], _PADDING)
@@ -165,5 +165,5 @@ def cholmod_library() -> Library | str:
     if path is None:
         return f"no CHOLMOD library (libcholmod) was found; get it with: {HINT}"
     headers = [header for folder in _FOLDERS for name in _HEADERS if (header := Path(folder) / name).is_file()]
-    headers = [one for one in headers if "cholmod_common_struct" in one.read_text(encoding="latin-1")]
+    headers = [path for path in headers if "cholmod_common_struct" in path.read_text(encoding="latin-1")]
     return with_header(path, headers, lambda header: _open(path, header), _HEADERS[0], HINT)

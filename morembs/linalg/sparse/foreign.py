@@ -74,9 +74,9 @@ def struct_fields(body: str, types: Mapping[str, Any], defined: Mapping[str, str
     fields: Fields = []
     known = dict(types)
     inner = re.compile(r"struct\s+\w+\s*\{([^{}]*)\}\s*(\w+\s*\[[^\]]+\])\s*;")
-    for number, found in enumerate(inner.finditer(body)):
-        known[f"inner{number}"] = structure(f"Inner{number}", struct_fields(found[1], types, defined))
-        body = body.replace(found[0], f"inner{number} {found[2]};")
+    for number, match in enumerate(inner.finditer(body)):
+        known[f"inner{number}"] = structure(f"Inner{number}", struct_fields(match[1], types, defined))
+        body = body.replace(match[0], f"inner{number} {match[2]};")
     body = re.sub(r"void\s*\(\s*\*\s*(\w+)\s*\)\s*\([^()]*\)\s*;", r"void *\1;", body)
     for statement in filter(None, (part.strip() for part in body.split(";"))):
         kind, *rest = statement.split(None, 1)

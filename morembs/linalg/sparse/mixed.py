@@ -109,15 +109,15 @@ class _MixedFactor(Factorization):
         size = np.abs(B).max(axis=0, initial=0.0)
         size[size == 0.0] = 1.0
         B = B / size
-        found = conjugate_gradients(
+        solution = conjugate_gradients(
             lambda X: np.asfortranarray(self._A @ X),
             lambda R: self._rough._solve(R.copy(order="F")),
             B,
             norm=self._norm,
             max_steps=MOST_STEPS,
         )
-        log.debug("%d steps to a backward error of %.1e", found.steps, found.residual.max(initial=0.0))
-        return None if found.stagnated else found.X * size
+        log.debug("%d steps to a backward error of %.1e", solution.steps, solution.residual.max(initial=0.0))
+        return None if solution.stagnated else solution.X * size
 
     def _negative_pivots(self) -> int | None:
         """A rough factor may take the sign of an eigenvalue near zero for the other one: no count."""

@@ -60,8 +60,8 @@ class _MumpsSolver(LinearSolver):
 
     @classmethod
     def unavailable(cls) -> str:
-        found = cls.library("float64")
-        return found if isinstance(found, str) else ""
+        library = cls.library("float64")
+        return library if isinstance(library, str) else ""
 
     def _inertia(self, A: Lower, what: str) -> int:
         if isinstance(type(self).library("float64"), str):
@@ -81,8 +81,8 @@ class _MumpsSolver(LinearSolver):
     @classmethod
     def lacks(cls, precision: str, structure: str) -> str:
         """Why there is no arithmetic of this ``precision`` for this ``structure``; empty: there is."""
-        found = cls.library(_dtype(precision, structure))
-        return found if isinstance(found, str) else ""
+        library = cls.library(_dtype(precision, structure))
+        return library if isinstance(library, str) else ""
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
         library = type(self).library(_dtype(self.precision, structure))

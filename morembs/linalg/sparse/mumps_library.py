@@ -118,11 +118,11 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
     library = Library(path, version, layout, function, low_rank)
     with LOCK:
         library.call(data, -1)
-        found = data.version_number.decode("latin-1").strip()
+        loaded = data.version_number.decode("latin-1").strip()
         data.icntl[:4] = [0] * 4
         library.call(data, -2)
-    if found != version:
-        raise UnusableError(f"its header {header} has version {version}, the library {found or 'another'}")
+    if loaded != version:
+        raise UnusableError(f"its header {header} has version {version}, the library {loaded or 'another'}")
     return library
 
 
@@ -162,10 +162,10 @@ def casadi_folder() -> Path | None:
 def casadi_file(folder: Path) -> Path | None:
     """The MUMPS library in the folder of the CasADi package, whatever this system calls it."""
     library = re.compile(r"\.so(\.\d+)?$|\.dylib$|\.dll$")
-    found = [path for path in folder.glob("libcoinmumps*") if library.search(path.name)]
+    paths = [path for path in folder.glob("libcoinmumps*") if library.search(path.name)]
     # The one with the number of its interface is the one that CasADi itself loads: sharing it keeps a
     # second copy out of the process.
-    return max(found, key=lambda path: len(path.name), default=None)
+    return max(paths, key=lambda path: len(path.name), default=None)
 
 
 @cache

@@ -65,11 +65,11 @@ def _metis_ordering(A: Lower) -> Ints | None:
     Returns:
         (n,) row numbers in their order of elimination; None without METIS, or where it is of no use.
     """
-    found = _metis()
+    metis = _metis()
     n = A.n
-    if found is None or n < _SMALLEST:
+    if metis is None or n < _SMALLEST:
         return None
-    library, integer = found
+    library, integer = metis
     graph, starts = node_graph(A)
     vertices = graph.shape[0]
     if vertices < _SMALLEST or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:

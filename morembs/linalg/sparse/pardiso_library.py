@@ -23,14 +23,14 @@ _LP64, _INTEL_THREADS, _GNU_THREADS = 0, 0, 3
 def _mkl_file() -> str | None:
     """The library with MKL's single entry point, of this environment or else of the system."""
     name = re.compile(r"(lib)?mkl_rt(\.\d+)*\.(so(\.\d+)*|dll|dylib)$")
-    found = [path for path in (Path(sys.prefix) / "lib").glob("libmkl_rt*") if name.match(path.name)]
-    if not found:
+    paths = [path for path in (Path(sys.prefix) / "lib").glob("libmkl_rt*") if name.match(path.name)]
+    if not paths:
         try:
             files = metadata.files("mkl") or []
         except metadata.PackageNotFoundError:
             files = []
-        found = [path for path in (Path(str(file.locate())) for file in files) if name.match(path.name)]
-    held = [str(path) for path in found if path.is_file()]
+        paths = [path for path in (Path(str(file.locate())) for file in files) if name.match(path.name)]
+    held = [str(path) for path in paths if path.is_file()]
     return held[0] if held else find_library("mkl_rt")
 
 

@@ -26,7 +26,7 @@ AUTO = "auto"
 # One name for each solver.
 _OWN: tuple[type[LinearSolver], ...] = (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
 SOLVERS: Table[type[LinearSolver]] = Table(
-    "morembs.solvers", {one.name: one for one in _OWN}, subclass_fault(LinearSolver, "name")
+    "morembs.solvers", {solver_class.name: solver_class for solver_class in _OWN}, subclass_fault(LinearSolver, "name")
 )
 # What "auto" takes, the best first: with room in memory, with less of it; where MUMPS comes from; who counts.
 FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")

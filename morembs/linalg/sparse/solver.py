@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads
+from morembs.moved import with_old_names
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
@@ -281,6 +281,7 @@ class Analysis(_Resource):
         return factor
 
 
+@with_old_names(knowing="with_near_null_space")
 @dataclass(frozen=True, kw_only=True)
 class LinearSolver(ABC):
     """Configuration of a sparse solver.
@@ -329,11 +330,6 @@ class LinearSolver(ABC):
     def with_memory(self, memory: int | None) -> Self:
         """The same configuration with another budget."""
         return replace(self, memory=memory)
-
-    def knowing(self, near_nullspace: Floats | None) -> Self:
-        """The old name of ``with_near_null_space``, which goes with the next version."""
-        warnings.warn("knowing is now with_near_null_space", DeprecationWarning, stacklevel=2)
-        return self.with_near_null_space(near_nullspace)
 
     @final
     def with_near_null_space(self, near_nullspace: Floats | None) -> Self:
@@ -412,8 +408,8 @@ class ForeignSolver(LinearSolver):
 
     @classmethod
     def unavailable(cls) -> str:
-        found = cls.library()
-        return found if isinstance(found, str) else ""
+        library = cls.library()
+        return library if isinstance(library, str) else ""
 
     @classmethod
     def _loaded(cls) -> Any:

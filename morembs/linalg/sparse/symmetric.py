@@ -79,7 +79,7 @@ class Lower:
         for first, row, keep in _upper(A):
             local = np.bincount(row[keep] - first)
             counts[first + 1 : first + 1 + len(local)] = local
-            budget.relax()
+            budget.release_if_tight()
         # The same types for the same pattern, whatever SciPy chose for the whole matrix.
         small = np.iinfo(np.int32).max
         indptr = np.cumsum(counts)
@@ -95,7 +95,7 @@ class Lower:
                 A.data[begin:end][keep],
             )
             used += count
-            budget.relax()
+            budget.release_if_tight()
         return cls(indptr, indices, data)
 
     def columns(self) -> Ints:
@@ -171,8 +171,8 @@ def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     x = np.random.default_rng(11).standard_normal(A.shape[0])
     size = np.asarray(np.sqrt(abs(A.diagonal())))
     x = np.divide(x, size, out=x, where=size > 0)
-    one, other = A @ x, A.T @ x
-    if np.linalg.norm(one - other) > SYMMETRIC * (np.linalg.norm(one) + np.linalg.norm(other)):
+    Ax, ATx = A @ x, A.T @ x
+    if np.linalg.norm(Ax - ATx) > SYMMETRIC * (np.linalg.norm(Ax) + np.linalg.norm(ATx)):
         raise InputError(f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping")
     if not regular:
         return

@@ -22,7 +22,7 @@ from morembs.multibody.bodies import FlexibleBody
 from morembs.multibody.component import Component, FixedMarker, Marker, MarkerState
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.sliding.path import PathState
-from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, Switching, active_set
+from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,7 +64,7 @@ class SwitchingBody(Component):
     """
 
     def __init__(
-        self, inner: LinearBody | FlexibleBody, switching: Switching, *, at: Sequence[float] | float = (0.0,),
+        self, inner: LinearBody | FlexibleBody, switching: StaticModeTables, *, at: Sequence[float] | float = (0.0,),
         variant: str = "quasi-static", look_ahead: int = 1, damping_ratio: float = 0.1,
         interpolation: str = "catmull-rom",
     ) -> None:  # fmt: skip

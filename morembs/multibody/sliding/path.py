@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from morembs.multibody.component import MarkerState
 from morembs.multibody.rotations import cross, hat
-from morembs.reducers.switching_tables import Curve, Switching
+from morembs.reducers.switching_tables import Curve, StaticModeTables
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,7 +25,7 @@ class PathState(MarkerState):
     ``R`` (k, k) is the compliance of the static modes, ``offset`` (3,) the origin of the frame in the model.
     """
 
-    switching: Switching
+    switching: StaticModeTables
     candidates: Ints
     amplitudes: Floats
     R: Floats
