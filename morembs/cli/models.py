@@ -35,7 +35,10 @@ def import_model(
     material: Annotated[
         list[str] | None, typer.Option(help="For a mesh: young=..,poisson=..,density=..[,set=NAME].")
     ] = None,
-    mass_integration: Annotated[str, typer.Option(help="For a mesh: exact or reduced.")] = "exact",
+    mass_integration: Annotated[str, typer.Option(help="For a mesh: element, exact or reduced.")] = "element",
+    dialect: Annotated[
+        str, typer.Option(help="The program that an .inp was written for: auto, abaqus or calculix.")
+    ] = "auto",
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
     allow_includes_outside: Annotated[
         bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
@@ -72,7 +75,7 @@ def import_model(
             out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
-            options=pairs(option or []), allow_includes_outside=allow_includes_outside,
+            dialect=dialect, options=pairs(option or []), allow_includes_outside=allow_includes_outside,
         )  # fmt: skip
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)

@@ -13,8 +13,9 @@ from morembs.diagnostics.findings import Finding, Names
 from morembs.diagnostics.readings import orders
 from morembs.diagnostics.rigid import motion
 from morembs.model import DofMap, Mesh, Nodes
-from morembs.model.assembly import chunks, geometry, material_of_elements
+from morembs.model.assembly import chunks, material_of_elements
 from morembs.model.elements import TYPES
+from morembs.model.formulations import geometry
 from morembs.model.mass import mass_properties
 from morembs.model.material import Material
 

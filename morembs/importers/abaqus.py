@@ -17,7 +17,7 @@ from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
-from morembs.importers.formulations import DIALECTS, abaqus_warnings
+from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import Mesh
 
@@ -39,7 +39,7 @@ def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
         raise InputError(
             f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out of it"
         )
-    return _with_warnings(mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0], deck, "auto")
+    return _with_warnings(mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0], deck)
 
 
 def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Imported:
@@ -50,7 +50,8 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
 
     Args:
         allow_includes_outside: includes may name files beyond the folder of the deck.
-        dialect: the program whose element types are meant, "abaqus" or "calculix"; "auto" looks at the keywords.
+        dialect: the program whose element types are meant, "abaqus" or "calculix"; "auto" looks at keywords and
+            comments.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
 
@@ -59,7 +60,7 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
     """
     if dialect not in DIALECTS:
         raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
-    deck = read_deck(Path(path), outside=allow_includes_outside)
+    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=dialect)
     assembly = Assembly(deck)
     if not assembly.blocks:
         raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
@@ -77,7 +78,7 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
     return Imported(
         source=deck.name,
         nodes=nodes,
-        mesh=_with_warnings(mesh, deck, dialect),
+        mesh=_with_warnings(mesh, deck),
         materials=materials,
         rigid=on_rows(got.rigid, row),
         average=on_rows(got.average, row),
@@ -88,13 +89,10 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
     )
 
 
-def _with_warnings(mesh: Mesh, deck: Deck, dialect: str) -> Mesh:
+def _with_warnings(mesh: Mesh, deck: Deck) -> Mesh:
     """The mesh with what its element types mean otherwise in their program."""
-    if dialect == "auto" and len(deck.dialects) == 1:
-        dialect = next(iter(deck.dialects))
     solids = {code: count for code, count in deck.counts.items() if code in SOLIDS and count}
-    warnings, mass = abaqus_warnings(solids, dialect)
-    return replace(mesh, warnings=(*mesh.warnings, *warnings), mass_warnings=tuple(mass))
+    return replace(mesh, warnings=(*mesh.warnings, *deck_warnings(solids, deck.dialect, guessed=deck.guessed)))
 
 
 def _notes(deck: Deck) -> list[str]:

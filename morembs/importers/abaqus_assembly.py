@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_deck import Deck, Instance, Members, NamedSet, Scope, values
 from morembs.importers.abaqus_keywords import LARGEST, label
-from morembs.model import skew
+from morembs.model import ElementBlock, skew
 from morembs.model.elements import TYPES
 from morembs.model.middle_nodes import in_order
 
@@ -76,7 +76,7 @@ class Assembly:
             order = np.argsort(ids, kind="stable")
             placed.labels, placed.rows = ids[order], order + start
             start += len(ids)
-        self._elements([placed for placed, *_ in node_parts])
+        self._elements([placed for placed, *_ in node_parts], deck)
 
     def _unused(self, deck: Deck) -> None:
         used = {instance.part for instance in deck.instances.values()}
@@ -100,14 +100,14 @@ class Assembly:
         self.notes.append(f"The same {what} labels are in several instances, so these labels were raised: {moved}.")
         return [j * step for j in range(len(labels))]
 
-    def _elements(self, scopes: list[Placed]) -> None:
+    def _elements(self, scopes: list[Placed], deck: Deck) -> None:
         """Blocks with rows of all nodes; labels of each scope to numbers of elements."""
-        per_scope: list[dict[str, Ints]] = []
+        per_scope: list[dict[tuple[str, str, str], Ints]] = []
         for placed in scopes:
-            kinds: dict[str, list[Ints]] = {}
+            kinds: dict[tuple[str, str, str], list[Ints]] = {}
             for scope in placed.contents:
-                for kind, pieces in scope.elements.items():
-                    kinds.setdefault(kind, []).extend(pieces)
+                for code, pieces in scope.elements.items():
+                    kinds.setdefault(deck.kind(code), []).extend(pieces)
                     pieces.clear() if len(self.placed) < 2 else None
             per_scope.append({kind: np.concatenate(pieces) for kind, pieces in kinds.items()})
         point_labels = [
@@ -140,9 +140,13 @@ class Assembly:
                     number[j][filled[j] : filled[j] + len(rows)] = np.arange(count, count + len(rows))
                     filled[j] += len(rows)
                     count += len(rows)
-            whole = np.concatenate(nodes) if len(nodes) > 1 else nodes[0]
-            blocks.append((kind, self._in_order(kind, whole, np.concatenate(ids)), np.concatenate(ids)))
-        self.blocks: list[tuple[str, Ints, Ints]] = blocks
+            whole, labels = np.concatenate(nodes) if len(nodes) > 1 else nodes[0], np.concatenate(ids)
+            shape, formulation, mass = kind
+            ordered = self._in_order(shape, whole, labels)
+            blocks.append(
+                ElementBlock(type=shape, nodes=ordered, ids=labels, formulation=formulation, mass=mass)
+            )
+        self.blocks: list[ElementBlock] = blocks
         self.solids = count
         self.points: list[tuple[Placed, int, str, int]] = []
         for j, placed in enumerate(scopes):

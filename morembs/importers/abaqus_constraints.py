@@ -12,7 +12,7 @@ from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number
 from morembs.importers.imported import PointMass
-from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model import Mesh, Nodes
 from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.surface import outer_faces
@@ -101,7 +101,8 @@ class Constraints:
     def _faces(self, numbers: Ints, side: str, card: Card) -> list[tuple[str, Ints]]:
         """Type and nodes (nf, k) of the faces ``side`` (S1, ...) of elements; of their free faces if it is empty."""
         blocks, start = [], 0
-        for kind, nodes, _ in self.assembly.blocks:
+        for block in self.assembly.blocks:
+            kind, nodes = block.type, block.nodes
             own = numbers[(numbers >= start) & (numbers < start + len(nodes))] - start
             start += len(nodes)
             if not len(own):
@@ -123,8 +124,8 @@ class Constraints:
         """Those of ``faces`` that no other element has."""
         if self._outer is None:
             assembly = self.assembly
-            blocks = tuple(ElementBlock(type=k, nodes=n, ids=i) for k, n, i in assembly.blocks)
-            self._outer = outer_faces(Mesh(nodes=Nodes(ids=assembly.ids, xyz=assembly.xyz), blocks=blocks))
+            nodes = Nodes(ids=assembly.ids, xyz=assembly.xyz)
+            self._outer = outer_faces(Mesh(nodes=nodes, blocks=tuple(assembly.blocks)))
         free = self._outer[kind]
         both = np.sort(np.concatenate([free, faces]), axis=1)
         _, group = np.unique(both, axis=0, return_inverse=True)
@@ -208,10 +209,10 @@ class Constraints:
         ]
         if options.get("ELSET"):
             numbers, start = self.assembly.elements_of(placed, options["ELSET"]), 0
-            for _, nodes, _ in self.assembly.blocks:
-                own = numbers[(numbers >= start) & (numbers < start + len(nodes))] - start
-                parts.append(np.unique(nodes[own]))
-                start += len(nodes)
+            for block in self.assembly.blocks:
+                own = numbers[(numbers >= start) & (numbers < start + len(block.nodes))] - start
+                parts.append(np.unique(block.nodes[own]))
+                start += len(block.nodes)
         if options.get("ROT NODE"):
             self.found.notes.append(
                 f"A rigid body has its rotations at the node {options['ROT NODE']}; here they are those of its "

@@ -20,7 +20,8 @@ from morembs.importers.abaqus_keywords import (
     node_rows,
     number,
 )  # fmt: skip
-from morembs.importers.formulations import dialect_of
+from morembs.importers.formulations import dialect_of, dialects_of_comments, meaning_of
+from morembs.importers.includes import open_text
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,6 +38,8 @@ _VARIANTS = {
 }  # fmt: skip
 SOLIDS = _KINDS | {code + end: _KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
 POINTS = ("MASS", "ROTARYI")
+# Bytes at the begin of a deck whose comments may name the program that wrote it.
+_HEAD = 1 << 16
 CONSTRAINTS = ("COUPLING", "KINEMATIC COUPLING", "RIGID BODY", "MPC")
 PROPERTIES = ("SOLID SECTION", "MASS", "ROTARY INERTIA")
 # Properties of a material; which of them a model can carry is seen when materials are built.
@@ -117,8 +120,8 @@ class Instance:
 
 @dataclass
 class Deck:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect, ``dialects``
-    the programs that its keywords tell."""
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect; ``dialect`` is
+    the program whose types are meant, and ``guessed`` says that the deck does not tell."""
 
     name: str
     top: Scope = field(default_factory=lambda: Scope(""))
@@ -129,10 +132,20 @@ class Deck:
     noted: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
     dialects: set[str] = field(default_factory=set)
+    dialect: str = "calculix"
+    guessed: bool = False
+
+    def kind(self, code: str) -> tuple[str, str, str]:
+        """Type, formulation and mass of the solids that the deck calls ``code``."""
+        meaning = meaning_of(code, self.dialect)
+        return SOLIDS[code], meaning.formulation, meaning.mass
 
 
-def read_deck(path: Path, *, outside: bool = False) -> Deck:
+def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto") -> Deck:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
+
+    ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
+    parts is taken for one of CalculiX.
 
     Raises:
         InputError: the text is not an input deck, or holds what a model cannot carry.
@@ -153,6 +166,11 @@ def read_deck(path: Path, *, outside: bool = False) -> Deck:
             f"{path.name} has elements that are not supported: {listed}; expected solids ({', '.join(_KINDS)} and "
             "their variants) and MASS or ROTARYI; take the others out of the deck"
         )
+    with open_text(path) as file:
+        deck.dialects |= dialects_of_comments(file.read(_HEAD))
+    told = deck.dialects if dialect == "auto" else {dialect}
+    deck.guessed = len(told) != 1
+    deck.dialect = ("abaqus" if deck.parts else "calculix") if deck.guessed else next(iter(told))
     return deck
 
 
@@ -242,7 +260,7 @@ class _Reader:
         if code in SOLIDS:
             for rows in _records(card, pieces, code):
                 counts[code] += len(rows)
-                self.scope.elements.setdefault(SOLIDS[code], []).append(rows)
+                self.scope.elements.setdefault(code, []).append(rows)
                 _join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
         for row in fields(b"".join(pieces)):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.importers.abaqus_assembly import Assembly
-from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model import Mesh, Nodes
 
 Ints = NDArray[np.int64]
 
@@ -16,8 +17,8 @@ Ints = NDArray[np.int64]
 def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     """Mesh of the solids, its nodes with ``extra`` rows behind them, and the row among these of all nodes (or -1)."""
     used = np.zeros(len(assembly.ids), dtype=bool)
-    for _, nodes, _ in assembly.blocks:
-        used[nodes] = True
+    for block in assembly.blocks:
+        used[block.nodes] = True
     if not assembly.blocks:
         used[:] = True
     kept = np.flatnonzero(used)
@@ -26,9 +27,7 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     row = np.full(len(assembly.ids), -1, dtype=np.int64)
     row[kept] = np.arange(len(kept))
     row[loose] = len(kept) + np.arange(len(loose))
-    blocks = []
-    for kind, nodes, ids in assembly.blocks:
-        blocks.append(ElementBlock(type=kind, nodes=row[nodes], ids=ids))
+    blocks = [replace(block, nodes=row[block.nodes]) for block in assembly.blocks]
     assembly.blocks = []
     node_sets = {}
     for name, (placed, own) in assembly.named("node").items():

@@ -13,7 +13,7 @@ from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, MASS, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material, point_masses
-from morembs.importers.formulations import ansys_warnings
+from morembs.importers.formulations import Meaning, ansys_meaning, warnings_of
 from morembs.importers.imported import Imported, PointMass
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.material import Material
@@ -35,6 +35,8 @@ class _Part:
     """Solids (k,) of one type of morembs from one type of the archive: labels and ``nodes`` (k, n) by label."""
 
     type: str
+    name: str
+    meaning: Meaning
     archive_type: int
     ids: Ints
     nodes: Ints
@@ -66,10 +68,9 @@ def import_ansys_cdb(path: str | Path, *, skip: Sequence[str] = ()) -> Imported:
     """
     archive = read_commands(Path(path))
     ids, xyz, rotated = _nodes(archive)
-    notes, warnings = list(archive.notes), list[str]()
+    notes = list(archive.notes)
     parts, masses = _sorted_elements(archive, {word.upper() for word in skip}, notes)
-    for part in parts:
-        warnings += ansys_warnings(*archive.types[part.archive_type], part.type, len(part.ids))
+    warnings = warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))
     if not parts:
         raise InputError(f"{archive.name} has no solid elements; expected an archive with a mesh of solids")
     named = [part.nodes.ravel() for part in parts] + [elements.nodes[:, 0] for _, elements in masses]
@@ -133,8 +134,8 @@ def _sorted_elements(
                 raise InputError(f"{archive.name}: {name} with axes along its edges (KEYOPT(1)) is not supported")
             parts += [
                 _Part(
-                    type=shape, archive_type=kind, ids=elements.ids[rows], nodes=nodes,
-                    material=elements.material[rows], system=elements.system[rows],
+                    type=shape, name=name, meaning=ansys_meaning(routine, keys, shape), archive_type=kind,
+                    ids=elements.ids[rows], nodes=nodes, material=elements.material[rows], system=elements.system[rows],
                 )
                 for shape, (rows, nodes) in solids(routine, elements, archive.name).items()
             ]  # fmt: skip
@@ -150,13 +151,16 @@ def _sorted_elements(
 def _blocks(
     parts: list[_Part], used: Ints, name: str
 ) -> tuple[tuple[ElementBlock, ...], list[Ints], list[Ints], list[Ints]]:  # fmt: skip
-    """Blocks, one for each type, and for each the material, archive type and coordinate system of its elements."""
+    """Blocks, one for each type and formulation, and for each the material, archive type and coordinate system of its
+    elements."""
     blocks, materials, types, systems = [], [], [], []
-    for kind in dict.fromkeys(part.type for part in parts):
-        same = [part for part in parts if part.type == kind]
+    for kind, formulation, mass in dict.fromkeys(map(_key, parts)):
+        same = [part for part in parts if _key(part) == (kind, formulation, mass)]
         nodes = np.concatenate([part.nodes for part in same])
         ids = np.concatenate([part.ids for part in same])
-        blocks.append(ElementBlock(type=kind, nodes=np.searchsorted(used, nodes), ids=ids))
+        blocks.append(
+            ElementBlock(type=kind, nodes=np.searchsorted(used, nodes), ids=ids, formulation=formulation, mass=mass)
+        )
         materials.append(np.concatenate([part.material for part in same]))
         types.append(np.concatenate([np.full(len(part.ids), part.archive_type) for part in same]))
         systems.append(np.concatenate([part.system for part in same]))
@@ -166,6 +170,10 @@ def _blocks(
         what = f"the element {twice[0]} twice" if len(twice) else f"an element with the label {labels[0]}"
         raise InputError(f"{name} defines {what}; expected labels from 1, each once")
     return tuple(blocks), materials, types, systems
+
+
+def _key(part: _Part) -> tuple[str, str, str]:
+    return part.type, part.meaning.formulation, part.meaning.mass
 
 
 def _members(ranges: Ints, ids: Ints, what: str, name: str) -> Ints:

@@ -1,47 +1,66 @@
-"""What the element types of other programs mean, where it is not what is assembled here: a warning for each.
+"""What the element types of other programs mean: formulation and mass here, and a warning where theirs are others.
 
-Here every type is assembled with full integration and a consistent mass. The sizes of effects are measured: for
-CalculiX 2.20 with free bars of 6 x 2 x 2 cells, straight and curved (first eight elastic frequencies), for Abaqus with
-its own matrices of a block; see docs/formats.md.
+That a meaning is right was seen with matrices of the programs themselves (CalculiX 2.20, Abaqus, ANSYS); what was not,
+or is known to differ, is said. See docs/formats.md for the figures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 DIALECTS = ("auto", "abaqus", "calculix")
-_HYBRID = "the pressure as an unknown of its own", "not measured; large where the material hardly changes its volume"
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """``formulation`` and ``mass`` of the elements of a type, and how theirs ``differs``, in words, where it does."""
+
+    formulation: str = "full"
+    mass: str = "exact"
+    differs: str = ""
+
+
+_UNSEEN = "their matrices were not compared with those here"
+_HYBRID = "the pressure is an unknown of its own there, which matters where the material hardly changes its volume"
+_UNKNOWN = f"a formulation of its own; {_UNSEEN}"
 _ABAQUS = {
-    "C3D4": ("a lumped mass", "frequencies of a coarse block are 0.7 to 11 % too high here"),
-    "C3D8": (
-        "B-bar (the mean volume strain) and a lumped mass",
-        "frequencies of a coarse block are 5.6 to 17 % too high here, the first three 7.7 to 11.5 %",
-    ),
-    "C3D8R": (
-        "one point with hourglass stiffness and a lumped mass",
-        "not measured; -9 to +14 % with CalculiX's type of that name",
-    ),
-    "C3D8I": ("incompatible modes", "not measured; up to 16 % too high in bending with CalculiX's type of that name"),
-    "C3D6": ("2 points and a lumped mass", "not measured; -8 to +2 % with CalculiX's type of that name"),
-    "C3D20R": ("8 points", "not measured; up to 0.5 % with CalculiX's type of that name"),
-    "C3D27R": ("14 points", "not measured"),
-    "C3D10M": ("a modified formulation", "not measured"),
-}
-_CALCULIX = {
-    "C3D8R": ("one point with hourglass stiffness", "frequencies of a coarse bar are off by -9 to +14 %, held +24 %"),
-    "C3D8I": ("incompatible modes", "frequencies of a coarse held bar are 0.5 to 16 % too high here"),
-    "C3D6": ("2 points", "frequencies of a coarse bar are off by -8 to +2 %"),
-    "C3D20R": ("8 points", "frequencies of a coarse bar are off by up to 0.5 %"),
+    "C3D4": Meaning(mass="row-sum"),
+    "C3D6": Meaning("reduced", "row-sum", _UNSEEN),
+    "C3D8": Meaning("b-bar", "row-sum"),
+    "C3D8R": Meaning("mean-strain", "row-sum", f"its hourglass stiffness may be another one; {_UNSEEN}"),
+    "C3D8I": Meaning("incompatible", "row-sum", f"it has more modes; {_UNSEEN}"),
+    "C3D8S": Meaning("b-bar", "row-sum", _UNSEEN),
+    "C3D10": Meaning(),
+    "C3D10M": Meaning(differs=f"a modified formulation; {_UNSEEN}"),
+    "C3D15": Meaning(),
+    "C3D20": Meaning(),
+    "C3D20R": Meaning("reduced", differs=_UNSEEN),
+    "C3D27": Meaning(),
+    "C3D27R": Meaning(differs=f"14 points there; {_UNSEEN}"),
 }
 # CalculiX takes the points of the stiffness for the mass too.
-_CALCULIX_MASS = {
-    "C3D4": ("1 point", "0.4 to 10 % too low here"), "C3D10": ("4 points", "up to 0.5 % too low here"),
-    "C3D15": ("9 points", "up to 0.6 % too low here"),
+_CALCULIX = {
+    "C3D4": Meaning(mass="reduced"),
+    "C3D6": Meaning("reduced", "reduced"),
+    "C3D8": Meaning(mass="reduced"),
+    "C3D8R": Meaning(
+        "mean-strain", "reduced",
+        "its hourglass stiffness is the same on parallelepipeds, while on distorted elements it resists rotation there",
+    ),
+    "C3D8I": Meaning(
+        "incompatible", "reduced",
+        "its modes have mass there and none here: frequencies of a coarse held bar are up to 1 % higher here in the "
+        "first bending mode, and up to 17 % in the tenth",
+    ),
+    "C3D10": Meaning(mass="reduced"),
+    "C3D10T": Meaning(mass="reduced"),
+    "C3D15": Meaning(mass="reduced"),
+    "C3D20": Meaning(),
+    "C3D20R": Meaning("reduced", "reduced"),
 }  # fmt: skip
-# Types that are the plain ones in a linear analysis.
-_PLAIN = {"C3D4", "C3D10", "C3D20", "C3D27", "C3D15"}
-_SAME = {"calculix": {"C3D8", "C3D10T"}, "abaqus": {"C3D10T"}}
-
+_TABLES = {"abaqus": ("Abaqus", _ABAQUS), "calculix": ("CalculiX", _CALCULIX)}
 
 # Keywords of one program only, and solvers that only CalculiX has.
 _ABAQUS_WORDS = {"PART", "ASSEMBLY", "INSTANCE", "PREPRINT"}
@@ -49,6 +68,10 @@ _CALCULIX_WORDS = {"NODE FILE", "EL FILE"}
 _CALCULIX_SOLVERS = {
     "SPOOLES", "PARDISO", "PASTIX", "TAUCS", "SGI", "MATRIXSTORAGE", "ITERATIVESCALING", "ITERATIVECHOLESKY"
 }  # fmt: skip
+_IN_COMMENTS = {
+    "abaqus": re.compile(rb"^[ \t]*\*\*[^\n]*generated by: abaqus", re.IGNORECASE | re.MULTILINE),
+    "calculix": re.compile(rb"^[ \t]*\*\*[^\n]*calculix", re.IGNORECASE | re.MULTILINE),
+}
 
 
 def dialect_of(keyword: str, options: Mapping[str, str]) -> str | None:
@@ -60,96 +83,144 @@ def dialect_of(keyword: str, options: Mapping[str, str]) -> str | None:
     return None
 
 
-def abaqus_warnings(counts: Mapping[str, int], dialect: str) -> tuple[list[str], list[str]]:
-    """Sentences about element types of a deck (code -> count), and those that hold for the exact mass only.
-
-    ``dialect`` "auto" is a deck that may be of either program.
-    """
-    whole, mass = [], []
-    doubt = " (the deck does not tell which program it is for)" if dialect == "auto" else ""
-    for code, count in counts.items():
-        if dialect != "calculix" and (reason := _abaqus(code)):
-            whole.append(_sentence(count, code, "Abaqus", *reason) + doubt)
-        if dialect != "abaqus" and (reason := _calculix(code)):
-            whole.append(_sentence(count, code, "CalculiX", *reason) + doubt)
-        if dialect != "abaqus" and (plain := _CALCULIX_MASS.get(code.removesuffix("T"))):
-            mass.append(
-                f"{count} elements {code} have the exact consistent mass, for which CalculiX takes {plain[0]}: "
-                f"frequencies of a coarse bar are {plain[1]}; --mass-integration reduced gives its mass{doubt}"
-            )
-    return whole, mass
+def dialects_of_comments(text: bytes) -> set[str]:
+    """The programs that comments of a deck name."""
+    return {dialect for dialect, words in _IN_COMMENTS.items() if words.search(text)}
 
 
-def _abaqus(code: str) -> tuple[str, str] | None:
-    known = _ABAQUS.get(code)
-    if known or code in _PLAIN | _SAME["abaqus"]:
-        return known
-    return _HYBRID if "H" in code[3:] else ("a formulation of its own", "not measured")
+def meaning_of(code: str, dialect: str) -> Meaning:
+    """What an element type of a deck means, such as C3D8R; ``dialect`` is "abaqus" or "calculix"."""
+    known = _TABLES[dialect][1]
+    plain = code[:4] + code[4:].replace("H", "")
+    if code in known or plain == code:
+        return known.get(code, Meaning(differs=_UNKNOWN))
+    like = meaning_of(plain, dialect)
+    return Meaning(like.formulation, like.mass, _HYBRID)
 
 
-def _calculix(code: str) -> tuple[str, str] | None:
-    known = _CALCULIX.get(code)
-    if known or code in _PLAIN | _SAME["calculix"]:
-        return known
-    return None if "H" in code[3:] else ("a formulation of its own, or none", "not measured")
-
-
-def _sentence(count: int, name: str, program: str, theirs: str, effect: str) -> str:
-    return (
-        f"{count} elements {name} are assembled with full integration and consistent mass, where {program} takes "
-        f"{theirs}: {effect}"
-    )
-
-
-def nastran_warnings(
-    counts: Mapping[tuple[str, str], int], full: Mapping[str, bool], *, consistent: bool
-) -> list[str]:
-    """Sentences about the solids of bulk data.
-
-    Args:
-        counts: (card and node count such as "CHEXA with 8 nodes", property) -> number of elements.
-        full: property -> whether its PSOLID asks for full integration (ISOP = 1 or FULL, IN = 2 or TWO where linear).
-        consistent: whether PARAM COUPMASS asks for the consistent mass.
-    """
-    reduced: dict[str, int] = {}
-    for (name, pid), count in counts.items():
-        if not name.startswith("CTETRA") and not full.get(pid, False):
-            reduced[name] = reduced.get(name, 0) + count
-    warnings = []
-    for name, count in reduced.items():
-        bubble = "reduced shear and bubble functions" if name.split()[2] in ("6", "8") else "reduced shear"
+def deck_warnings(counts: Mapping[str, int], dialect: str, *, guessed: bool) -> list[str]:
+    """Sentences about the element types of a deck (code -> count) of ``dialect``, which may have been ``guessed``."""
+    program = _TABLES[dialect][0]
+    warnings = [
+        _sentence(count, code, program, meaning)
+        for code, count in counts.items()
+        if (meaning := meaning_of(code, dialect)).differs
+    ]
+    other = next(name for name in _TABLES if name != dialect)
+    torn = [code for code in counts if _assembled(code, dialect) != _assembled(code, other)]
+    if guessed and torn:
         warnings.append(
-            f"{count} elements {name} are assembled with full integration, where Nastran takes {bubble} unless PSOLID "
-            "says otherwise (ISOP, IN): not measured; 2 to 5 % too high in bending with MYSTRAN's reduced shear"
-        )
-    if not consistent:
-        warnings.append(
-            f"{sum(counts.values())} solid elements have a consistent mass, where Nastran takes a lumped one unless "
-            "PARAM COUPMASS 1 is there: not measured; frequencies of a coarse block of tetrahedra are 0.7 to 11 % "
-            "higher than with the lumped mass of Abaqus"
+            f"the deck does not tell whether it is for Abaqus or CalculiX, and its elements {', '.join(torn)} are "
+            f"taken as {program} does; give --dialect {dialect} or --dialect {other} [dialect-guessed]"
         )
     return warnings
 
 
-# SOLID185 by KEYOPT(2).
-_SOLID185 = {
-    0: "B-bar (the mean volume strain)", 1: "one point with hourglass stiffness", 2: "enhanced strains",
-    3: "simplified enhanced strains",
+def _assembled(code: str, dialect: str) -> tuple[str, str]:
+    meaning = meaning_of(code, dialect)
+    return meaning.formulation, meaning.mass
+
+
+_WORDS = {
+    "full": "full integration", "b-bar": "B-bar", "mean-strain": "the mean strain and hourglass stiffness",
+    "incompatible": "incompatible modes", "reduced": "reduced integration", "irons": "14 points",
+}  # fmt: skip
+_MASSES = {
+    "exact": "the consistent mass", "reduced": "the mass at the points of the stiffness", "row-sum": "a lumped mass",
+    "irons": "the mass at 14 points",
 }  # fmt: skip
 
 
-def ansys_warnings(routine: int, keys: Mapping[int, int], shape: str, count: int) -> list[str]:
-    """Sentences about ``count`` elements SOLID``routine`` with key options ``keys`` that became ``shape``."""
-    theirs, effect = "", "not measured"
-    if routine == 185 and shape in ("hex8", "wedge6"):
-        theirs = _SOLID185.get(keys.get(2, 0), "a formulation of its own")
-    elif routine == 45 and shape in ("hex8", "wedge6") and not (keys.get(1, 0) == 1 and not keys.get(2, 0)):
-        theirs = "one point with hourglass stiffness" if keys.get(2, 0) else "extra displacement shapes"
-    elif routine == 186 and shape in ("hex20", "wedge15") and not keys.get(2, 0):
-        theirs, effect = "8 points (KEYOPT(2) = 0)", "not measured; up to 0.5 % with C3D20R of CalculiX"
-    elif routine == 95 and shape == "hex20" and keys.get(11, 0):
-        theirs, effect = "8 points (KEYOPT(11) = 1)", "not measured; up to 0.5 % with C3D20R of CalculiX"
+def _sentence(count: int, name: str, program: str, meaning: Meaning) -> str:
+    code = "hybrid-as-plain" if meaning.differs == _HYBRID else "formulation-differs"
+    return (
+        f"{count} elements {name} are assembled with {_WORDS[meaning.formulation]} and {_MASSES[meaning.mass]}, and "
+        f"those of {program} may differ: {meaning.differs} [{code}]"
+    )
+
+
+def warnings_of(program: str, counts: Iterable[tuple[str, int, Meaning]]) -> list[str]:
+    """Sentences about elements (name, how many, what they mean) of a ``program``."""
+    return [_sentence(count, name, program, meaning) for name, count, meaning in counts if meaning.differs]
+
+
+def nastran_meaning(card: str, nodes: int, *, full: bool) -> Meaning:
+    """What a solid of bulk data means.
+
+    Args:
+        full: whether its PSOLID asks for full integration (ISOP = 1 or FULL, IN = 2 or TWO where linear).
+    """
+    if card == "CTETRA":
+        return Meaning()
+    if card == "CHEXA" and nodes == 8:
+        # With full integration as MYSTRAN's own matrices show.
+        return Meaning(mass="reduced") if full else Meaning("incompatible", differs=f"bubble functions; {_UNSEEN}")
+    if full:
+        return Meaning()
+    bubble = "reduced shear and bubble functions" if nodes == 6 else "reduced shear"
+    return Meaning(differs=f"{bubble} unless PSOLID says otherwise (ISOP, IN); {_UNSEEN}")
+
+
+def nastran_mass_warnings(count: int, *, consistent: bool) -> list[str]:
+    """A sentence about the mass of ``count`` solids, where PARAM COUPMASS does not ask for the ``consistent`` one."""
+    if consistent or not count:
+        return []
+    return [
+        f"{count} solid elements have a consistent mass, where Nastran takes a lumped one unless PARAM COUPMASS 1 is "
+        "there: not measured; frequencies of a coarse block of tetrahedra are 0.7 to 11 % higher than with the lumped "
+        "mass of Abaqus [formulation-differs]"
+    ]
+
+
+def ansys_meaning(routine: int, keys: Mapping[int, int], shape: str) -> Meaning:
+    """What elements SOLID``routine`` with key options ``keys`` that became ``shape`` mean."""
+    meaning = _ANSYS.get(routine, _plain)(keys, shape)
     if keys.get(6, 0) and routine in (185, 186, 187):
-        theirs = f"{theirs} and {_HYBRID[0]}" if theirs else _HYBRID[0]
-        effect = _HYBRID[1]
-    return [_sentence(count, f"SOLID{routine}", "ANSYS", theirs, effect)] if theirs else []
+        return Meaning(meaning.formulation, meaning.mass, _HYBRID)
+    return meaning
+
+
+def _plain(keys: Mapping[int, int], shape: str) -> Meaning:
+    return Meaning()
+
+
+def _solid185(keys: Mapping[int, int], shape: str) -> Meaning:
+    names = ("b-bar", "mean-strain", "incompatible", "incompatible")
+    words = ("B-bar", "one point with hourglass stiffness", "enhanced strains", "simplified enhanced strains")
+    key = keys.get(2, 0)
+    if shape not in ("hex8", "wedge6"):
+        return Meaning()
+    if key not in range(len(names)):
+        return Meaning(differs=_UNKNOWN)
+    if shape == "wedge6":
+        return Meaning(differs=f"{words[key]}; {_UNSEEN}")
+    return Meaning(names[key], "exact" if key == 1 else "reduced", f"{words[key]}; {_UNSEEN}" if key else "")
+
+
+def _solid45(keys: Mapping[int, int], shape: str) -> Meaning:
+    if shape not in ("hex8", "wedge6"):
+        return Meaning()
+    if keys.get(1, 0) == 1 and not keys.get(2, 0):
+        return Meaning(mass="reduced")
+    words = "one point with hourglass stiffness" if keys.get(2, 0) else "extra displacement shapes"
+    if shape == "wedge6":
+        return Meaning(differs=f"{words}; {_UNSEEN}")
+    name, mass = ("mean-strain", "exact") if keys.get(2, 0) else ("incompatible", "reduced")
+    return Meaning(name, mass, f"{words}; {_UNSEEN}")
+
+
+def _solid186(keys: Mapping[int, int], shape: str) -> Meaning:
+    if shape == "hex20":
+        return Meaning("irons", "irons", _UNSEEN) if keys.get(2, 0) else Meaning("reduced", "irons")
+    return Meaning(mass="reduced", differs=_UNSEEN) if shape == "wedge15" else Meaning()
+
+
+def _solid95(keys: Mapping[int, int], shape: str) -> Meaning:
+    if shape == "hex20":
+        return Meaning("reduced" if keys.get(11, 0) else "irons", "reduced", _UNSEEN)
+    return Meaning(mass="reduced", differs=_UNSEEN) if shape == "wedge15" else Meaning()
+
+
+_ANSYS: dict[int, Callable[[Mapping[int, int], str], Meaning]] = {
+    45: _solid45, 95: _solid95, 185: _solid185, 186: _solid186
+}  # fmt: skip

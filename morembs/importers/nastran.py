@@ -6,14 +6,15 @@ Read here and not by meshio, which drops labels, coordinate systems, rigid eleme
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.formulations import nastran_warnings
+from morembs.importers.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.nastran_cards import real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
@@ -108,7 +109,7 @@ def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
         raise InputError(
             f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
         )
-    return _with_warnings(_mesh(bulk, np.empty(0, dtype=np.int64), [])[0], bulk)
+    return _mesh(bulk, np.empty(0, dtype=np.int64), [])[0]
 
 
 def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) -> Imported:
@@ -138,7 +139,7 @@ def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) ->
     return Imported(
         source=bulk.file,
         nodes=nodes,
-        mesh=_with_warnings(mesh, bulk),
+        mesh=mesh,
         materials=tuple(assigned),
         rigid=on_rows(ties.rigid, row),
         average=on_rows(ties.average, row),
@@ -148,19 +149,63 @@ def import_nastran(path: str | Path, *, allow_includes_outside: bool = False) ->
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Part:
+    """Solids (k,) of one type and meaning: labels, property ids and ``nodes`` (k, n), rows of grids."""
+
+    type: str
+    meaning: Meaning
+    ids: Ints
+    pids: Ints
+    nodes: Ints
+
+
+def _parts(bulk: _Bulk) -> list[_Part]:
+    """All solids; ``bulk.solids`` gives them up."""
+    full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := padded(row, 6))]
+    parts = []
+    for kind, ids, pids, nodes in bulk.solids.blocks(bulk.grids):
+        whole = np.isin(pids, full)
+        of = {given: nastran_meaning(card_of(kind), nodes.shape[1], full=given) for given in (False, True)}
+        for meaning in dict.fromkeys(of.values()):
+            rows = np.flatnonzero(np.where(whole, of[True] == meaning, of[False] == meaning))
+            if len(rows):
+                parts.append(_Part(type=kind, meaning=meaning, ids=ids[rows], pids=pids[rows], nodes=nodes[rows]))
+    return parts
+
+
+def _is_full(words: list[str]) -> bool:
+    """Whether a PSOLID asks for full integration."""
+    return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
+
+
+def _warnings(bulk: _Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
+    """What the element types mean otherwise in Nastran, and what the text warns of."""
+    names = ((f"{card_of(part.type)} with {part.nodes.shape[1]} nodes", len(part.ids), part.meaning) for part in parts)
+    consistent = bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF
+    mass = nastran_mass_warnings(sum(len(part.ids) for part in parts), consistent=consistent)
+    return (*warnings_of("Nastran", names), *mass, *bulk.text.warnings)
+
+
 def _mesh(bulk: _Bulk, extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
     """Mesh, its nodes with ``extra`` rows behind them, and the row among these of all grids (or -1)."""
     grids = bulk.grids
-    by_type = bulk.solids.blocks(grids)
+    parts = _parts(bulk)
     used = np.zeros(len(grids.ids), dtype=bool)
-    for *_, nodes in by_type:
-        used[nodes] = True
+    for part in parts:
+        used[part.nodes] = True
     kept, loose = np.flatnonzero(used), np.unique(extra[~used[extra]])
     row = np.full(len(grids.ids), -1, dtype=np.int64)
     row[kept] = np.arange(len(kept))
     row[loose] = len(kept) + np.arange(len(loose))
-    blocks = tuple(ElementBlock(type=kind, nodes=row[nodes], ids=ids) for kind, ids, _, nodes in by_type)
-    properties = [pids for _, _, pids, _ in by_type]
+    blocks = tuple(
+        ElementBlock(
+            type=part.type, nodes=row[part.nodes], ids=part.ids, formulation=part.meaning.formulation,
+            mass=part.meaning.mass,
+        )
+        for part in parts
+    )  # fmt: skip
+    properties = [part.pids for part in parts]
     element_sets = {
         f"PSOLID_{pid}": tuple(np.flatnonzero(own == pid) for own in properties)
         for pid in np.unique(np.concatenate([np.unique(own) for own in properties])).tolist()
@@ -172,7 +217,7 @@ def _mesh(bulk: _Bulk, extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints
     inside = {name: rows[rows < len(kept)] for name, rows in node_sets.items()}
     mesh = Mesh(
         nodes=Nodes(ids=grids.ids[kept], xyz=grids.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
-        blocks=blocks, element_sets=element_sets, source=bulk.file,
+        blocks=blocks, element_sets=element_sets, source=bulk.file, warnings=_warnings(bulk, parts),
     )  # fmt: skip
     if not len(loose):
         return mesh, mesh.nodes, row
@@ -214,24 +259,6 @@ def _sets(
         else:
             notes.append(f"SET {number} of case control names neither grids nor elements only and was left out.")
     return sets
-
-
-def _with_warnings(mesh: Mesh, bulk: _Bulk) -> Mesh:
-    """The mesh with what its element types mean otherwise in Nastran."""
-    counts: dict[tuple[str, str], int] = {}
-    for name, parts in mesh.element_sets.items():
-        if name.startswith("PSOLID_"):
-            for block, rows in zip(mesh.blocks, parts, strict=True):
-                if len(rows):
-                    what = f"{card_of(block.type)} with {block.nodes.shape[1]} nodes"
-                    counts[what, name.removeprefix("PSOLID_")] = len(rows)
-    full = {}
-    for row in bulk.rows["PSOLID"]:
-        words = padded(row, 6)
-        points = words[3].upper() in ("2", "TWO", "3", "THREE")
-        full[words[0]] = words[5].upper() in ("1", "FULL") and points
-    warnings = nastran_warnings(counts, full, consistent=bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF)
-    return replace(mesh, warnings=(*mesh.warnings, *warnings, *bulk.text.warnings))
 
 
 def _notes(bulk: _Bulk, scale: float) -> list[str]:

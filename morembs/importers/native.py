@@ -17,6 +17,7 @@ from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 from morembs.model.constraints import AverageElement, RigidElement
 from morembs.model.elements import TYPES
+from morembs.model.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading_format
@@ -90,6 +91,8 @@ _SETS = Table((
 _BLOCK = Table((
     Row("nodes", "whole", "elements corners", "rows of /nodes, from 0, in VTK order"),
     Row("ids", "whole", "elements", "labels of the elements in the source"),
+    Row("formulation", "words", doc=f"of the strain, one of {', '.join(FORMULATIONS)}", when="`full` without it"),
+    Row("mass", "words", doc=f"rule of the mass, one of {', '.join(MASSES)}", when="`exact` without it"),
 ))  # fmt: skip
 _ELEMENTS = Table((
     Row("types", "words", "blocks", "of block_0, block_1, ..."),
@@ -193,6 +196,10 @@ def _mesh(path: Path, group: Mapping[str, Any], element_sets: Mapping[str, Ints]
             raise InputError(f"{path}: elements of type {kind!r} are damaged; {CURE}")
         _refuse_outside(path, block["nodes"].ravel(), count, f"an element of type {kind}")
         blocks.append(ElementBlock(type=kind, **block))
+        try:
+            formulation_of(blocks[-1])
+        except InputError as error:
+            raise InputError(f"{path}: {error}; a newer version wrote it, or it is damaged; {CURE}") from error
     starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in blocks])])
     sets = {}
     for name, rows in element_sets.items():

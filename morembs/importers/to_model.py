@@ -19,7 +19,7 @@ from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
-from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.fe_model import refuse_far
 from morembs.model.material import Material
@@ -32,7 +32,7 @@ Ints = NDArray[np.int64]
 
 
 def model_of(
-    imported: Imported, units: Units | None = None, *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
+    imported: Imported, units: Units | None = None, *, mass_integration: str = "element", budget: Budget = UNLIMITED,
     progress: Progress = SILENT,
 ) -> FEModel:  # fmt: skip
     """Model in SI units of what a file holds in ``units`` (None: SI).
@@ -260,7 +260,6 @@ def _from_mesh(
     part = Mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
-        mass_warnings=mesh.mass_warnings,
     )  # fmt: skip
     model = assemble(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,
@@ -299,7 +298,7 @@ def _mesh_on(mesh: Mesh, nodes: Nodes, units: Units) -> Mesh:
             return replace(mesh, nodes=nodes)
         return replace(mesh, nodes=replace(mesh.nodes, xyz=nodes.xyz[: len(first)]))
     row = rows_of_labels(nodes, mesh.nodes.ids, mesh.source or "the mesh")
-    blocks = tuple(ElementBlock(type=b.type, nodes=row[b.nodes], ids=b.ids) for b in mesh.blocks)
+    blocks = tuple(replace(b, nodes=row[b.nodes]) for b in mesh.blocks)
     return replace(mesh, nodes=nodes, blocks=blocks)
 
 

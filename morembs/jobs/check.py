@@ -31,7 +31,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import blas_threads, limit_threads
 from morembs.memory import available_bytes, resident_bytes
 from morembs.model import DofMap, FEModel, Mesh, rigid_motion
-from morembs.model.assembly import check_mesh, stiffness_pattern
+from morembs.model.assembly import check_mesh, mass_warnings, stiffness_pattern
 from morembs.model.elements import TYPES
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
@@ -70,7 +70,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     dofs = DofMap.translations(len(mesh.nodes))
     model = FEModel(
         K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source,
-        warnings=mesh.warnings + (mesh.mass_warnings if job.tables.model.mass_integration == "exact" else ()),
+        warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
     )  # fmt: skip
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)

@@ -36,7 +36,8 @@ class ImportJob:
 
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
-    ``allow_includes_outside`` lets decks include files from beyond their folders.
+    ``dialect`` is the program that a deck .inp was written for; ``allow_includes_outside`` lets decks include files
+    from beyond their folders.
     """
 
     out: Path
@@ -47,7 +48,8 @@ class ImportJob:
     nodes: Path | None = None
     dofs: Path | None = None
     materials: tuple[Material, ...] = ()
-    mass_integration: str = "exact"
+    mass_integration: str = "element"
+    dialect: str = "auto"
     options: Mapping[str, Any] = field(default_factory=dict)
     allow_includes_outside: bool = False
 
@@ -119,9 +121,11 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     """What the files hold together, and the name of the format."""
     if (job.file is None) == (not job.matrices):
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
+    if job.dialect != "auto" and not any(_takes_dialect(path, job) for path in (job.file, job.nodes)):
+        raise InputError(f"--dialect {job.dialect} was given without a deck .inp of Abaqus or CalculiX; leave it out")
     if job.file is not None:
         format = format_of(job.file, job.format)
-        imported = import_file(job.file, format, {**_outside(job, format), **job.options})
+        imported = import_file(job.file, format, {**_of_decks(job, format), **job.options})
     else:
         imported, format = _combined(job)
     if format == "native" and (job.units.name != "m-kg-s" or job.nodes or job.dofs):
@@ -136,6 +140,11 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     if imported.K is None and job.dofs is not None:
         raise InputError("--dofs was given for a mesh; it belongs to matrices")
     return _with_geometry(imported, job), format
+
+
+def _takes_dialect(path: Path | None, job: ImportJob) -> bool:
+    given = job.format if path is job.file else None
+    return path is not None and "dialect" in IMPORTERS[format_of(path, given)].options
 
 
 def _combined(job: ImportJob) -> tuple[Imported, str]:
@@ -189,7 +198,7 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
         imported = replace(imported, **{name: square_csr(imported.source, name, A) for name in ROLES
                                         if (A := getattr(imported, name)) is not None})  # fmt: skip
     if job.nodes is not None:
-        imported = _on_mesh(imported, job.nodes, _outside(job, format_of(job.nodes)))
+        imported = _on_mesh(imported, job.nodes, _of_decks(job, format_of(job.nodes)))
     if job.dofs is None:
         return imported
     labels, component = read_dof_map(job.dofs)
@@ -200,10 +209,10 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
     return replace(imported, nodes=nodes, dofs=dofs)
 
 
-def _outside(job: ImportJob, format: str) -> dict[str, bool]:
-    """The option of formats that include files."""
-    known = "allow_includes_outside" in IMPORTERS[format].options
-    return {"allow_includes_outside": True} if known and job.allow_includes_outside else {}
+def _of_decks(job: ImportJob, format: str) -> dict[str, Any]:
+    """The options of decks, where the format has them."""
+    given: dict[str, Any] = {"allow_includes_outside": job.allow_includes_outside, "dialect": job.dialect}
+    return {name: given[name] for name in IMPORTERS[format].options if given.get(name, "auto") not in (False, "auto")}
 
 
 def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Imported:

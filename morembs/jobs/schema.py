@@ -40,7 +40,9 @@ class ModelTable(Table):
     units: str | UnitsTable = Field(
         default="m-kg-s", description='"length-mass-time" such as "mm-t-s", or a table with length, mass and time'
     )
-    mass_integration: Literal["exact", "reduced"] = Field(default="exact", description='"exact" or "reduced"')
+    mass_integration: Literal["element", "exact", "reduced"] = Field(
+        default="element", description='"element", "exact" or "reduced"'
+    )
     allow_includes_outside: bool = Field(
         default=False, description="true or false: a deck may include files from beyond its folder"
     )

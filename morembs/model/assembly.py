@@ -1,6 +1,7 @@
 """Mesh and materials to stiffness and mass matrices, chunk by chunk.
 
-K = sum_e int B' C B dV and M = Ms (x) I3 with Ms = sum_e int rho N' N dV (consistent mass).
+K = sum_e int B' C B dV and M = Ms (x) I3 with Ms = sum_e int rho N' N dV (consistent mass), where the formulation of
+the elements does not say otherwise.
 The sparsity pattern is built first, on the node graph; every chunk of elements then adds into the
 final arrays, so that peak memory stays near that of K and M themselves.
 """
@@ -8,7 +9,6 @@ final arrays, so that peak memory stays near that of K and M themselves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
-from morembs.model.elements import TYPES, ElementType, Rule
+from morembs.model.elements import TYPES, ElementType
 from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh
+from morembs.model.formulations import Formulation, element_mass, formulation_of, geometry
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
@@ -26,9 +27,7 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 CHUNK_BYTES = 48_000_000
-MASS_INTEGRATION = ("exact", "reduced")
-# Jacobians whose powers are numbers still.
-SMALLEST, LARGEST = 1e-250, 1e250
+MASS_INTEGRATION = ("element", "exact", "reduced")
 
 
 def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = SILENT) -> sp.csr_array:
@@ -42,8 +41,8 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = S
     _refuse_loose_nodes(mesh)
     _refuse_gaps(mesh)
     for block, rows in chunks(mesh):
-        kind = TYPES[block.type]
-        geometry(mesh.nodes.xyz[block.nodes[rows]], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+        kind, formulation = TYPES[block.type], formulation_of(block)
+        geometry(mesh.nodes.xyz[block.nodes[rows]], formulation.integration(kind), block.ids[rows], kind)
         progress.update(f"{block.type}: {rows[-1] + 1} of {len(block.ids)}")
     return node_graph(mesh)
 
@@ -59,13 +58,15 @@ def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr
 
 
 def assemble(
-    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "exact", budget: Budget = UNLIMITED,
+    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", budget: Budget = UNLIMITED,
     progress: Progress = SILENT,
 ) -> FEModel:  # fmt: skip
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
-    ``mass_integration`` is "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the
-    points of the stiffness, as CalculiX does for tetrahedra: one point in tet4, four in tet10).
+    ``mass_integration`` is "element" (the rule of each block, the exact mass where the program of a deck takes no
+    other), or for all elements "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the points of
+    the stiffness, as CalculiX does: one point in tet4, four in tet10). ``warnings`` tell where that is not the rule of
+    the block.
 
     Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell.
 
@@ -73,12 +74,10 @@ def assemble(
 
     Raises:
         InputError: a material names an unknown set, an element has no or two materials, is inverted or
-            degenerate, has its middle nodes in no known order, or nodes belong to no element.
+            degenerate, has its middle nodes in no known order, or nodes belong to no element; a formulation or a rule
+            of the mass that is not for the type of its elements.
     """
-    if mass_integration not in MASS_INTEGRATION:
-        raise InputError(
-            f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}"
-        )
+    other_mass = mass_warnings(mesh, mass_integration)
     mesh = mesh_in_order(mesh)
     owner = material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
@@ -86,13 +85,14 @@ def assemble(
     graph = node_graph(mesh)
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
+    densities = np.array([material.density for material in materials])
     done, total = 0, sum(len(block.ids) for block in mesh.blocks)
     for block, rows in chunks(mesh):
         which = owner[id(block)][rows]
         x, ids = mesh.nodes.xyz[block.nodes[rows]], block.ids[rows]
-        kind = TYPES[block.type]
-        stiffness = _stiffness(kind, x, ids, materials, which)
-        mass = _mass(kind, x, materials, which, reduced=mass_integration == "reduced")
+        stiffness = _stiffness(formulation_of(block), TYPES[block.type], x, ids, materials, which)
+        rule = block.mass if mass_integration == "element" else mass_integration
+        mass = element_mass(block, rule, x, densities[which])
         nodes = block.nodes[rows]
         k = nodes.shape[1]
         row, col = np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()
@@ -114,11 +114,35 @@ def assemble(
     indptr, K_indices = _scalar_pattern(graph, budget, full=True)
     K = sp.csr_array((k_data, K_indices, indptr), shape=(3 * len(mesh.nodes),) * 2)
     M = _expand_mass(graph, m_data, budget)
+    if mass_integration == "element" and any(block.mass == "row-sum" for block in mesh.blocks):
+        M.eliminate_zeros()
     K.has_canonical_format = True
     return FEModel(
         K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, materials=tuple(materials),
-        source=mesh.source, warnings=mesh.warnings + (mesh.mass_warnings if mass_integration == "exact" else ()),
+        source=mesh.source, warnings=(*mesh.warnings, *other_mass),
     )  # fmt: skip
+
+
+def mass_warnings(mesh: Mesh, mass_integration: str) -> tuple[str, ...]:
+    """Where ``mass_integration`` is not the rule that the elements of a deck have in their program, a sentence each.
+
+    Raises:
+        InputError: an unknown rule.
+    """
+    if mass_integration not in MASS_INTEGRATION:
+        raise InputError(
+            f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}"
+        )
+    others: dict[tuple[str, str], int] = {}
+    for block in mesh.blocks:
+        # A mesh that says nothing of its mass has the exact one, and any other may be asked for.
+        if mass_integration != "element" and block.mass not in ("exact", mass_integration):
+            others[block.type, block.mass] = others.get((block.type, block.mass), 0) + len(block.ids)
+    return tuple(
+        f"{count} elements {kind} have the mass {mass_integration!r}, as was asked for, where their program takes "
+        f"{theirs!r}: frequencies of a coarse mesh may differ by 10 %; leave the mass integration out for its mass"
+        for (kind, theirs), count in others.items()
+    )
 
 
 def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int, Ints]:
@@ -238,69 +262,21 @@ def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_
     return M
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """Elements at quadrature points: ``dN`` (ne, nq, k, 3) gradients along x, y, z; ``dV`` (ne, nq) volumes."""
-
-    dN: Floats
-    dV: Floats
-
-
-def _jacobian(x: Floats, rule: Rule) -> Floats:
-    """Isoparametric Jacobians (ne, nq, 3, 3) of elements with node coordinates ``x`` (ne, k, 3)."""
-    return np.asarray(np.einsum("eka,qkr->eqar", x, rule.dN, optimize=True))
-
-
-def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
-    """Gradients and volumes at the points of ``rule``; refuses elements that are inside out there."""
-    J = _jacobian(x, rule)
-    det = np.linalg.det(J)
-    scale = np.abs(det).max(axis=1, initial=0.0)
-    # Sizes whose squares a double cannot hold, and what is not a number, are as bad as no size.
-    outside = ~((scale > SMALLEST) & (scale < LARGEST))
-    bad = np.flatnonzero(~(det > 1e-10 * scale[:, None]).all(axis=1) | outside)
-    if len(bad):
-        raise InputError(
-            f"{len(bad)} {kind.name} elements are inverted or degenerate: {', '.join(map(str, ids[bad[:5]]))}"
-            f"{', ...' if len(bad) > 5 else ''} (Jacobian not positive); mend the mesh or its node order"
-        )
-    inverse = np.linalg.inv(J)
-    dN = np.matmul(rule.dN[None], inverse)
-    return Geometry(dN, det * rule.weights)
-
-
-def _stiffness(kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints) -> Floats:
+def _stiffness(
+    formulation: Formulation, kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints
+) -> Floats:  # fmt: skip
     """Stiffness (ne, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3)."""
-    here = geometry(x, kind.rule(kind.stiffness_order), ids, kind)
+    constants = np.stack([material.stiffness for material in materials])
+    elements = formulation.elements(kind, x, ids, constants[which])
     # C = L L', so that B' C B = (L'B)'(L'B) is one product of a matrix with itself.
-    roots = np.stack([np.linalg.cholesky(material.stiffness).T for material in materials])[which]
-    B = strain_operator(here.dN)
+    roots = np.linalg.cholesky(constants).transpose(0, 2, 1)[which]
+    B = np.matmul(roots[:, None], formulation.operator(elements))
+    B *= np.sqrt(elements.here.dV)[..., None, None]
     ne, nq, _, width = B.shape
-    B = np.matmul(roots[:, None], B) * np.sqrt(here.dV)[..., None, None]
     B = B.reshape(ne, nq * 6, width)
     stiffness = np.matmul(B.transpose(0, 2, 1), B)
+    if formulation.hourglass is not None:
+        added = formulation.hourglass(elements)
+        for axis in range(3):
+            stiffness[:, axis::3, axis::3] += added
     return np.asarray(0.5 * (stiffness + stiffness.transpose(0, 2, 1)))
-
-
-def _mass(kind: ElementType, x: Floats, materials: Sequence[Material], which: Ints, *, reduced: bool) -> Floats:
-    """Scalar mass (ne, k, k) of elements with node coordinates ``x`` (ne, k, 3).
-
-    The Jacobian is checked where the stiffness is integrated, as FE codes do; a strongly curved element
-    whose Jacobian dips below zero in a corner still has its exact mass.
-    """
-    rule = kind.rule(kind.stiffness_order if reduced else kind.mass_order)
-    density = np.array([material.density for material in materials])[which]
-    dm = np.linalg.det(_jacobian(x, rule)) * rule.weights * density[:, None]
-    NN = np.einsum("qa,qb->qab", rule.N, rule.N).reshape(len(rule.weights), -1)
-    return np.asarray((dm @ NN).reshape(len(x), kind.n_nodes, kind.n_nodes))
-
-
-def strain_operator(dN: Floats) -> Floats:
-    """B (..., 6, 3k) of gradients ``dN`` (..., k, 3): strains xx, yy, zz, yz, zx, xy (shear doubled)."""
-    k = dN.shape[-2]
-    B = np.zeros((*dN.shape[:-2], 6, k, 3))
-    x, y, z = dN[..., 0], dN[..., 1], dN[..., 2]
-    B[..., 0, :, 0] = B[..., 4, :, 2] = B[..., 5, :, 1] = x
-    B[..., 1, :, 1] = B[..., 3, :, 2] = B[..., 5, :, 0] = y
-    B[..., 2, :, 2] = B[..., 3, :, 1] = B[..., 4, :, 0] = z
-    return B.reshape(*dN.shape[:-2], 6, 3 * k)

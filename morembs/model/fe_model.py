@@ -55,12 +55,15 @@ class ElementBlock:
     """Elements of one type.
 
     ``type`` is a name of ``morembs.model.elements.TYPES``; ``nodes`` (ne, k) rows of ``Nodes.xyz`` in VTK
-    order; ``ids`` (ne,) labels of the file.
+    order; ``ids`` (ne,) labels of the file. ``formulation`` of the strain and rule of the ``mass`` are names of
+    ``FORMULATIONS`` and ``MASSES`` in ``morembs.model.formulations``.
     """
 
     type: str
     nodes: Ints
     ids: Ints
+    formulation: str = "full"
+    mass: str = "exact"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", frozen(np.ascontiguousarray(self.nodes, dtype=np.int64)))
@@ -71,8 +74,7 @@ class ElementBlock:
 class Mesh:
     """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
 
-    ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source,
-    ``mass_warnings`` what only one with the exact mass will.
+    ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source.
 
     Raises:
         InputError: coordinates beyond ``LARGEST``.
@@ -83,7 +85,6 @@ class Mesh:
     element_sets: Mapping[str, tuple[Ints, ...]] = field(default_factory=dict)
     source: str = ""
     warnings: tuple[str, ...] = ()
-    mass_warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))

@@ -2,7 +2,7 @@
 
 K_g = sum_e int dN' S dN dV (x) I3 for the stress S of a small displacement field u (Zienkiewicz and Taylor 2000,
 vol. 2, ch. 10): one scalar matrix on the nodes serves the displacements along x, y and z. Stress is taken at the
-points where the stiffness is integrated.
+points where the stiffness is integrated, from the strain of the formulation of the elements.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
-from morembs.model.assembly import chunks, geometry, material_of_elements, node_graph
+from morembs.model.assembly import chunks, material_of_elements, node_graph
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import Mesh
+from morembs.model.formulations import formulation_of
 from morembs.model.material import VOIGT, Material
 
 Floats = NDArray[np.float64]
@@ -64,14 +65,15 @@ class StressedMesh:
         data = [budget.empty(graph.nnz) for _ in range(U.shape[1])]
         elasticity = np.stack([material.stiffness for material in self.materials])
         for block, rows in chunks(self.mesh):
-            nodes, kind = block.nodes[rows], TYPES[block.type]
-            at_points = geometry(xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
+            nodes, formulation = block.nodes[rows], formulation_of(block)
             C = elasticity[self.owner[id(block)][rows]]
+            elements = formulation.elements(TYPES[block.type], xyz[nodes], block.ids[rows], C)
+            at_points, added = elements.here, formulation.added(elements)
             k = nodes.shape[1]
             row, col = np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()
             at = np.asarray(graph[row, col]).ravel()
             for u, values in zip(U.T, data, strict=True):
-                stress = stress_at_points(at_points.dN, u.reshape(-1, 3)[nodes], C)
+                stress = stress_at_points(at_points.dN, u.reshape(-1, 3)[nodes], C, added)
                 np.add.at(values, at, element_stiffness(at_points.dN, at_points.dV, stress).ravel())
             budget.release_if_tight()
         return [self._matrix(values) for values in data]
@@ -93,13 +95,16 @@ def geometric_stiffness(
     return StressedMesh.of(mesh, materials).stiffness(np.asarray(u, dtype=float)[:, None], budget)[0]
 
 
-def stress_at_points(dN: Floats, u: Floats, C: Floats) -> Floats:
+def stress_at_points(dN: Floats, u: Floats, C: Floats, added: Floats | None = None) -> Floats:
     """Stress (ne, nq, 3, 3) in Pa of the nodal displacements ``u`` (ne, k, 3).
 
-    ``dN`` (ne, nq, k, 3) are the gradients of the shape functions, ``C`` (ne, 6, 6) the elastic constants.
+    ``dN`` (ne, nq, k, 3) are the gradients of the shape functions, ``C`` (ne, 6, 6) the elastic constants, ``added``
+    (ne, nq, 6, 3k) what the formulation adds to the strains of the gradients.
     """
     gradient = np.matmul(u.transpose(0, 2, 1)[:, None], dN)
     strain = np.stack([gradient[..., a, b] + (gradient[..., b, a] if a != b else 0.0) for a, b in VOIGT], axis=-1)
+    if added is not None:
+        strain += np.matmul(added, u.reshape(len(u), 1, -1, 1))[..., 0]
     flat = np.matmul(strain, C)
     stress = np.empty_like(gradient)
     for p, (a, b) in enumerate(VOIGT):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model.elements import TYPES
-from morembs.model.fe_model import ElementBlock, Mesh
+from morembs.model.fe_model import Mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,7 +49,7 @@ def mesh_in_order(mesh: Mesh) -> Mesh:
     blocks, said = [], []
     for block in mesh.blocks:
         nodes, words = in_order(block.type, block.nodes, mesh.nodes.xyz, block.ids, mesh.nodes.ids, mesh.source)
-        blocks.append(block if words is None else ElementBlock(type=block.type, nodes=nodes, ids=block.ids))
+        blocks.append(block if words is None else replace(block, nodes=nodes))
         said += [] if words is None else [words]
     return replace(mesh, blocks=tuple(blocks), warnings=(*mesh.warnings, *said)) if said else mesh
 

@@ -3,7 +3,7 @@
 The displacement gradient at the integration points of the stiffness is fitted in each element by its linear
 functions (least squares, Hinton and Campbell 1974), taken at the element's nodes, and averaged at a node over the
 elements of one material with their volumes as weights. All of that is one sparse operator G; strain and stress
-follow from G u.
+follow from G u. Where the formulation of the elements takes another strain, what it adds goes the same way.
 
 Tensors have the order xx, yy, zz, xy, yz, zx (that of VTK and ParaView) and tensor shears: a strain xy is half the
 engineering shear. Stresses are in Pa, along the axes of the model.
@@ -11,7 +11,7 @@ engineering shear. Stresses are in Pa, along the axes of the model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from morembs.errors import InputError
 from morembs.model import assembly as fem
 from morembs.model.elements import TYPES, ElementType
 from morembs.model.fe_model import FEModel, Mesh
+from morembs.model.formulations import Elements, Formulation, formulation_of
 from morembs.model.surface import outer_faces
 from morembs.progress import SILENT, Progress
 
@@ -46,14 +47,16 @@ class StressOperator:
     ``nodes`` (np,) rows of the model's nodes, ascending; a node where materials meet is one point for each of them,
     and ``material`` (np,) tells which (the index of the first material with the same constants).
     ``gradient`` (3 np, n) gives for row 3 p + b the derivative of a nodal field along axis b; ``elasticity``
-    (materials, 6, 6) in Pa takes strains to stresses in the order of this module. ``elements`` gives the same of single
-    elements, where that is wanted.
+    (materials, 6, 6) in Pa takes strains to stresses in the order of this module. ``added`` (6 np, 3 n) is what
+    formulations add to the strain of the gradients, where they do. ``elements`` gives the same of single elements,
+    where that is wanted.
     """
 
     nodes: Ints
     material: Ints
     gradient: sp.csr_array
     elasticity: Floats
+    added: sp.csr_array | None = None
     elements: SingleElements | None = None
 
     def strain(self, u: Floats) -> Floats:
@@ -63,7 +66,10 @@ class StressOperator:
         """
         k = u.shape[1]
         H = np.asarray(self.gradient @ u.reshape(-1, 3 * k)).reshape(-1, 3, 3, k)
-        return np.asarray(0.5 * (H[:, _ROW, _COLUMN] + H[:, _COLUMN, _ROW])).reshape(-1, k)
+        strain = np.asarray(0.5 * (H[:, _ROW, _COLUMN] + H[:, _COLUMN, _ROW])).reshape(-1, k)
+        if self.added is not None:
+            strain += self.added @ u
+        return strain
 
     def stress(self, u: Floats) -> Floats:
         """Stresses (6 np, k) in Pa of displacements ``u`` (3 n, k) in m."""
@@ -112,15 +118,19 @@ def stress_operator(
     C = np.stack([material.stiffness for material in model.materials])[:, _FROM_VOIGT][:, :, _FROM_VOIGT]
     C = C * np.array([1, 1, 1, 2, 2, 2])
     node, material = points // len(alike), points % len(alike)
-    alone = None
+    of = _Points(mesh, owner, points, np.stack([material.stiffness for material in model.materials]), progress)
+    n, alone, changed = len(mesh.nodes), None, any(formulation_of(block).change for block in mesh.blocks)
     if elements:
-        G, point, element = _single_gradient(mesh, owner, points, len(alike), progress)
-        single = StressOperator(nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget))
+        G, point, element = of.single(_gradients, 3, n)
+        more = _stored(of.single(_additions, 6, 3 * n)[0], budget) if changed else None
+        single = StressOperator(
+            nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget), added=more
+        )
         alone = SingleElements(point=point, element=element, operator=single)
-    gradient = _gradient(mesh, owner, points, len(alike), progress)
     return StressOperator(
-        nodes=node, material=material, elasticity=C, gradient=_stored(gradient, budget), elements=alone
-    )
+        nodes=node, material=material, elasticity=C, gradient=_stored(of.averaged(_gradients, 3, n), budget),
+        added=_stored(of.averaged(_additions, 6, 3 * n), budget) if changed else None, elements=alone,
+    )  # fmt: skip
 
 
 def _stored(matrix: sp.csr_array, budget: Budget) -> sp.csr_array:
@@ -168,72 +178,102 @@ def _points(mesh: Mesh, owner: Mapping[int, Ints], rows: Ints, materials: int) -
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Gradients (k, 3, nodes) of a nodal field in elements, each at one of its nodes; where, by what ``volume`` m3."""
+    """Values (pairs, r, c) of elements, each at one of its nodes, for the ``columns`` (pairs, c); where, by what
+    ``volume`` (pairs,) in m3."""
 
     point: Ints
     element: Ints
     volume: Floats
-    nodes: Ints
-    gradient: Floats
+    columns: Ints
+    values: Floats
 
 
-def _pairs(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> Iterator[_Pairs]:
-    """All pairs of an element and one of its nodes that is a point, a chunk of elements at a time."""
-    wanted = np.zeros(len(mesh.nodes), dtype=bool)
-    wanted[points // materials] = True
-    first = dict(zip(map(id, mesh.blocks), np.cumsum([0, *(len(b.ids) for b in mesh.blocks)]).tolist(), strict=False))
-    for block, rows in fem.chunks(mesh):
-        rows = rows[wanted[block.nodes[rows]].any(axis=1)]
-        if not len(rows):
-            continue
-        kind, nodes = TYPES[block.type], block.nodes[rows]
-        geometry = fem.geometry(mesh.nodes.xyz[nodes], kind.rule(kind.stiffness_order), block.ids[rows], kind)
-        element, a = np.nonzero(wanted[nodes])
-        yield _Pairs(
-            np.searchsorted(points, nodes[element, a] * materials + owner[id(block)][rows][element]),
-            rows[element] + first[id(block)], geometry.dV.sum(axis=1)[element], nodes[element],
-            np.einsum("aq,eqkb->eabk", extrapolation(kind), geometry.dN, optimize=True)[element, a],
-        )  # fmt: skip
-        progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
+# Columns (ne, c) of elements with node rows (ne, k), and what they take to values at points (ne, nq, r, c).
+_Values = Callable[[Formulation, Elements, Ints], tuple[Ints, Floats]]
 
 
-def _gradient(mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress) -> sp.csr_array:
-    """G (3 np, n), averaged with the volumes of the elements."""
-    shape = (3 * len(points), len(mesh.nodes))
-    total, volume = sp.csr_array(shape), np.zeros(len(points))
-    parts: list[tuple[Floats, Ints, Ints]] = []
-    count = 0
-    for pair in _pairs(mesh, owner, points, materials, progress):
-        np.add.at(volume, pair.point, pair.volume)
-        values = pair.gradient * pair.volume[:, None, None]
-        row = np.broadcast_to((3 * pair.point[:, None] + np.arange(3))[:, :, None], values.shape)
-        column = np.broadcast_to(pair.nodes[:, None, :], values.shape)
-        parts.append((values.ravel(), row.ravel(), column.ravel()))
-        count += values.size
-        if count > max(_COLLECTED, total.nnz):
-            total, parts, count = total + _summed(parts, shape), [], 0
-    if parts:
-        total = total + _summed(parts, shape)
-    total.data /= np.repeat(volume, 3).repeat(np.diff(total.indptr))
-    return total
+def _gradients(_: Formulation, elements: Elements, nodes: Ints) -> tuple[Ints, Floats]:
+    return nodes, elements.here.dN.transpose(0, 1, 3, 2)
 
 
-def _single_gradient(
-    mesh: Mesh, owner: Mapping[int, Ints], points: Ints, materials: int, progress: Progress
-) -> tuple[sp.csr_array, Ints, Ints]:
-    """The gradients (3 ne, n) of single elements, by points, with point and element of each."""
-    parts, point, element = [], [], []
-    for pair in _pairs(mesh, owner, points, materials, progress):
-        count, _, width = pair.gradient.shape
-        columns = np.repeat(pair.nodes.astype(np.int32), 3, axis=0).ravel()
-        start = width * np.arange(3 * count + 1)
-        parts.append(sp.csr_array((pair.gradient.ravel(), columns, start), shape=(3 * count, len(mesh.nodes))))
-        point.append(pair.point)
-        element.append(pair.element)
-    points_of, elements = np.concatenate(point), np.concatenate(element)
-    order = np.argsort(points_of, kind="stable")
-    rows = (3 * order[:, None] + np.arange(3)).ravel()
-    return sp.csr_array(sp.vstack(parts, format="csr")[rows]), points_of[order], elements[order]
+def _additions(formulation: Formulation, elements: Elements, nodes: Ints) -> tuple[Ints, Floats]:
+    """What the formulation adds to the strain of the gradients: no columns where it adds nothing."""
+    added = formulation.added(elements)
+    if added is None:
+        return nodes[:, :0], np.empty((*elements.here.dV.shape, 6, 0))
+    columns = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
+    return columns, added[:, :, _FROM_VOIGT] * np.array([1, 1, 1, 0.5, 0.5, 0.5])[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of a mesh, numbers node * materials + material, with the constants of the materials (m, 6, 6)."""
+
+    mesh: Mesh
+    owner: Mapping[int, Ints]
+    numbers: Ints
+    constants: Floats
+    progress: Progress
+
+    def pairs(self, values_of: _Values) -> Iterator[_Pairs]:
+        """All pairs of an element and one of its nodes that is a point, a chunk of elements at a time."""
+        mesh, materials = self.mesh, len(self.constants)
+        wanted = np.zeros(len(mesh.nodes), dtype=bool)
+        wanted[self.numbers // materials] = True
+        starts = np.cumsum([0, *(len(block.ids) for block in mesh.blocks)]).tolist()
+        first = dict(zip(map(id, mesh.blocks), starts, strict=False))
+        for block, rows in fem.chunks(mesh):
+            rows = rows[wanted[block.nodes[rows]].any(axis=1)]
+            if not len(rows):
+                continue
+            kind, nodes, which = TYPES[block.type], block.nodes[rows], self.owner[id(block)][rows]
+            formulation = formulation_of(block)
+            elements = formulation.elements(kind, mesh.nodes.xyz[nodes], block.ids[rows], self.constants[which])
+            columns, at_points = values_of(formulation, elements, nodes)
+            element, a = np.nonzero(wanted[nodes])
+            fitted = extrapolation(kind, elements.rule.points)
+            yield _Pairs(
+                np.searchsorted(self.numbers, nodes[element, a] * materials + which[element]),
+                rows[element] + first[id(block)], elements.here.dV.sum(axis=1)[element], columns[element],
+                np.einsum("aq,eqrc->earc", fitted, at_points, optimize=True)[element, a],
+            )  # fmt: skip
+            self.progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
+
+    def averaged(self, values_of: _Values, rows: int, columns: int) -> sp.csr_array:
+        """Matrix (rows np, columns), averaged with the volumes of the elements."""
+        count = len(self.numbers)
+        shape = (rows * count, columns)
+        total, volume = sp.csr_array(shape), np.zeros(count)
+        parts: list[tuple[Floats, Ints, Ints]] = []
+        collected = 0
+        for pair in self.pairs(values_of):
+            np.add.at(volume, pair.point, pair.volume)
+            values = pair.values * pair.volume[:, None, None]
+            row = np.broadcast_to((rows * pair.point[:, None] + np.arange(rows))[:, :, None], values.shape)
+            column = np.broadcast_to(pair.columns[:, None, :], values.shape)
+            parts.append((values.ravel(), row.ravel(), column.ravel()))
+            collected += values.size
+            if collected > max(_COLLECTED, total.nnz):
+                total, parts, collected = total + _summed(parts, shape), [], 0
+        if parts:
+            total = total + _summed(parts, shape)
+        total.data /= np.repeat(volume, rows).repeat(np.diff(total.indptr))
+        return total
+
+    def single(self, values_of: _Values, rows: int, columns: int) -> tuple[sp.csr_array, Ints, Ints]:
+        """The same (rows ne, columns) of single elements, by points, with point and element of each."""
+        parts, point, element = [], [], []
+        for pair in self.pairs(values_of):
+            count, _, width = pair.values.shape
+            places = np.repeat(pair.columns.astype(np.int32), rows, axis=0).ravel()
+            start = width * np.arange(rows * count + 1)
+            parts.append(sp.csr_array((pair.values.ravel(), places, start), shape=(rows * count, columns)))
+            point.append(pair.point)
+            element.append(pair.element)
+        points_of, elements = np.concatenate(point), np.concatenate(element)
+        order = np.argsort(points_of, kind="stable")
+        chosen = (rows * order[:, None] + np.arange(rows)).ravel()
+        return sp.csr_array(sp.vstack(parts, format="csr")[chosen]), points_of[order], elements[order]
 
 
 def _summed(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> sp.csr_array:
@@ -241,13 +281,13 @@ def _summed(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> s
     return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
 
 
-def extrapolation(kind: ElementType) -> Floats:
-    """(k, nq) values at the nodes of an element from those at the points of its stiffness rule.
+def extrapolation(kind: ElementType, points: Floats) -> Floats:
+    """(k, nq) values at the nodes of an element from those at ``points`` (nq, 3), as of its formulation.
 
     Exact for fields that are linear in its reference coordinates; one point alone gives a constant.
     """
     linear = TYPES[_LINEAR[kind.name[0]]]
-    at_points, _ = linear.shape(kind.rule(kind.stiffness_order).points)
+    at_points, _ = linear.shape(points)
     at_nodes, _ = linear.shape(kind.reference)
     return np.asarray(at_nodes @ np.linalg.pinv(at_points))
 

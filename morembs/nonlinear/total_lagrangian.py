@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
 from morembs.model import FEModel
-from morembs.model.assembly import chunks, geometry, material_of_elements, node_graph, stiffness_pattern
-from morembs.model.elements import TYPES
+from morembs.model.assembly import chunks, material_of_elements, node_graph, stiffness_pattern
+from morembs.model.elements import TYPES, Rule
+from morembs.model.fe_model import ElementBlock
+from morembs.model.formulations import formulation_of, geometry
 from morembs.model.geometric_stiffness import element_stiffness
 from morembs.model.material import VOIGT
 
@@ -52,7 +54,8 @@ class SaintVenantKirchhoff:
     element of k nodes), the tangent, and one chunk of about 50 MB times 5.
 
     Raises:
-        InputError: a model without mesh and materials, or with coordinates other than its nodes' displacements.
+        InputError: a model without mesh and materials, or with coordinates other than its nodes' displacements;
+            elements whose formulation is one of small strains.
     """
 
     def __init__(self, model: FEModel, budget: Budget = UNLIMITED) -> None:
@@ -67,14 +70,14 @@ class SaintVenantKirchhoff:
         self._graph = node_graph(self.mesh)
         self._places: dict[tuple[int, int], Ints] = {}
         self._pieces = list(chunks(self.mesh))
-        self._rules = {b.type: TYPES[b.type].rule(TYPES[b.type].stiffness_order) for b in self.mesh.blocks}
-        self.points = sum(len(self._rules[b.type].weights) * len(b.ids) for b in self.mesh.blocks)
+        self._rules = {id(block): _rule(block) for block in self.mesh.blocks}
+        self.points = sum(len(self._rules[id(block)].weights) * len(block.ids) for block in self.mesh.blocks)
 
     def _chunks(self) -> Iterator[_Chunk]:
         first = 0
         for block, rows in self._pieces:
             nodes, kind = block.nodes[rows], TYPES[block.type]
-            here = geometry(self.X[nodes], self._rules[block.type], block.ids[rows], kind)
+            here = geometry(self.X[nodes], self._rules[id(block)], block.ids[rows], kind)
             key = id(block), int(rows[0])
             if key not in self._places:
                 k = nodes.shape[1]
@@ -199,6 +202,22 @@ class SaintVenantKirchhoff:
                 f"{count} elements are inside out (smallest volume ratio {least:.2g}); strains are too large for the "
                 "material, or the mesh is too coarse"
             )
+
+
+def _rule(block: ElementBlock) -> Rule:
+    """Where a block is integrated.
+
+    Raises:
+        InputError: a formulation whose strain is not that of the field at its points.
+    """
+    formulation = formulation_of(block)
+    if not formulation.is_plain:
+        raise InputError(
+            f"{len(block.ids)} elements {block.type} have the formulation {block.formulation!r}, which takes small "
+            'strains; large displacements need those of the field: give their block formulation = "full" '
+            "(dataclasses.replace) and assemble the mesh again, or mesh with quadratic elements"
+        )
+    return formulation.points(TYPES[block.type])
 
 
 def _voigt(E: Floats) -> Floats:
