@@ -126,52 +126,56 @@ def project_out(
 
 
 def complement(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
-) -> Values:
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1,
+    least: float = DEPENDENT,
+) -> Values:  # fmt: skip
     """M-orthonormal columns of what ``W`` (overwritten) adds to the M-orthonormal ``V``, in one or several blocks."""
-    return split(V, W, M, budget, passes=passes)[1]
+    return split(V, W, M, budget, passes=passes, least=least)[1]
 
 
 def split(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
-) -> tuple[Values, Values]:
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1,
+    least: float = DEPENDENT,
+) -> tuple[Values, Values]:  # fmt: skip
     """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
     before = m_norms(W, M @ W)
     coefficients = project_out(V, W, M, budget=budget)
-    Q = orthonormal(W, M, before, passes=passes)
+    Q = orthonormal(W, M, before, passes=passes, least=least)
     # Scaling up what was small scaled up its part along V too.
     project_out(V, Q, M, budget=budget)
-    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes)
+    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes, least=least)
 
 
 def orthonormal(
-    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *, passes: int = 1
-) -> Values:
+    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *, passes: int = 1,
+    least: float = DEPENDENT,
+) -> Values:  # fmt: skip
     """Basis of the columns of ``W`` (n, k), orthonormal in x^H M y; dependent columns are dropped.
 
     By eigenvectors of the Gram matrix (SVQB, Stathopoulos and Wu 2002). ``reference`` (k,) gives the norms that the
-    columns had before anything was taken out of them, ``gram`` W^H M W where it is known. What one pass cannot tell
-    from round-off beside larger directions, the next one sees alone: of use where columns have no other round-off.
+    columns had before anything was taken out of them, ``gram`` W^H M W where it is known. What keeps less than the part
+    ``least`` of its norm is dependent. What one pass cannot tell from round-off beside larger directions, the next one
+    sees alone: of use where columns have no other round-off.
     """
     G = W.conj().T @ _weighted(W, M) if gram is None else gram
     norms = np.sqrt(np.maximum(np.diag(G).real, 0.0))
     start = norms if reference is None else reference
-    keep = (norms > DEPENDENT * start) & (norms > 0)
-    Q = _by_gram(W[:, keep] / norms[keep], M, G[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]))
+    keep = (norms > least * start) & (norms > 0)
+    Q = _by_gram(W[:, keep] / norms[keep], M, least, G[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]))
     for _ in range(passes - 1):
         if not 0 < Q.shape[1] < W.shape[1]:
             break
         for _ in range(2):
             W = W - Q @ (Q.conj().T @ _weighted(W, M))
         norms = m_norms(W, _weighted(W, M))
-        keep = (norms > DEPENDENT * start) & (norms > 0)
+        keep = (norms > least * start) & (norms > 0)
         if not keep.any():
             break
-        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M)])[:, : W.shape[1]]
+        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M, least)])[:, : W.shape[1]]
     return Q
 
 
-def _by_gram(Q: Values, M: sp.sparray | None, G: Values | None = None) -> Values:
+def _by_gram(Q: Values, M: sp.sparray | None, least: float, G: Values | None = None) -> Values:
     """Orthonormal basis of unit columns ``Q`` (n, k), whose Gram matrix is ``G`` where it is known."""
     for _ in range(4):
         if G is None:
@@ -179,7 +183,7 @@ def _by_gram(Q: Values, M: sp.sparray | None, G: Values | None = None) -> Values
         if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
             break
         values, U = sl.eigh(0.5 * (G + G.conj().T))
-        good = values > NOISE * values[-1]
+        good = values > max(NOISE, least**2) * values[-1]
         Q, G = Q @ (U[:, good] / np.sqrt(values[good])), None
     return Q
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.eigen import graded_modes
+from morembs.linalg.quadrature import trapezoid
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import Progress
@@ -30,6 +31,7 @@ from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
+from morembs.responses.loads import load_scale
 from morembs.responses.measures import Limit, checked_measure, compare, decide
 from morembs.responses.pencils import response_of
 from morembs.responses.reference import Reference, product, reference_model
@@ -203,12 +205,7 @@ class _FamilySearch:
         self.certified, self.standard = certified, certified.standard()
         self.reference = reference = replace(reference, damping=damping)
         self.omega, self.measure, self.tolerance = omega, measure, tolerance
-        scale = np.ones(reference.F.shape[1])
-        scale[: reference.inputs] = problem.motion_scale
-        # Inertia loads count as much as the interface loads, whatever their units.
-        energy = np.sqrt(np.einsum("ij,ij->j", reference.F * scale, reference.F * scale / reference.values[:, None]))
-        scale[reference.inputs :] *= energy[: reference.inputs].max() / energy[reference.inputs :]
-        self.F = reference.F * scale
+        self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
         self.looked: Floats = np.zeros(0)
@@ -393,7 +390,7 @@ class _FamilySearch:
 
     def _weights(self, exponent: float) -> Floats:
         """Quadrature weights (nf,) of the band, times |H| to the ``exponent``."""
-        return np.asarray(np.sqrt(np.gradient(self.omega)) * self.size**exponent)
+        return np.asarray(np.sqrt(trapezoid(self.omega)) * self.size**exponent)
 
     def _gramian(self, _: float, exponent: float) -> Floats:
         weights = self._weights(exponent)

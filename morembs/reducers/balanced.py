@@ -39,6 +39,7 @@ from morembs.reducers.second_order_balancing import (
     usable_order,
 )
 from morembs.responses.band import checked_band
+from morembs.responses.loads import elastic_part, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
@@ -277,9 +278,7 @@ def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
 
 def _loads(problem: Problem) -> Floats:
     """Loads (Nc, m) on the elastic part, moments as forces at the radius of gyration."""
-    Z = problem.rigid
-    F = problem.B.toarray() * problem.motion_scale
-    return np.asarray(F - problem.M @ (Z @ (Z.T @ F)))
+    return elastic_part(problem, unit_loads(problem) * problem.motion_scale)
 
 
 def _rayleigh(problem: Problem) -> tuple[float, float]:

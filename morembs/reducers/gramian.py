@@ -26,14 +26,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
-from morembs.linalg.gramians import (
-    StreamedSVD,
-    WeightedSVD,
-    gauss,
-    modal_poles,
-    resonant_panels,
-    snapshot_factor,
-)
+from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
+from morembs.linalg.quadrature import gauss, modal_poles, resonant
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
@@ -41,7 +35,8 @@ from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
 from morembs.responses.band import checked_band
 from morembs.responses.direct import elastic_states, why_no_response
-from morembs.responses.reference import Reference, inertia_loads, reference_model
+from morembs.responses.loads import elastic_part, load_scale, unit_loads
+from morembs.responses.reference import Reference, reference_model
 
 Floats = NDArray[np.float64]
 WEIGHTS = ("position", "velocity")
@@ -53,8 +48,8 @@ EDGE = 1e-3
 STATIC = 1e-6
 # Tolerances below this ask for singular values that are round-off.
 FINEST = 1e-10
-# Gauss points on each panel, and over the whole band for full factorisations.
-PANEL_POINTS, DIRECT_POINTS = 6, 12
+# Gauss points over the whole band for full factorisations.
+DIRECT_POINTS = 12
 # Of states the square root counts: the response is quadratic in their error.
 ACCURACY = 1e-11
 GRID = 40
@@ -125,14 +120,12 @@ class Gramian(OfResponses):
             progress=progress,
         )  # fmt: skip
         values = reference.values
-        F = reference.F.copy()
-        _scale(F, F / values[:, None], problem)
+        F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / values[:, None])
         X = sp.diags_array(values + mu).tocsr()
         self._refuse_statics(reference.states(np.array([1j * high]), F)[0], F / values[:, None], X)
         delta = _shift(reference, low, high)
         poles = modal_poles(values, reference.damping_at_resonance()) + 1j * delta
-        edges = resonant_panels(low, high, poles) if self.points is None else np.array([low, high])
-        omega, weights = gauss(edges, self.points or PANEL_POINTS)
+        omega, weights = resonant(low, high, poles) if self.points is None else gauss(low, high, self.points)
         # Blocks four times as wide as long: few decompositions, little memory.
         chunk = 1 + 2 * len(values) // F.shape[1]
 
@@ -152,13 +145,15 @@ class Gramian(OfResponses):
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
         M, budget = problem.M, problem.budget
         damping = problem.damping
-        F = _loads(problem, self.inertia_loads)
+        F = elastic_part(problem, unit_loads(problem, self.inertia_loads))
         G = map_columns(problem.elastic.flexibility, F, budget)
-        _scale(F, G, problem, G)
+        scale = load_scale(problem.motion_scale, F, G)
+        F *= scale
+        G *= scale
         X = sp.csr_array(problem.K + mu * M)
         damped = problem.D is not None or damping.is_rayleigh or damping.structural > 0
         delta = 0.0 if damped else SHIFT * high
-        omega, weights = gauss(np.array([low, high]), self.points or DIRECT_POINTS)
+        omega, weights = gauss(low, high, self.points or DIRECT_POINTS)
 
         def snapshots() -> Iterator[Floats]:
             # The highest first: it tells whether there are any dynamics.
@@ -216,26 +211,6 @@ class Gramian(OfResponses):
                 f"the response in the band {list(self.band_hz)} Hz is static to {STATIC:g}: it holds no dynamics; take "
                 'method = "guyan", or raise the upper end of the band towards the first frequency of the body'
             )
-
-
-def _loads(problem: Problem, inertia: bool) -> Floats:
-    """Elastic part (Nc, p) of unit loads at the interfaces and, behind them, of the inertia loads."""
-    Z = problem.rigid
-    parts = [problem.B.toarray(), *([inertia_loads(problem)] if inertia else [])]
-    F = hstack(*parts, budget=problem.budget)
-    F -= problem.M @ (Z @ (Z.T @ F))
-    return F
-
-
-def _scale(F: Floats, G: Floats, problem: Problem, *others: Floats) -> None:
-    """Scale loads ``F`` (n, p), and the columns of ``others``, to one unit: ``G`` are their displacements."""
-    scale = np.ones(F.shape[1])
-    m = problem.B.shape[1]
-    scale[:m] = problem.motion_scale
-    energy = np.einsum("ij,ij->j", F, G) * scale**2
-    scale[m:] = np.sqrt(energy[:m].mean() / energy[m:])
-    for A in (F, *others):
-        A *= scale
 
 
 def _shift(reference: Reference, low: float, high: float) -> float:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.columns import orthonormal
+from morembs.linalg.quadrature import trapezoid
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
@@ -159,8 +160,7 @@ class _Band:
         middle = np.sqrt(values[inside, None])
         every = np.concatenate([np.linspace(low, high, MEASURED), *(middle - width), *(middle + width), middle[:, 0]])
         self.omega = np.unique(every[(every >= low) & (every <= high)])
-        gap = np.diff(self.omega)
-        self.weight = 0.5 * (np.append(gap, 0.0) + np.append(0.0, gap))
+        self.weight = trapezoid(self.omega)
         self.H = self.B.T @ self.states(1j * self.omega, self.B)
         self.size = self._norm(self.H)
 

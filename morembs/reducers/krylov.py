@@ -17,7 +17,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.linalg.columns import complement, dot, hstack, multiply_into, projected
+from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
@@ -31,7 +31,7 @@ from morembs.reducers.shifts import (
     expansion_point,
     frequency,
 )
-from morembs.responses.reference import inertia_loads
+from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
 Floats = NDArray[np.float64]
 MOST_COLUMNS = 500
@@ -55,8 +55,9 @@ class Krylov(Reducer):
     outputs at half the order that both would take. It gives up symmetry; for equal inputs and outputs it would be
     the one-sided method, and is refused. An unstable result (the rule between far ends) is refused too.
 
-    Peak memory: the columns twice (blocks stay with the problem, for other reducers with the same shifts) beside the
-    factor of one shift.
+    Peak memory: the columns twice beside the factor of one shift, which goes with the shift. Two things stay with the
+    problem, for other reducers and for the body: the columns (8 bytes by Nc each) for the same shifts, and where 0 is
+    among the shifts the factor of the statics. ``problem.release()`` gives both back.
     """
 
     method: ClassVar[str] = "krylov"
@@ -119,9 +120,11 @@ class Krylov(Reducer):
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         self._check(problem)
         notes: dict[str, object] = {}
-        spaces = [_LoadSpace(problem, self.inputs, "inputs", self.inertia_loads)]
+        # Only where some directions are kept and others not does it matter how much a load counts.
+        counts = self.order is not None or self.tangential is not None
+        spaces = [_LoadSpace(problem, self.inputs, "inputs", self.inertia_loads, counts)]
         if self.two_sided:
-            spaces.append(_LoadSpace(problem, self.outputs, "outputs", self.inertia_loads))
+            spaces.append(_LoadSpace(problem, self.outputs, "outputs", self.inertia_loads, counts))
             if spaces[0].names == spaces[1].names:
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
         for space in spaces:
@@ -198,9 +201,14 @@ class Krylov(Reducer):
 
 
 class _LoadSpace:
-    """Loads ``F`` (Nc, p) of some interfaces on the elastic body, and the space ``V`` that grows from them."""
+    """Loads ``F`` (Nc, p) of some interfaces on the elastic body, and the space ``V`` that grows from them.
 
-    def __init__(self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool) -> None:
+    ``counts`` says that inertia loads are to count as ``load_scale`` has it, which takes a static solution.
+    """
+
+    def __init__(
+        self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool, counts: bool
+    ) -> None:
         self.problem, self.name, self.size = problem, name, 0
         columns = problem.coupling.columns
         chosen = [one for one in columns if interfaces is None or one in interfaces]
@@ -211,15 +219,15 @@ class _LoadSpace:
         self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
         whole = np.linalg.norm(F, axis=0)
         if not problem.damps_rigid_motion:
-            F -= problem.M @ (problem.rigid @ (problem.rigid.T @ F))
+            F = elastic_part(problem, F)
         bends = np.linalg.norm(F, axis=0) > RIGID_LOAD * whole
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
         F = F[:, bends]
         if inertia:
-            more = inertia_loads(problem)
-            # As large as a load of an interface: only their direction is known.
-            size = float(np.mean(whole)) if len(whole) else 1.0
-            F = np.hstack([F, more * (size / np.linalg.norm(more, axis=0))])
+            F = hstack(F, inertia_loads(problem), budget=problem.budget)
+            if counts:
+                G = map_columns(problem.elastic.flexibility, F, problem.budget)
+                F *= load_scale(np.ones(int(bends.sum())), F, G)
         if not F.shape[1]:
             raise InputError(f"none of the {name} deforms the body; choose other interfaces")
         self.F = F

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.linalg.gramians import modal_poles
+from morembs.linalg.quadrature import modal_poles, resonant
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -27,8 +26,6 @@ VARIANTS = ("p", "v", "pv", "vp", "fv", "so")
 ONE_SIDED = ("pv", "fv")
 # Singular values below this part of the largest are round-off.
 NOISE = 1e-14
-# Gauss points for each unit of asinh, and to begin with: 1e-10 beside a pole.
-POINTS, FIRST_POINTS = 4, 8
 _NODES_AT_ONCE = 256
 
 
@@ -171,7 +168,7 @@ def band_factor(
 
     ``states(s)`` (ns, k, m) gives U on the line s = ``delta`` + i omega; ``values`` and ``damping`` (k,) the poles.
     """
-    omega, weight = band_nodes(values, damping, band, delta)
+    omega, weight = resonant(*band, modal_poles(values, damping) + 1j * delta)
     k = len(values)
     R: Floats = np.zeros((0, 2 * k))
     for first in range(0, len(omega), _NODES_AT_ONCE):
@@ -182,29 +179,3 @@ def band_factor(
         rows = both.transpose(0, 2, 1).reshape(-1, 2 * k)
         R = sl.qr(np.vstack([R, rows.real, rows.imag]), mode="r", check_finite=False)[0][: 2 * k]
     return R[:, :k].T, R[:, k:].T
-
-
-def band_nodes(values: Floats, damping: Floats, band: tuple[float, float], delta: float = 0.0) -> tuple[Floats, Floats]:
-    """Quadrature nodes and weights over ``band`` (rad/s) that resolve every resonance of a modal model.
-
-    The band is cut halfway between resonances; omega = b + a sinh t in each piece, with b the resonance and a its
-    half width, makes the integrand smooth in t, where Gauss' rule converges geometrically.
-    """
-    poles = modal_poles(values, damping)
-    at, width = poles.real, poles.imag
-    order = np.lexsort((width, at))
-    at, width = at[order], width[order] + delta
-    first = np.append(True, np.diff(at) > 0)
-    at, width = at[first], width[first]
-    edges = np.concatenate([[band[0]], np.clip(0.5 * (at[1:] + at[:-1]), *band), [band[1]]])
-    nodes: list[Any] = []
-    weights: list[Any] = []
-    for b, a, low, high in zip(at, width, edges[:-1], edges[1:], strict=True):
-        if high <= low:
-            continue
-        t0, t1 = np.arcsinh((low - b) / a), np.arcsinh((high - b) / a)
-        x, w = np.polynomial.legendre.leggauss(int(np.ceil(POINTS * (t1 - t0))) + FIRST_POINTS)
-        t = 0.5 * (t0 + t1) + 0.5 * (t1 - t0) * x
-        nodes.append(b + a * np.sinh(t))
-        weights.append(0.5 * (t1 - t0) * w * a * np.cosh(t))
-    return np.concatenate(nodes), np.concatenate(weights)

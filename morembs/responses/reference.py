@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, multiply, project_out, projected
+from morembs.linalg.columns import complement, dot, multiply, projected
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import Problem
@@ -31,6 +31,7 @@ from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import why_no_response
+from morembs.responses.loads import unit_loads
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -39,8 +40,6 @@ MAX_ORDER = 2000
 LOOKED_AT = 12
 # Room for the space to begin with.
 FIRST_ORDER = 250
-# An inertia load that deforms the body by less than this part of what a rigid motion weighs does not deform it.
-RIGID = 1e-8
 # Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
 JUMPS = 1e-6
 JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
@@ -115,7 +114,7 @@ def reference_model(
     ``Reference.error`` says what it is. Peak memory: the Krylov space, up to some hundred columns of length N.
 
     Args:
-        inertia_loads: also follow the inertia loads of the moving frame, as ``inertia_loads`` gives them.
+        inertia_loads: also follow the inertia loads of the moving frame, as ``loads.inertia_loads`` gives them.
 
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
@@ -141,7 +140,7 @@ def _damped(
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
         raise InputError(reason)
-    F = _loads(problem, inertia)
+    F = unit_loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, seen, error = space.until(omega, tolerance, progress)
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
@@ -152,37 +151,12 @@ def _damped(
     )  # fmt: skip
 
 
-def _loads(problem: Problem, inertia: bool) -> Floats:
-    """Unit interface loads (Nc, p) and the inertia loads behind them, if wanted."""
-    B = problem.B.toarray()
-    return np.hstack([B, inertia_loads(problem)]) if inertia else B
-
-
-def inertia_loads(problem: Problem) -> Floats:
-    """Loads (Nc, j) of a moving frame on the elastic part, M a for the accelerations a that deform the body.
-
-    Accelerated translation and rotation deform a body that is held somewhere (they are balanced by its rigid
-    motion where it is free), centrifugal terms e_a x (e_b x x) deform any body (methods of Schwertassek and
-    Wallrapp 1999). Columns that do not deform it are left out.
-    """
-    model, coupling = problem.model, problem.coupling
-    x, along = model.nodes.xyz[model.dofs.node] - coupling.pole, model.dofs.component
-    own = np.where(along < 3, x[np.arange(len(x)), np.minimum(along, 2)], 0.0)
-    fields = [(along == a) * x[:, a] - own for a in range(3)]
-    fields += [(along == a) * x[:, b] + (along == b) * x[:, a] for a, b in ((0, 1), (1, 2), (2, 0))]
-    loads = np.hstack([problem.M @ coupling.R, coupling.T.T @ (model.M @ np.column_stack(fields))])
-    Z = problem.rigid
-    elastic = loads - problem.M @ (Z @ (Z.T @ loads))
-    keep = np.linalg.norm(elastic, axis=0) > RIGID * np.linalg.norm(loads, axis=0)
-    return np.asarray(elastic[:, keep])
-
-
 class ReferenceSpace:
     """The Krylov space of a problem, which grows block by block."""
 
     def __init__(self, problem: Problem, inertia: bool) -> None:
         self.problem, self.inertia = problem, inertia
-        F = _loads(problem, inertia)
+        F = unit_loads(problem, inertia)
         self.inputs = problem.B.shape[1]
         start = problem.elastic.flexibility(F)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
@@ -255,19 +229,15 @@ class ReferenceSpace:
             return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
 
         values, Y = graded_modes(self.stiffness, projected=stiffness)
-        F = Y.T @ dot(V, _loads(problem, self.inertia), problem.budget)
+        F = Y.T @ dot(V, unit_loads(problem, self.inertia), problem.budget)
         return replace(made, values=values, Y=Y, F=F, error=error)
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
         lanczos, M = self.lanczos, self.problem.M
-        Q = lanczos.pending
-        for _ in range(2):
-            project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
-            gram = Q.T @ (M @ Q)
-            values, U = sl.eigh(0.5 * (gram + gram.T))
-            # What was orthonormal keeps its length, unless it was rigid motion or round-off.
-            Q = Q @ (U[:, values > 0.5] / np.sqrt(values[values > 0.5]))
+        known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
+        # What was orthonormal keeps its length, unless it was rigid motion or round-off.
+        Q = complement(known, lanczos.pending, M, self.problem.budget, least=np.sqrt(0.5))
         lanczos.pending = Q[:, : self.room - lanczos.size]
 
     def _border(self) -> None:

@@ -112,7 +112,7 @@ def test_zero_diagonal_needs_matching_and_keeps_the_inertia(solver: Pardiso) -> 
     with solver.analyse(A) as analysis:
         for matrix, negative in ((A, 120), (easy, 0)):
             factor = analysis.factorize(matrix)
-            assert factor._handle.matching == (matrix is A)
+            assert factor._session.handle.matching == (matrix is A)
             assert _backward_error(matrix, factor.solve(b), b) < 1e-14
             assert factor.negative_pivots() == np.count_nonzero(np.linalg.eigvalsh(matrix.toarray()) < 0)
             assert factor.negative_pivots() == negative
@@ -130,7 +130,7 @@ def test_everything_is_freed(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(pardiso._Handle, "_call", spy)
     with solver.analyse(A) as analysis:
         for _ in range(2):
-            assert analysis.factorize(A)._handle.matching
+            assert analysis.factorize(A)._session.handle.matching
     assert phases.count(11) == phases.count(-1) == 3
 
 
@@ -159,7 +159,8 @@ def test_analysis_outlives_a_singular_matrix_and_a_closed_factor(solver: Pardiso
 
 
 def test_budget_message_says_what_is_needed(solver: Pardiso) -> None:
-    A = _brick(10)
+    # Large enough for the buffers of each thread, some 20 MB, to be a part of it only.
+    A = _brick(16)
     with pytest.raises(BudgetError, match=r"0\.0 MB are left .* are needed by PARDISO") as caught:
         solver.with_memory(1000).factorize(A, "spd")
     with solver.with_memory(caught.value.needed).factorize(A, "spd") as factor:
@@ -170,11 +171,11 @@ def test_budget_message_says_what_is_needed(solver: Pardiso) -> None:
 def test_64_bit_integers_where_32_are_too_few(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
     A, b = _brick(6), _random(648)
     with solver.factorize(A, "spd") as factor:
-        assert factor._handle.iparm.dtype == np.int32
+        assert factor._session.handle.iparm.dtype == np.int32
         entries, x = factor.stats.factor_entries, factor.solve(b)
     monkeypatch.setattr(pardiso, "_MOST_ENTRIES", entries - 1)
     with solver.factorize(A, "spd") as factor:
-        assert factor._handle.iparm.dtype == np.int64
+        assert factor._session.handle.iparm.dtype == np.int64
         assert factor.stats.factor_entries == entries
         np.testing.assert_allclose(factor.solve(b), x, rtol=0, atol=1e-12 * np.abs(x).max())
 
@@ -197,7 +198,7 @@ def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: None)
     reason = pardiso_library.mkl_library.__wrapped__()
     assert "not found" in reason and "pip install 'morembs[mkl]'" in reason
-    monkeypatch.setattr(pardiso, "mkl_library", lambda: reason)
+    monkeypatch.setattr(Pardiso, "library", staticmethod(lambda: reason))
     with pytest.raises(InputError, match="cannot run here"):
         Pardiso().factorize(_chain(5))
     monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: __file__)

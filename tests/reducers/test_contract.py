@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+import weakref
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
@@ -129,6 +130,21 @@ def test_a_closed_problem_keeps_no_solutions(method: str) -> None:
         finally:
             tracemalloc.stop()
     assert kept < 0.3 * size < held, (size, held, kept)
+
+
+@pytest.mark.parametrize("method", ["krylov", "gramian", "craig-bampton"])
+def test_a_released_problem_gives_its_factors_back_and_makes_them_anew(method: str) -> None:
+    reducer = REDUCERS[method](**next(options for name, options in OPTIONS if name == method))
+    with made() as problem:
+        bodies, factors = [], []
+        for _ in range(2):
+            bodies.append(reducer.reduce(problem))
+            factors.append(problem.statics.factor)
+            held = weakref.ref(problem.elastic.X)
+            problem.release()
+            assert factors[-1].closed and held() is None
+        assert factors[0] is not factors[1]
+    np.testing.assert_array_equal(bodies[0].V, bodies[1].V)
 
 
 @dataclass(frozen=True, kw_only=True)

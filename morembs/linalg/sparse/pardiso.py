@@ -18,23 +18,15 @@ from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.pardiso_library import mkl_library
-from morembs.linalg.sparse.solver import (
-    MECHANISM,
-    Analysis,
-    Factorization,
-    FactorStats,
-    Forecast,
-    ForeignSolver,
-    refuse_beyond_memory,
-)
+from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
+from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, Forecast, ForeignSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
 _MTYPE = {"spd": 2, "symmetric": -2, "complex-symmetric": 6}
 _ANALYSE, _FACTORIZE, _SOLVE, _FREE_FACTOR, _FREE = 11, 22, 33, 0, -1
-_ZERO_PIVOT = -4
-_SINGULAR = {_ZERO_PIVOT, -7}
+_SINGULAR = {-4, -7}
 _WORDS = {
     -1: "it found its input invalid", -2: "memory could not be allocated", -3: "the ordering failed",
     -8: "the matrix is too large for its integers",
@@ -44,9 +36,9 @@ _BLOCK = 128
 # Pivots below 10^-this of the largest value count as zero. Small ones stay: the check of the factor judges them
 # by the scale of their rows, which PARDISO does not know.
 _ZERO = 20
-# Beyond this backward error solutions are refined, in up to so many steps. (PARDISO's own refinement of
-# solutions beside an eigenvalue stopped at 5e-14 after three.)
-_ACCURATE, _STEPS = 1e-14, 3
+# Beyond this backward error solutions are refined, in up to so many steps: beside an eigenvalue each gains a factor of
+# twenty. (PARDISO's own refinement stopped at 5e-14 after three.)
+_ACCURATE, _STEPS = 1e-14, 5
 # Entries of a factor or a matrix that 32-bit integers count.
 _MOST_ENTRIES = 2**31 - 1
 
@@ -59,14 +51,7 @@ class _Handle(ForeignObject):
     """
 
     def __init__(
-        self,
-        library: ctypes.CDLL,
-        A: Lower,
-        structure: str,
-        order: Values | None,
-        *,
-        wide: bool,
-        matching: bool = False,
+        self, library: ctypes.CDLL, A: Lower, structure: str, order: Values | None, *, wide: bool, matching: bool
     ) -> None:
         super().__init__()
         self._integer: Any = ctypes.c_int64 if wide else ctypes.c_int32
@@ -161,10 +146,10 @@ class _Handle(ForeignObject):
         if code:
             raise failure("solution", code)
 
-    @property
-    def perturbed(self) -> int:
-        """Number of pivots that were replaced: the factor is one of another matrix."""
-        return int(self.iparm[13])
+    def vanished(self, code: int) -> bool:
+        """Whether pivots vanished, by the ``code`` of the factorisation, or were replaced: then the factor is one of
+        another matrix."""
+        return code in _SINGULAR or (code == 0 and bool(self.iparm[13]))
 
     def drop_factor(self) -> None:
         """Free the numerical factor and keep the analysis."""
@@ -180,44 +165,74 @@ def failure(phase: str, code: int) -> SolverError:
     return SolverError(f"PARDISO failed in the {phase}: error {code}: {_WORDS.get(code, 'see the manual of MKL')}")
 
 
-class _PardisoAnalysis(Analysis):
+class _Session:
+    """The handles of one pattern: that of its analysis, and one for a single matrix whose pivots vanished."""
+
+    def __init__(self, library: ctypes.CDLL, A: Lower, structure: str) -> None:
+        self.library, self.structure, self.order = library, structure, metis_ordering(A)
+        self._handles: list[_Handle] = []
+
+    @property
+    def handle(self) -> _Handle:
+        """The handle of the newest factor."""
+        return self._handles[-1]
+
+    def analyse(self, A: Lower, progress: Progress, *, wide: bool, matching: bool = False) -> None:
+        """One handle more, with 64-bit integers where they are wanted (``wide``) or needed."""
+        # The order of METIS would pull apart what the matching joins.
+        order = None if matching else self.order
+        handle = _Handle(self.library, A, self.structure, order, wide=wide, matching=matching)
+        self._handles.append(handle)
+        code = handle.run(_ANALYSE, progress=progress, news="analysing")
+        entries = max(int(handle.iparm[17]), 1024 * int(handle.iparm[16]) // A.data.dtype.itemsize)
+        if not wide and (code or not 0 < entries <= _MOST_ENTRIES):
+            self._handles.pop().close()
+            self.analyse(A, progress, wide=True, matching=matching)
+        elif code:
+            raise failure("analysis", code)
+
+    def factorize(self, A: Lower, progress: Progress, news: str) -> None:
+        """Numerical phase; once more, with large values moved to the diagonal, where a pivot vanished.
+
+        Raises:
+            SingularMatrixError: not positive definite, or without pivots.
+        """
+        for special in self._handles[1:]:
+            special.close()
+        del self._handles[1:]
+        code = self.handle.factorize(A, progress, news)
+        if self.structure != "spd" and self.handle.vanished(code):
+            self.forget()
+            self.analyse(A, progress, wide=self.handle.iparm.itemsize == 8, matching=True)
+            code = self.handle.factorize(A, progress, news)
+        if self.handle.vanished(code):
+            self.forget()
+            if self.structure == "spd":
+                raise SingularMatrixError(f"the matrix should be positive definite but is not; {MECHANISM}")
+            raise SingularMatrixError(f"the matrix is singular, or PARDISO finds no pivots for it; {MECHANISM}")
+        if code:
+            raise failure("factorisation", code)
+
+    def forget(self) -> None:
+        """Free the numerical factor and keep the analysis."""
+        self.handle.drop_factor()
+
+    def close(self) -> None:
+        """Free everything."""
+        for handle in self._handles:
+            handle.close()
+
+
+class _PardisoAnalysis(SessionAnalysis):
     """The symbolic factor, which takes the values of one matrix after the other."""
 
-    def __init__(self, solver: Pardiso, library: ctypes.CDLL, A: Lower, structure: str) -> None:
-        super().__init__(A, structure)
-        self.solver, self._library = solver, library
-        self._order = metis_ordering(A)
-        # A factor whose analysis serves one matrix only.
-        self._special: _Handle | None = None
-        self._itemsize = A.data.dtype.itemsize
-        self._handle = self._analysed(A, wide=A.nnz > _MOST_ENTRIES)
-        try:
-            self._forecast = self._demand()
-            refuse_beyond_memory(solver, self._forecast, "PARDISO", "can keep it on disk")
-        except BaseException:
-            self.close()
-            raise
+    instead = "can keep it on disk"
+    session: _Session
 
-    def _analysed(self, A: Lower, *, wide: bool, matching: bool = False) -> _Handle:
-        # The order of METIS would pull apart what the matching joins.
-        order = None if matching else self._order
-        handle = _Handle(self._library, A, self.structure, order, wide=wide, matching=matching)
-        try:
-            code = handle.run(_ANALYSE, progress=self.solver.progress, news="analysing")
-            entries = max(int(handle.iparm[17]), 1024 * int(handle.iparm[16]) // self._itemsize)
-            if wide or (code == 0 and 0 < entries <= _MOST_ENTRIES):
-                if code:
-                    raise failure("analysis", code)
-                return handle
-        except BaseException:
-            handle.close()
-            raise
-        handle.close()
-        return self._analysed(A, wide=True, matching=matching)
-
-    def _demand(self) -> Forecast:
+    def _demand(self, A: Lower) -> Forecast:
         """What the symbolic factor says; PARDISO counts memory in units of 1024 bytes."""
-        iparm = self._handle.iparm
+        self.session.analyse(A, self.solver.progress, wide=A.nnz > _MOST_ENTRIES)
+        iparm = self.session.handle.iparm
         peak, symbolic, numeric = (1024 * int(value) for value in iparm[14:17])
         integers = iparm.itemsize * (self.lower_nnz + 2 * self.n)
         kept = symbolic + numeric + integers
@@ -226,63 +241,25 @@ class _PardisoAnalysis(Analysis):
             memory=max(peak + integers, kept), kept=kept,
         )  # fmt: skip
 
-    @property
-    def forecast(self) -> Forecast:
-        return self._forecast
-
     def _factorize(self, A: Lower) -> Factorization:
-        """Raises SingularMatrixError or SolverError."""
         start = time.perf_counter()
-        self._drop_special()
-        handle = self._eliminate(A)
-        entries = int(handle.iparm[17])
-        stats = self._stats(start, entries, memory_bytes=self._itemsize * entries)
-        return _PardisoFactor(handle, stats, A.data.dtype)
-
-    def _eliminate(self, A: Lower) -> _Handle:
-        """Numerical phase; once more, with large values moved to the diagonal, where a pivot vanished."""
-        news, progress = f"factorising ({self._forecast.flops:.2g} operations)", self.solver.progress
-        handle = self._handle
-        code = handle.factorize(A, progress, news)
-        if self.structure != "spd" and (code in _SINGULAR or (code == 0 and handle.perturbed)):
-            handle.drop_factor()
-            handle = self._special = self._analysed(A, wide=handle.iparm.itemsize == 8, matching=True)
-            code = handle.factorize(A, progress, news)
-        if code in _SINGULAR or (code == 0 and handle.perturbed):
-            handle.drop_factor()
-            if self.structure == "spd":
-                raise SingularMatrixError(f"the matrix should be positive definite but is not; {MECHANISM}")
-            raise SingularMatrixError(f"the matrix is singular, or PARDISO finds no pivots for it; {MECHANISM}")
-        if code:
-            raise failure("factorisation", code)
-        return handle
-
-    def _drop_special(self) -> None:
-        if self._special is not None:
-            self._special.close()
-            self._special = None
-
-    def _release(self) -> None:
-        self._drop_special()
-        self._handle.close()
+        news = f"factorising ({self._forecast.flops:.2g} operations)"
+        self.session.factorize(A, self.solver.progress, news)
+        entries, dtype = int(self.session.handle.iparm[17]), A.data.dtype
+        stats = self._stats(start, entries, memory_bytes=dtype.itemsize * entries)
+        return _PardisoFactor(self.session, stats, dtype)
 
 
-class _PardisoFactor(Factorization):
+class _PardisoFactor(SessionFactor):
     """The factor that an analysis holds."""
 
-    def __init__(self, handle: _Handle, stats: FactorStats, dtype: Any) -> None:
-        super().__init__(stats, dtype)
-        self._handle = handle
-        self._negative = None if self.dtype.kind == "c" else int(handle.iparm[22])
+    _session: _Session
 
     def _solve(self, B: Values) -> Values:
-        return self._handle.solve(B)
+        return self._session.handle.solve(B)
 
     def _negative_pivots(self) -> int | None:
-        return self._negative
-
-    def _release(self) -> None:
-        self._handle.drop_factor()
+        return None if self.dtype.kind == "c" else int(self._session.handle.iparm[22])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,4 +270,4 @@ class Pardiso(ForeignSolver):
     library = staticmethod(mkl_library)
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        return _PardisoAnalysis(self, self._loaded(), A, structure)
+        return _PardisoAnalysis(self, A, structure, _Session(self._loaded(), A, structure))
