@@ -11,11 +11,12 @@ from collections.abc import Callable
 from functools import cache
 from threading import Event, Lock, Thread
 from types import TracebackType
-from typing import Self, cast
-
-import psutil
+from typing import TYPE_CHECKING, Self, cast
 
 from morembs.errors import InputError
+
+if TYPE_CHECKING:
+    import psutil
 
 try:
     import resource
@@ -33,6 +34,9 @@ def resident_bytes() -> int:
 
 def available_bytes() -> int:
     """Memory that this machine has free."""
+    # Not at the top, here and below: short commands need not know how much memory there is.
+    import psutil
+
     return int(psutil.virtual_memory().available)
 
 
@@ -81,6 +85,8 @@ def release() -> None:
 
 @cache
 def _process(number: int) -> psutil.Process:
+    import psutil
+
     return psutil.Process(number)
 
 

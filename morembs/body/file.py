@@ -19,14 +19,13 @@ from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage import checksums
 from morembs.storage.hdf5 import reading_format
-from morembs.storage.safefile import check_writable
 from morembs.storage.table import read_rows
-from morembs.storage.writer import Columns, Writer, writing
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
     from morembs.reducers.switching_tables import StaticModeTables
+    from morembs.storage.writer import Writer
 
 Floats = NDArray[np.float64]
 FORMAT = "morembs-body"
@@ -71,6 +70,9 @@ def write_body(
         InputError: no bodies, bodies of different parts, or names that cannot be stored.
         OutputError: the file cannot be written (folder missing or read-only, disk full).
     """
+    # Not at the top: what reads does without.
+    from morembs.storage.writer import writing
+
     if not bodies:
         raise InputError("there is no body to write; give at least one")
     part = bodies[0].part
@@ -126,6 +128,7 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.body.stress_shapes import recovery_parts
     from morembs.reducers.base import MODE_KINDS
+    from morembs.storage.writer import Columns
 
     at, reduced = f"bodies/{body.name}/", body.reduced
     rows, count = 3 * len(body.part.nodes), reduced.order
@@ -188,5 +191,5 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "StoredBodies", "StoredBody", "StoredInterface", "check_names",
-    "check_writable", "read_body", "write_body",
+    "read_body", "write_body",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import Timer
+from typing import Any
 
 from rich.console import Console
 
@@ -16,7 +17,10 @@ PIPE_WIDTH = 160
 
 
 class Screen(Console):
-    """A console that leaves a pipe without a reader to its caller, instead of ending the program."""
+    """A console that shows names as they are, and leaves a pipe without a reader to its caller instead of ending."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(emoji=False, **options)
 
     def on_broken_pipe(self) -> None:
         """Called while the error is handled."""

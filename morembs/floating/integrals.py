@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.budget import Budget
 from morembs.model import FEModel, frozen, rigid_motion, skew
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
+
+    from morembs.budget import Budget
 
 Floats = NDArray[np.float64]
 # Levi-Civita symbol.

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from morembs.body.build import BodyOptions, StressOptions
-from morembs.body.file import check_writable
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
@@ -27,6 +26,7 @@ from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
+from morembs.storage.safefile import check_writable
 from morembs.units import Units, parse_units
 
 # How many interface degrees of freedom make sense where the responses to all of them are followed at once.

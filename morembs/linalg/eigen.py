@@ -31,8 +31,8 @@ GAP = 1e-6
 # More modes than this of a large model are a mistake in the limit, not a reduction.
 MOST_SPARSE = 2000
 ATTEMPTS = 4
-# More modes than this up to a limit are found slice by slice.
-SLICED = 400
+# More modes up to a limit than would fill so many slices are found slice by slice.
+SLICES = 10 / 3
 # Widest block of the Krylov space when the factor lies on disk.
 WIDEST = 32
 
@@ -61,9 +61,13 @@ class Modes:
 
 def lowest_modes(
     body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
-    progress: Progress = SILENT, what: str = "modes",
+    progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
+
+    Args:
+        by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
+        per_slice: modes of a slice, where there are so many that they are found slice by slice.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -75,7 +79,7 @@ def lowest_modes(
             raise InputError("lowest_modes needs either count or below")
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
-        if M.shape[0] > DENSE:
+        if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
             count = body.count_below(below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
@@ -87,15 +91,17 @@ def lowest_modes(
             f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; "
             "ask for fewer"
         )
-    if M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size):
+    if by_lapack is None:
+        by_lapack = M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size)
+    if by_lapack:
         return _dense(body, M, count, below)
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
-    if below is not None and count > SLICED:
-        first = _sparse(body, M, SLICE, None, progress, what)
+    if below is not None and count > SLICES * per_slice:
+        first = _sparse(body, M, per_slice, None, progress, what)
         values, vectors = sliced_modes(
-            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress
-        )
+            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice,
+        )  # fmt: skip
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
     return _sparse(body, M, count, below, progress, what)
 

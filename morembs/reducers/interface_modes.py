@@ -56,13 +56,16 @@ class FixedInterfaceBody:
     """The body held at its interfaces. Interface motions that are single dofs are rows left out of the matrices.
 
     A context manager, as it may own a factor. Peak memory: K and M without those rows, and the factor.
+
+    Args:
+        by_rows: leave them out (True) or solve for each (False); by default what their number is for.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, *, by_rows: bool | None = None) -> None:
         self.problem = problem
         self.statics: Statics | None = None
         rows, mixed = _single(problem.B)
-        if len(rows) <= MANY or not _holds(problem, rows):
+        if not (len(rows) > MANY if by_rows is None else by_rows) or not _holds(problem, rows):
             self.rows, self.constrained, self.M = None, problem.internal, problem.M
             return
         kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
@@ -115,9 +118,12 @@ class FixedInterfaceBody:
 
 def interface_modes(
     problem: Problem, held: FixedInterfaceBody, *, count: int | None = None, below: float | None = None,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, from_all: bool | None = None,
 ) -> InterfaceModes:  # fmt: skip
     """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
+
+    Args:
+        from_all: from all constraint modes (True) or by block Lanczos (False); by default what their number is for.
 
     Peak memory: some three times as many columns of length Nc as modes, where the budget wants them; with up to
     ``DENSE`` interface motions, or where a large part of the modes is wanted, all constraint modes (Nc, m).
@@ -131,7 +137,9 @@ def interface_modes(
             f"interface_modes = {count} was given, but {problem.B.shape[1]} interface motions have {most} elastic "
             "characteristic modes; ask for fewer"
         )
-    if problem.B.shape[1] <= DENSE or (count is not None and PART * count > most):
+    if from_all is None:
+        from_all = problem.B.shape[1] <= DENSE or (count is not None and PART * count > most)
+    if from_all:
         return _all(problem, count, below)
     return _lowest(problem, held, most, count, below, progress)
 

@@ -144,8 +144,8 @@ def _refuse_unsafe(path: Path, file: Any) -> None:
             if address in groups:
                 raise InputError(f"{words} is a group that has another name too; the file is damaged, write it again")
             groups.add(address)
-    free = available_bytes()
-    if free is not None and unpacked > free:
+    free = available_bytes() if unpacked else 0
+    if unpacked > free:
         raise InputError(
             f"{path} holds packed data of {unpacked:.3g} bytes that are nearly all alike; {free:.3g} bytes of memory "
             "are free; check the file, or give more memory"

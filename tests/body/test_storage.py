@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from morembs.body import Cells, elastic_body, make_part
-from morembs.body.file import check_names, check_writable, read_body, write_body
+from morembs.body.file import check_names, read_body, write_body
 from morembs.body.vtkhdf import shown_modes
 from morembs.errors import InputError, OutputError
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.progress import Stage
 from morembs.reducers import CraigBampton, Modal, ReducedModel
-from morembs.storage.safefile import SafeFile
+from morembs.storage.safefile import SafeFile, check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
 

@@ -27,8 +27,8 @@ from morembs.jobs.job import load_job
 from morembs.jobs.picture import _view
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
-from morembs.progress import Progress
 from tests.support.decks import BEAM, HINGED, deck, folder
+from tests.support.progress import Heard
 
 RUNNER = CliRunner()
 # The beam of BEAM: 60 x 20 x 20 mm of steel.
@@ -352,16 +352,6 @@ def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) 
 
 
 def test_stages_are_reported(tmp_path: Path) -> None:
-    class Listener(Progress):
-        def __init__(self) -> None:
-            self.stages: list[str] = []
-
-        def stage(self, name: str) -> None:
-            self.stages.append(name)
-
-        def update(self, text: str) -> None:
-            pass
-
-    listener = Listener()
+    listener = Heard()
     result = run_job(load_job(folder(tmp_path)), listener)
     assert [stage.name for stage in result.stages] == [s for s in listener.stages if not s.startswith("writing")]

@@ -253,17 +253,6 @@ def test_symmetric_equilibria_of_a_solid_are_those_that_are_solved():
 # Processes and restarts
 
 
-class Heard:
-    def __init__(self):
-        self.stages, self.news = [], []
-
-    def stage(self, name):
-        self.stages.append(name)
-
-    def update(self, text):
-        self.news.append(text)
-
-
 def test_processes_give_the_same_bits_and_progress_is_heard():
     heard = Heard()
     one, two = made(), made(workers=2, progress=heard)
@@ -339,6 +328,7 @@ ORPHANS = """
 import os, signal, sys
 sys.path.insert(0, {root!r})
 from morembs.gmp.worker_pool import WorkerPool
+from tests.support.progress import Heard
 
 class Work:
     def fresh(self):

@@ -29,6 +29,7 @@ from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import DENSE
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel, where
+from tests.support.progress import Heard
 
 RUNNER = CliRunner()
 IRKA = 'method = "irka"\norder = 4\nband_hz = [0, 5000]'
@@ -120,19 +121,6 @@ def test_damping_is_refused_as_the_reducers_do(damping: str, own: bool, large: b
                 assert not reason, (name, reason)
 
 
-class Listener:
-    """Hears stages and warnings in their order."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def stage(self, name: str) -> None:
-        self.told.append(name)
-
-    def update(self, text: str) -> None:
-        pass
-
-
 SI_IN_MM = 'set = "all"\nyoung = 210e9\npoisson = 0.3\ndensity = 7850.0'
 
 
@@ -148,7 +136,7 @@ def test_units_are_looked_at_before_any_work(tmp_path: Path) -> None:
         job = folder(tmp_path / str(number), {**tables, "check": "full_modes = 0", "reduce": 'method = "guyan"'})
         warnings = checked(job)["warnings"]
         assert len(warnings) == 1 and words in warnings[0] and ("mm-t-s" in warnings[0])
-        listener = Listener()
+        listener = Heard()
         result = run_job(load_job(job), listener, listener.told.append)
         assert warnings[0] in result.warnings
         assert listener.told.index(warnings[0]) < listener.told.index("factorise")

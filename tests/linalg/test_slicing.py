@@ -9,13 +9,13 @@ import scipy.sparse as sp
 
 from morembs.errors import SolverError
 from morembs.interface import make_interface
-from morembs.linalg import eigen
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import sliced_modes
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
 from tests.support.meshes import box
+from tests.support.progress import Heard
 
 
 def _problem(coupling: str | None) -> Problem:
@@ -87,13 +87,12 @@ def test_a_missing_first_mode_is_found_again() -> None:
         np.testing.assert_allclose(values, exact[:k], rtol=1e-8)
 
 
-def test_wide_bands_are_sliced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(eigen, "SLICED", 60)
-    monkeypatch.setattr(eigen, "SLICE", 30)
-    monkeypatch.setattr(eigen, "DENSE", 100)
-    monkeypatch.setattr(eigen, "DENSE_PART", 100)
+def test_wide_bands_are_sliced() -> None:
     with _problem("rigid") as problem:
         exact = _dense(problem, problem.internal)
         k = _gap(exact, 100)
-        modes = lowest_modes(problem.internal, problem.M, below=0.5 * (exact[k - 1] + exact[k]))
+        below = 0.5 * (exact[k - 1] + exact[k])
+        heard = Heard()
+        modes = lowest_modes(problem.internal, problem.M, below=below, by_lapack=False, per_slice=24, progress=heard)
+        assert any(text.startswith("slice at") for text in heard.news)
         np.testing.assert_allclose(modes.eigenvalues, exact[:k], rtol=1e-8)

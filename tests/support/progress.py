@@ -1,0 +1,20 @@
+"""A listener to long work."""
+
+from __future__ import annotations
+
+
+class Heard:
+    """Remembers the stages, the news within them, and both in their order."""
+
+    def __init__(self) -> None:
+        self.stages: list[str] = []
+        self.news: list[str] = []
+        self.told: list[str] = []
+
+    def stage(self, name: str) -> None:
+        self.stages.append(name)
+        self.told.append(name)
+
+    def update(self, text: str) -> None:
+        self.news.append(text)
+        self.told.append(text)
