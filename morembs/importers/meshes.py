@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -41,6 +42,8 @@ _LAST_LINES = (
     (re.compile(rb"\s*MeshVersionFormatted", re.IGNORECASE), re.compile(rb"End", re.IGNORECASE)),
 )
 _BINARY = re.compile(rb"^BINARY\s*$|[\x00-\x08\x0e-\x1f\x7f-\xff]", re.MULTILINE)
+# Node tags up to this many, and this many for each node, are taken: a table of them is no larger than a mesh.
+SPARSE_TAGS, SPARSE_RATIO = 1_000_000, 20
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
 CARRIERS = {
     "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9",
@@ -112,7 +115,7 @@ def _read(path: Path) -> meshio.Mesh:
     _refuse_cut(path)
     words = io.StringIO()
     try:
-        with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
+        with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words), _bounded_tags():
             return meshio.read(path)
     except (SystemExit, Exception) as error:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
@@ -121,6 +124,33 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio knows "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
+
+
+@contextlib.contextmanager
+def _bounded_tags() -> Iterator[None]:
+    """Refuse node tags of gmsh far beyond the number of nodes: meshio makes a table as long as the largest one."""
+    from meshio.gmsh import _gmsh22, _gmsh40, _gmsh41
+
+    def bounded(read: Callable[..., Any]) -> Callable[..., Any]:
+        def read_nodes(*arguments: Any) -> Any:
+            nodes = read(*arguments)
+            tags = np.asarray(nodes[1])
+            if len(tags) and (tags.max() > SPARSE_TAGS + SPARSE_RATIO * len(tags) or tags.min() < 0):
+                raise ValueError(
+                    f"{len(tags)} nodes have tags from {tags.min():.0f} to {tags.max():.0f}; renumber them in gmsh"
+                )
+            return nodes
+
+        return read_nodes
+
+    readers = {module: module._read_nodes for module in (_gmsh22, _gmsh40, _gmsh41)}
+    for module, read in readers.items():
+        module._read_nodes = bounded(read)
+    try:
+        yield
+    finally:
+        for module, read in readers.items():
+            module._read_nodes = read
 
 
 def _refuse_cut(path: Path) -> None:

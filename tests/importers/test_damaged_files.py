@@ -303,3 +303,24 @@ def test_a_string_of_an_op4_text_without_its_number(tmp_path: Path) -> None:
     path.write_text("".join(lines))
     with pytest.raises(InputError):
         read_op4(path)
+
+
+# gmsh: meshio makes a table as long as the largest tag of a node.
+
+
+@pytest.mark.parametrize(
+    ("version", "binary", "old", "new"),
+    [
+        ("gmsh22", False, b"\n8 ", b"\n300000000 "),
+        ("gmsh", False, b"\n8\n", b"\n300000000\n"),
+        ("gmsh", True, struct.pack("=QQ", 7, 8), struct.pack("=QQ", 7, 300_000_000)),
+    ],
+    ids=["2.2", "4.1", "4.1 binary"],
+)
+def test_tags_of_nodes_far_beyond_their_number(tmp_path, version, binary, old, new):
+    path = tmp_path / "part.msh"
+    mesh = box("hex8", (1, 1, 1), (0.1, 0.1, 0.1))
+    meshio.write(path, meshio.Mesh(mesh.nodes.xyz, [("hexahedron", mesh.blocks[0].nodes)]), version, binary=binary)
+    before, nodes, after = path.read_bytes().partition(b"$Nodes")
+    path.write_bytes(before + nodes + after.replace(old, new, 1))
+    assert "renumber them in gmsh" in refused(path, "--material", STEEL)
