@@ -63,7 +63,7 @@ def matrices_by_name(
 ) -> Imported:  # fmt: skip
     """The matrices that are named, else those with usual names; what is left over is noted.
 
-    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, whatever its name.
+    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name.
 
     Raises:
         InputError: no matrices, or none of a given name.

@@ -1,4 +1,4 @@
-"""Damping beside a damping matrix of the model's own: Rayleigh, modal by value or by table, structural.
+"""Damping in addition to a damping matrix of the model: Rayleigh, modal by value or by table, structural.
 
 In the eigenmodes phi_k of (K, M), with omega_k^2 = lam_k, the elastic motion has
 

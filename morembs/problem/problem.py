@@ -68,7 +68,7 @@ class Problem:
         self.damping = damping if damping is not None else Damping()
         if self.damping.structural and model.D is not None:
             raise InputError(
-                "structural damping beside a damping matrix of the model is not supported; leave one of them out, or "
+                "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
             )
         self.progress = progress

@@ -337,7 +337,7 @@ def test_what_structural_damping_has_not_is_refused():
             Balanced(order=6).reduce(problem)
         with pytest.raises(InputError, match="follows poles"):
             Irka(order=4, band_hz=[0.0, 1000.0]).reduce(problem)
-    with pytest.raises(InputError, match="beside a damping matrix"):
+    with pytest.raises(InputError, match="in addition to a damping matrix"):
         Problem(replace(model, D=1e-6 * model.K), ends(model), damping=Damping(structural=0.02))
 
 

@@ -87,7 +87,7 @@ class SwitchingBody(Component):
             slice(0, inner.size), slice(0, inner.size)
         )  # fmt: skip
         self.map = inner.frame.elastic if isinstance(inner, FlexibleBody) else np.eye(inner.size)
-        # Reduced coordinates by velocities of the inner body: static modes beside constraint modes push its frame too.
+        # Reduced coordinates by velocities of the inner body: static modes next to constraint modes push its frame too.
         self.all_inner = np.hstack((inner.frame.rigid, self.map)) if isinstance(inner, FlexibleBody) else self.map
         self.origin = inner.frame.origin if isinstance(inner, FlexibleBody) else np.zeros(3)
         if len(self.map) != switching.modes.shape[1]:

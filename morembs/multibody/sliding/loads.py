@@ -24,7 +24,7 @@ Ints = NDArray[np.int64]
 
 
 class Slider:
-    """What moves along a path: it knows its position s (m) there."""
+    """What moves along a path: it has a position s (m) there."""
 
     path: PathMarker
     name: str
