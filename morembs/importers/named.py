@@ -54,7 +54,7 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
         raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
     largest = float(np.abs(matrix.data).max(initial=0.0))
     if largest > LARGEST:
-        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; it is damaged, or its units are wrong")
+        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; the file is damaged, or its units are wrong")
 
 
 def matrices_by_name(

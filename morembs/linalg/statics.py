@@ -226,7 +226,7 @@ class ConstrainedStatics:
         if not lost <= ENERGY:
             raise SolverError(
                 f"the stiffness between the interfaces has the energy of soft motions wrong by {lost:.1e} "
-                f"(needed {ENERGY:.0e}): round-off of stiff parts takes the digits; make stiff links softer, replace "
+                f"(needed {ENERGY:.0e}): round-off of stiff parts hides its digits; make stiff links softer, replace "
                 'them by rigid couplings, or take method = "free-interface"'
             )
 
@@ -250,7 +250,7 @@ class ConstrainedStatics:
             except SingularMatrixError:
                 continue
         raise SolverError(
-            f"many eigenfrequencies crowd about {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
+            f"many eigenfrequencies cluster at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
             "move the limit by a percent"
         )
 

@@ -262,7 +262,7 @@ def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
     if len(bad):
         raise InputError(
             f"{len(bad)} {kind.name} elements are inverted or degenerate: {', '.join(map(str, ids[bad[:5]]))}"
-            f"{', ...' if len(bad) > 5 else ''} (Jacobian not positive); mend the mesh or its node order"
+            f"{', ...' if len(bad) > 5 else ''} (Jacobian not positive); correct the mesh or its node order"
         )
     inverse = np.linalg.inv(J)
     dN = np.matmul(rule.dN[None], inverse)

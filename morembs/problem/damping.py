@@ -151,7 +151,7 @@ def modal_steps(given: str | Sequence[Sequence[float]]) -> Steps:
     for (before, _), (f, _) in pairwise(points):
         if not before < f < math.inf:
             raise InputError(
-                f"the modal table has {f:g} Hz behind {before:g} Hz; expected finite frequencies in ascending order"
+                f"the modal table has {f:g} Hz after {before:g} Hz; expected finite frequencies in ascending order"
             )
     for f, ratio in points:
         if not 0 <= ratio <= 1:

@@ -274,7 +274,7 @@ class Problem:
         if not lost <= LOST:
             raise SolverError(
                 f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
-                f"(needed {LOST:.0e}): round-off of the stiff parts takes the digits; {SOFTER}"
+                f"(needed {LOST:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
             )
 
     def _refuse_unconnected(self) -> None:
@@ -289,7 +289,7 @@ class Problem:
             rows = np.diff(np.append(starts, self.K.shape[0]))
             sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
             raise InputError(
-                f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
+                f"the model has {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
                 f"{6 * parts} rigid-body modes where one free body has 6; "
                 "join the parts (merge coincident nodes), or reduce them one by one"
             )

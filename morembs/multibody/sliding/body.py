@@ -131,7 +131,7 @@ class SwitchingBody(Component):
         if not -1e-9 * length <= s <= length * (1 + 1e-9):
             raise InputError(
                 f"body {self.name!r}: the load is outside all candidates {when}: s = {s:.9g} m on a path of "
-                f"{length:.9g} m; end the run before, add candidates there, or take the load away"
+                f"{length:.9g} m; end the run earlier, add candidates there, or remove the load"
             )
 
     def window_about(self, s: float) -> int:

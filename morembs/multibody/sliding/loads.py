@@ -177,7 +177,7 @@ class PathSupport(Force, Slider):
         if not value > floor:
             raise InputError(
                 f"support {self.name!r}: the active set has lost its rank at s = {s:.9g} m: no static mode moves "
-                "along the support there; keep off held nodes, add the direction to the candidates or give a compliance"
+                "along the support there; avoid held nodes, add the direction to the candidates or give a compliance"
             )
         return value, normal, here
 
