@@ -1,6 +1,6 @@
 """Tables that other packages add to, by entry points or by assignment.
 
-A package that is installed beside this one names what it offers in its ``pyproject.toml``:
+A package that is installed with this one names what it offers in its ``pyproject.toml``:
 
     [project.entry-points."morembs.reducers"]
     my-method = "my_package:MyReducer"
@@ -23,7 +23,7 @@ Entry = TypeVar("Entry")
 
 
 class Table(MutableMapping[str, Entry], Generic[Entry]):
-    """Name -> what goes by it: the ``own`` entries first, in their order, then those of the entry points of ``group``.
+    """Name -> entry: the ``own`` entries first, in their order, then those of the entry points of ``group``.
 
     ``fault`` says what is wrong with a name and what an entry point gives for it; "" where nothing is.
     """

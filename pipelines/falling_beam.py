@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fall = run(end=QUICK_END, step=QUICK_STEP) if options.quick else run()
     result, energy, n = fall.result, fall.result.balance(), fall.beam.frame.count
     lost = np.abs(energy.total - energy.work - energy.total[0]).max() / (energy.potential[0] - energy.potential.min())
-    print(f"beam of {n} elastic coordinates, {len(result.time)} moments, {len(result.impacts)} impacts")
+    print(f"beam of {n} elastic coordinates, {len(result.time)} time points, {len(result.impacts)} impacts")
     print(f"first touch at t = {result.impacts[0].time:.6f} s (fall: {np.sqrt(2 * DROP / 9.81):.6f} s)")
     print(f"largest force {result.force(fall.contact).max():.4g} N between impacts")
     print(f"complementarity {result.complementarity:.2g}, balance of energy {lost:.2g} of the fall")

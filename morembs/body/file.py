@@ -64,7 +64,7 @@ def write_body(
         recipe: what was asked for (the job); by default the source and the options of each body.
         provenance: where the file comes from, any nested names and values; ``created`` and
             ``morembs_version`` are added where they are missing. Nothing outside /provenance depends on it.
-        warnings: what the examination of the model and the bodies warned of, beside what the model brings itself.
+        warnings: what the examination of the model and the bodies warned of, in addition to those of the model itself.
 
     Raises:
         InputError: no bodies, bodies of different parts, or names that cannot be stored.

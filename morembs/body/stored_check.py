@@ -72,7 +72,7 @@ class _Check(TableCheck):
         if coupling not in COUPLINGS:
             raise InputError(
                 f"{self.path}: interface {at.split('/')[1]} has the coupling {coupling!r}, which this installation "
-                f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed beside morembs and "
+                f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed with morembs and "
                 "defines it (an entry point morembs.couplings)"
             )
         self.within(f"{at}components", 0, 5)

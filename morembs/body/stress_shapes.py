@@ -30,7 +30,7 @@ from morembs.storage.writer import Columns
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Ints = NDArray[np.int64]
-# Columns of length N that one block of shapes costs, beside the gradients at the points.
+# Columns of length N that one block of shapes costs, in addition to the gradients at the points.
 _COPIES = 6
 
 

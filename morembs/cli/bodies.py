@@ -76,7 +76,7 @@ def recover(
     body: BodyName = None,
     no_stress: Annotated[bool, typer.Option("--no-stress", help="Displacements only.")] = False,
     scale: Annotated[float, typer.Option(help="Magnify deformations.")] = 1.0,
-    every: Annotated[int, typer.Option(help="Take each how manieth step.")] = 1,
+    every: Annotated[int, typer.Option(help="Take every n-th step.")] = 1,
     as_json: AsJson = False,
 ) -> None:
     """Expand a reduced motion to all nodes, with stresses, for ParaView."""

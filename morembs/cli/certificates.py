@@ -26,8 +26,10 @@ class Certified:
     notes: Sequence[str] = ()
 
     def text(self, key: str) -> str:
-        """A text of the certificate."""
+        """A text of the certificate; sentences of one that was just made are joined as a body file joins them."""
         value = self.values.get(key, "")
+        if isinstance(value, tuple):
+            return "; ".join(value)
         return str(value.item() if isinstance(value, np.ndarray) else value).strip()
 
 

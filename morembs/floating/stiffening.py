@@ -77,7 +77,7 @@ class Stiffening:
     ``dropped``, as their share stayed below ``least_share``, are zero; so are those whose share is zero, as the frame
     itself balances their load.
 
-    The terms belong to the conditions of their frame: another frame needs them computed anew.
+    The terms belong to the conditions of their frame: another frame needs its own.
     """
 
     acceleration: Floats

@@ -75,7 +75,7 @@ _IN_COMMENTS = {
 
 
 def dialect_of(keyword: str, options: Mapping[str, str]) -> str | None:
-    """The program that a keyword with its options belongs to, None where both know it."""
+    """The program that a keyword with its options belongs to, None where both have it."""
     if keyword in _ABAQUS_WORDS or (keyword == "OUTPUT" and {"FIELD", "HISTORY"} & set(options)):
         return "abaqus"
     if keyword in _CALCULIX_WORDS or options.get("SOLVER", "").upper().replace(" ", "") in _CALCULIX_SOLVERS:

@@ -1,4 +1,4 @@
-"""MATLAB files: v4 through SciPy, v5 to v7 by the reader beside this one, v7.3 as HDF5."""
+"""MATLAB files: v4 through SciPy, v5 to v7 by the reader next to this one, v7.3 as HDF5."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def _spread(read: DmigMatrix, labels: Ints) -> sp.csr_array:
 
 
 def import_abaqus_matrix(path: Path, *, mass: str | None = None, damping: str | None = None) -> Imported:
-    """The matrix of one *MATRIX OUTPUT file as K; ``mass`` and ``damping`` are further files beside it.
+    """The matrix of one *MATRIX OUTPUT file as K; ``mass`` and ``damping`` are further files next to it.
 
     Raises:
         InputError: not such files, internal dofs (Lagrange multipliers, connectors), or files that do not fit.

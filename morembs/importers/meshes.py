@@ -121,7 +121,7 @@ def _read(path: Path) -> meshio.Mesh:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
         reason = " ".join(said.split())[:300] or type(error).__name__
         raise InputError(
-            f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio knows "
+            f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio reads "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
 
@@ -192,7 +192,7 @@ def _beside(path: Path) -> set[Path]:
     for file in beside:
         if not file.resolve().is_relative_to(path.parent.resolve()):
             raise InputError(
-                f"{path.name} takes numbers from {file}; expected files beside it, or in folders beside it"
+                f"{path.name} takes numbers from {file}; expected files next to it, or in folders next to it"
             )
     return beside
 

@@ -54,7 +54,7 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
         raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
     largest = float(np.abs(matrix.data).max(initial=0.0))
     if largest > LARGEST:
-        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; it is damaged, or its units are wrong")
+        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; the file is damaged, or its units are wrong")
 
 
 def matrices_by_name(
@@ -63,7 +63,7 @@ def matrices_by_name(
 ) -> Imported:  # fmt: skip
     """The matrices that are named, else those with usual names; what is left over is noted.
 
-    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, whatever its name.
+    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name.
 
     Raises:
         InputError: no matrices, or none of a given name.

@@ -243,13 +243,13 @@ def _names(lines: Bytes) -> NDArray[np.bytes_]:
 
 
 def _check_marks(lines: Bytes, begins: NDArray[np.bool_], form: Ints, file: str) -> None:
-    """Refuse continuations that are not behind the line whose mark they bear."""
+    """Refuse continuations that do not follow the line whose mark they carry."""
     pair = np.flatnonzero(~begins[1:] & (form[1:] < _FREE) & (form[:-1] < _FREE))
     before, after = lines[pair, 73:80], lines[pair + 1, 1:8]
     wrong = (before != after).any(axis=1) & (before != 32).any(axis=1) & (after != 32).any(axis=1)
     if wrong.any():
         line = bytes(lines[pair[wrong][0] + 1]).decode("latin-1").strip()
         raise InputError(
-            f"{file}: the continuation {line[:60]!r} does not bear the mark of the line above it; sort the cards so "
+            f"{file}: the continuation {line[:60]!r} does not carry the mark of the line above it; sort the cards so "
             "that each is followed by its continuations"
         )

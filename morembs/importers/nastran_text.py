@@ -65,7 +65,7 @@ class BulkText:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know of the text, a sentence each, once its pieces were read."""
+        """Warnings about the text, a sentence each, once its pieces were read."""
         cut = f"{self.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there"
         return (() if self._ended else (cut,)) + tuple(
             f"{file}, {first} beyond column {LINE}, where the fields of a card end, was not read"

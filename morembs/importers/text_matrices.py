@@ -1,7 +1,7 @@
 """Numbers in text, read fast: the parts that readers of matrices in text files share.
 
 Numbers are turned from text by SciPy's Matrix Market reader (Lugowski's fast_matrix_market), which is about ten
-times as fast as ``numpy.loadtxt`` but reads over what it does not know ("1.0+3" is 1.0 to it). So every block is
+times as fast as ``numpy.loadtxt`` but skips what it does not recognise ("1.0+3" is 1.0 to it). So every block is
 checked first: no letters but exponents, exponents as C writes them, the same count of numbers in each line.
 """
 

@@ -83,7 +83,7 @@ class CouplingKind(ABC):
     exclusive: ClassVar[bool]
     # The weights of the nodes matter.
     weighted: ClassVar[bool] = False
-    # ``nonlinear.NonlinearSolid`` knows its form for large rotations.
+    # ``nonlinear.NonlinearSolid`` has its form for large rotations.
     large_rotations: ClassVar[bool] = False
 
     @abstractmethod

@@ -30,7 +30,7 @@ class Coupling:
     ``B`` (Nc, m) inputs, one column per exposed interface degree of freedom, and also outputs as ``B'``;
     ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
     that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
-    ``frames`` (Nc, 6 k) as B, with all six degrees of freedom of every interface that has a frame, whatever it
+    ``frames`` (Nc, 6 k) as B, with all six degrees of freedom of every interface that has a frame, whichever it
     exposes; ``frame_columns`` interface name -> its columns of that.
     """
 

@@ -1,4 +1,4 @@
-"""Matrices only: sparse factorisations, eigenvalues, statics. Knows nothing of finite elements."""
+"""Matrices only: sparse factorisations, eigenvalues, statics. Independent of finite elements."""
 
 from morembs.linalg.sparse.threads import quiet_idle_threads
 

@@ -63,7 +63,7 @@ def multiply(V: Floats, Y: Floats, budget: Budget) -> Floats:
 
 
 def hstack(*parts: Floats, budget: Budget) -> Floats:
-    """Columns of the ``parts`` (N, .) beside each other, where the budget wants them."""
+    """Columns of the ``parts`` (N, .) side by side, in memory or in a scratch file as the budget decides."""
     V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
     at = 0
     for part in parts:

@@ -59,7 +59,7 @@ def magnitudes(A: sp.csr_array, X: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def scaled_row_sums(A: sp.csr_array) -> NDArray[np.float64]:
-    """Weights w (n,) with |x|' |A| |x| <= w' x^2 whatever the units: the row sums of the equilibrated ``A``."""
+    """Weights w (n,) with |x|' |A| |x| <= w' x^2 independent of the units: the row sums of the equilibrated ``A``."""
     d = np.sqrt(np.abs(A.diagonal()))
     d[d == 0] = 1.0
     return np.asarray(d * magnitudes(A, 1.0 / d[:, None])[:, 0])

@@ -107,7 +107,7 @@ def lowest_modes(
 
 
 def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
-    # Displacements and rotations, whatever their units, count alike.
+    # Displacements and rotations count alike, independent of their units.
     s = 1.0 / np.sqrt(np.maximum(body.statics.pencil.lower.diagonal(), np.finfo(float).tiny))[:, None]
     C = s * dense(body.C)
     Q = s * (sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0]))
@@ -132,7 +132,7 @@ def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Fl
         V = body.flexibility(M @ V)
         V /= m_norms(V, M @ V)
         K, G = V.T @ (body.statics.pencil.lower @ V), V.T @ (M @ V)
-        # The inverse pencil has its largest values, which LAPACK knows best, for the lowest modes.
+        # The inverse pencil has its largest values, which LAPACK computes best, for the lowest modes.
         theta, Y = sl.eigh(0.5 * (G + G.T), 0.5 * (K + K.T))
         values, V = 1.0 / theta[::-1], V @ (Y[:, ::-1] / np.sqrt(theta[::-1]))
     return values, V

@@ -2,7 +2,7 @@
 
 Under a motion phi that strains nothing the terms of a row of K phi cancel, and what is left is round-off of these
 terms: at most a few eps (|K| |phi|) in that row. A support leaves more in its own row, however stiff other rows are,
-and whatever the mesh, the units and the rest of the body. Only what the row itself has lost is lost.
+and independent of the mesh, the units and the rest of the body. Only what cancels in the row itself is lost.
 
 Numbers that were written with few digits, and bodies far from the origin, leave more than eps in most rows. Such
 residuals do work of either sign, while a soft ground (positive semidefinite) does positive work at all its nodes. So

@@ -176,7 +176,7 @@ def _shifted(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted
             return Shifted(body, M, sigma * (1 - nudge))
         except SingularMatrixError:
             continue
-    raise SolverError(f"many eigenfrequencies crowd about {_hz(sigma)}; move the limit by a percent")
+    raise SolverError(f"many eigenfrequencies cluster at {_hz(sigma)}; move the limit by a percent")
 
 
 def _hz(value: float) -> str:

@@ -8,7 +8,7 @@ rigid modes Z and constraints C' u = g, u = K_c^-1 (f - C lam) + Z a follows fro
     [ -Z'C          0  ] [ a ] = [ -Z'f           ]
 
 so one factorisation serves the free body (C = M Z: mean axes, inertia relief) and the body held at any
-interface (C = B), whatever its coupling.
+interface (C = B), for any kind of coupling.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from morembs.moved import renamed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# Error of unit interface motions that is refused, and the one before any refinement, beyond which the condensed
+# Error of unit interface displacements that is refused, and the one before any refinement, beyond which the condensed
 # stiffness has lost too much; the error that is not refined any more, and the number of steps.
 IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
 # Part of the energy of a soft motion that the condensed stiffness may miss, and that is not refined even once.
 ENERGY, SURE = 1e-5, 1e-8
-# Beside a Sturm count: columns of length n, and bytes for buffers of the libraries.
+# In addition to a Sturm count: columns of length n, and bytes for buffers of the libraries.
 COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
@@ -166,8 +166,8 @@ class ConstrainedStatics:
             self._refine(U, lam)
         if not off <= IMPOSED:
             raise SolverError(
-                f"unit interface motions could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); interface points "
-                "far from the body, or interfaces that nearly depend on each other, take the digits"
+                f"unit interface displacements could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); points "
+                "far from the body, or interfaces that nearly depend on each other, cost these digits"
             )
         self._refuse_lost_energy(lost)
         # Loads have no part in rigid motion, of which the energy has round-off of all rows.
@@ -209,7 +209,7 @@ class ConstrainedStatics:
         return np.asarray(np.hstack(parts) - cross - cross.T)
 
     def _lost(self, condensed: Floats, lam: Floats) -> float:
-        """Largest relative difference of the energies of interface motions, from displacements and from loads."""
+        """Largest relative difference of the energies of unit interface displacements, by fields and by loads."""
         s = _sizes(condensed)
         H = s[:, None] * (self.C.T @ self.statics.Z)
         Q = sl.qr(H)[0][:, H.shape[1] :] if H.shape[1] else np.eye(self.count)
@@ -226,12 +226,12 @@ class ConstrainedStatics:
         if not lost <= ENERGY:
             raise SolverError(
                 f"the stiffness between the interfaces has the energy of soft motions wrong by {lost:.1e} "
-                f"(needed {ENERGY:.0e}): round-off of stiff parts takes the digits; make stiff links softer, replace "
+                f"(needed {ENERGY:.0e}): round-off of stiff parts hides its digits; make stiff links softer, replace "
                 'them by rigid couplings, or take method = "free-interface"'
             )
 
     def _blocks(self) -> list[slice]:
-        """Columns of as many interface motions as the budget lets be handled at once."""
+        """Columns of as many interface degrees of freedom as the budget allows at once."""
         width = self.statics.budget.columns(len(self.statics.Z), copies=4)
         return [slice(at, at + width) for at in range(0, self.count, width)]
 
@@ -250,7 +250,7 @@ class ConstrainedStatics:
             except SingularMatrixError:
                 continue
         raise SolverError(
-            f"many eigenfrequencies crowd about {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
+            f"many eigenfrequencies cluster at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
             "move the limit by a percent"
         )
 
@@ -277,7 +277,7 @@ class ConstrainedStatics:
 
 
 def room_for_factor(budget: Budget) -> int | None:
-    """Bytes that a factorisation may take once everything that can rest does."""
+    """Bytes that a factorisation may take once all pages that can be released are."""
     budget.release_pages()
     left = budget.left()
     return None if left is None else max(0, left)
@@ -287,7 +287,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
     """What a Sturm count will need, refused now where it would be refused after hours of work.
 
     Args:
-        room: bytes that may be allocated once everything that can rest does; None for no limit.
+        room: bytes that may be allocated once all pages that can be released are; None for no limit.
 
     Raises:
         BudgetError: the count has no room within the budget; the message says how much more it takes.

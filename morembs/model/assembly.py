@@ -193,8 +193,8 @@ def _refuse_gaps(mesh: Mesh) -> None:
     seams = seam_faces(mesh) if len(mesh.blocks) > 1 else 0
     if seams:
         raise InputError(
-            f"elements of different types meet at {seams} faces whose nodes do not match (a quadratic beside a linear "
-            "face, or a quadrilateral beside two triangles): the mesh would gape there; make it conforming"
+            f"elements of different types meet at {seams} faces whose nodes do not match (a quadratic next to a linear "
+            "face, or a quadrilateral next to two triangles): the mesh would open there; make it conforming"
         )
 
 

@@ -195,8 +195,8 @@ def refuse_far(nodes: Nodes, source: str) -> None:
     far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
     if len(far):
         raise InputError(
-            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; it is damaged, or its units are "
-            f"wrong; expected coordinates up to {LARGEST:g}"
+            f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; the file is damaged, or the "
+            f"units are wrong; expected coordinates up to {LARGEST:g}"
         )
 
 

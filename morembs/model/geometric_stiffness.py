@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StressedMesh:
-    """What the geometric stiffness of a mesh needs, whatever the stress.
+    """What the geometric stiffness of a mesh needs, independent of the stress.
 
     ``graph`` (n, n) is the pattern of all results, its data number its entries; ``owner`` gives the material of each
     element, block by block.

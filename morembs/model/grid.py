@@ -1,4 +1,4 @@
-"""Structured meshes of hexahedra: boxes, and whatever a grid of points is bent to."""
+"""Structured meshes of hexahedra: boxes, and any shape that a grid of points is mapped to."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:
     ``hex8`` has its corners on neighbouring points; ``hex20`` and ``hex27`` also use the points between two corners.
 
     Raises:
-        InputError: another element, or a grid that is not a whole number of elements long.
+        InputError: another element, or a grid whose length is not an integer number of elements.
     """
     if element not in ("hex8", "hex20", "hex27"):
         raise InputError(f"element {element!r} was given; a grid is filled by hex8, hex20 or hex27")

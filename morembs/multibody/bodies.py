@@ -236,7 +236,7 @@ class FlexibleBody(FloatingBody):
         position, rotation, velocity, angular_velocity: of the frame, as for a rigid body.
         elastic, elastic_rate: (n,) elastic coordinates and their rates at the start.
         stiffening: take the geometric stiffening of the frame. Its second-order displacements then act on inertia
-            forces, gravity and interface motions alike, so that energy is kept.
+            forces, gravity and interface displacements alike, so that energy is conserved.
 
     Raises:
         InputError: a singular mass matrix, wrong shapes, stiffening that the frame does not have.

@@ -168,7 +168,7 @@ class ChangeLimit:
             raise SolverError(
                 f"after t = {time:.9g} s the mass matrix is not positive definite: deflections are too large for the "
                 "second-order terms of the geometric stiffening in this frame. Take mean axes or a chord frame, which "
-                "bear larger ones, or fewer modes"
+                "allow larger ones, or fewer modes"
             )
         self._scale = max(self._scale, math.sqrt(square), self.h * math.sqrt(max(force, 0.0)))
         floor = 100 * np.finfo(float).eps * math.sqrt(float(np.abs(np.diag(M)).max())) / self.h

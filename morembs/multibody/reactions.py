@@ -19,7 +19,7 @@ LU = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldRows:
-    """Rows (r, k) whose velocity is held beside that of joints.
+    """Rows (r, k) whose velocity is constrained in addition to that of joints.
 
     ``pull`` (r, k): generalised force per unit of each multiplier; ``acceleration`` (r,): right-hand side of the rows;
     ``load`` (k,): given forces. Points may hold one motion twice, so solutions are those of least norm.
@@ -92,7 +92,7 @@ class Reactions:
         return self
 
     def held(self, x: Floats, v: Floats, h: float) -> HeldRows | None:
-        """Rows that are held beside joints at a state near the start."""
+        """Rows that are constrained in addition to joints at a state near the start."""
         return None
 
     def closed(self, x: Floats) -> Floats | None:

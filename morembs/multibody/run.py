@@ -37,7 +37,7 @@ class RestartState:
 class Events:
     """Events of a run, none here: they cut steps, give the state to restart from, and add reactions.
 
-    ``advice``: what to change where events crowd in one step.
+    ``advice``: what to change where too many events fall into one step.
     """
 
     advice = "Take a smaller step"
@@ -119,7 +119,7 @@ def simulate(
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
 
     Raises:
-        InputError: invalid times, joints that are open or redundant, velocities that break joints.
+        InputError: invalid times, joints that are open or redundant, velocities that violate joints.
         SolverError: a step that does not converge, with its time and size; a deflection beyond ``max_deflection``.
     """
     if switch is not None:
@@ -164,7 +164,7 @@ class Run:
     """A run under ``events``: finished ``segments``, and the ``states`` of the one at work.
 
     Raises:
-        InputError: invalid times, joints that are open or redundant, velocities that break joints.
+        InputError: invalid times, joints that are open or redundant, velocities that violate joints.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class Run:
         """All steps to the end.
 
         Raises:
-            SolverError: a step that does not converge, events that crowd in one step.
+            SolverError: a step that does not converge, too many events in one step.
         """
         assembly, t, x, v = self._next
         x, v = self.events.start(assembly, t, x, v)
@@ -247,7 +247,7 @@ class Run:
         except np.linalg.LinAlgError:
             raise SolverError(
                 f"no accelerations fit the joints at t = {t:.9g} s: their equations are dependent there (a lock or "
-                "dead point). Start the run elsewhere, or free a joint"
+                "dead centre). Start the run elsewhere, or free a joint"
             ) from None
 
     def _repeat(self, stepper: Stepper, before: State) -> Repeat:
@@ -271,8 +271,8 @@ class Run:
                 raise SolverError(
                     f"at t = {state.time:.9g} s body {component.name!r} deflects by {deflection:.3g} of its length in "
                     f"its floating frame; the limit max_deflection is {self.max_deflection:g}. Linear elastic shapes "
-                    "do not hold there: spinning or pressed parts need geometric stiffening (stiffening=True), large "
-                    "bending several bodies or a geometrically nonlinear one. max_deflection=None takes the limit away"
+                    "do not hold there: spinning or compressed parts need geometric stiffening (stiffening=True), "
+                    "large bending several bodies or a geometrically nonlinear one. max_deflection=None removes the limit"
                 )
 
     def _count(self, time: float) -> None:

@@ -236,7 +236,7 @@ class Assembly:
         ]
         if moving:
             raise InputError(
-                f"velocities at the start break joints: {'; '.join(moving)} (m/s or rad/s). Give velocities of the "
+                f"velocities at the start violate joints: {'; '.join(moving)} (m/s or rad/s). Give velocities of the "
                 "bodies that the joints allow and that follow the prescribed motions"
             )
 
@@ -254,9 +254,9 @@ class Assembly:
         weight = np.abs(U[:, rank:]).max(axis=1)
         named = [j.label for j, r in zip(self.joints, self.in_rows, strict=True) if weight[r].max() > 1e-6]
         raise InputError(
-            f"{self.rows - rank} of {self.rows} joint equations are redundant: {'; '.join(named)} hold the same "
-            "motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the body "
-            "elastic modes along it"
+            f"{self.rows - rank} of {self.rows} joint equations are redundant: {'; '.join(named)} constrain the "
+            "same motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the "
+            "body elastic modes along it"
         )
 
 

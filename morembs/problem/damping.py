@@ -1,4 +1,4 @@
-"""Damping beside a damping matrix of the model's own: Rayleigh, modal by value or by table, structural.
+"""Damping in addition to a damping matrix of the model: Rayleigh, modal by value or by table, structural.
 
 In the eigenmodes phi_k of (K, M), with omega_k^2 = lam_k, the elastic motion has
 
@@ -151,7 +151,7 @@ def modal_steps(given: str | Sequence[Sequence[float]]) -> Steps:
     for (before, _), (f, _) in pairwise(points):
         if not before < f < math.inf:
             raise InputError(
-                f"the modal table has {f:g} Hz behind {before:g} Hz; expected finite frequencies in ascending order"
+                f"the modal table has {f:g} Hz after {before:g} Hz; expected finite frequencies in ascending order"
             )
     for f, ratio in points:
         if not 0 <= ratio <= 1:

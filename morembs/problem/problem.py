@@ -68,7 +68,7 @@ class Problem:
         self.damping = damping if damping is not None else Damping()
         if self.damping.structural and model.D is not None:
             raise InputError(
-                "structural damping beside a damping matrix of the model is not supported; leave one of them out, or "
+                "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
             )
         self.progress = progress
@@ -283,7 +283,7 @@ class Problem:
         if not lost <= LOST:
             raise SolverError(
                 f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
-                f"(needed {LOST:.0e}): round-off of the stiff parts takes the digits; {SOFTER}"
+                f"(needed {LOST:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
             )
 
     def _refuse_unconnected(self) -> None:
@@ -298,7 +298,7 @@ class Problem:
             rows = np.diff(np.append(starts, self.K.shape[0]))
             sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
             raise InputError(
-                f"the model falls into {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
+                f"the model has {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
                 f"{6 * parts} rigid-body modes where one free body has 6; "
                 "join the parts (merge coincident nodes), or reduce them one by one"
             )

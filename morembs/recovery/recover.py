@@ -65,7 +65,7 @@ def recover(
 
     Args:
         body: name of the body; may be left out where the file has one only.
-        every: take each how manieth step.
+        every: n to take every n-th step.
 
     Raises:
         InputError: files that cannot be read or do not fit each other, or an option out of range.
@@ -298,7 +298,7 @@ def _check_options(place: Path, trajectory: str | Path | Trajectory, target: Pat
     if not np.isfinite(scale):
         raise InputError(f"scale = {scale} was given; expected a number, 1 for true deformations")
     if every < 1:
-        raise InputError(f"every = {every} was given; expected 1 or more: each how manieth step to take")
+        raise InputError(f"every = {every} was given; expected n = 1 or more, to take every n-th step")
     check_writable(target)
 
 

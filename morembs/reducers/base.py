@@ -44,8 +44,8 @@ class Basis:
     """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, their stiffness ``K`` (n, n), and the
     coordinates ``rigid`` (n, r) of the M-orthonormal rigid-body modes that they span.
 
-    "constraint" columns are unit interface motions, and "fixed-interface" columns (with the attachment modes
-    beside them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
+    "constraint" columns are unit interface displacements, and "fixed-interface" columns (with the attachment modes
+    that follow them) leave the interfaces at rest: ``holds_interfaces`` says that B is therefore [I; 0].
 
     Equations are tested with ``W`` (Nc, n) where that is not V; accelerations and velocities are expanded with
     ``V_velocity`` (Nc, n) where that is not V. K is W' K V then. Rigid-body modes come first in all of them.
@@ -65,9 +65,9 @@ class Basis:
 @with_old_names(left="W")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedModel:
-    """M q'' + D q' + K q = B f, interface motions C q: the projection on ``V`` (Nc, n).
+    """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
-    ``M``, ``K``, ``D`` (n, n), ``B`` (n, m) one column per interface motion, ``C`` (m, n); ``mode_kind`` the
+    ``M``, ``K``, ``D`` (n, n), ``B`` (n, m) one column per interface dof, ``C`` (m, n); ``mode_kind`` the
     kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span. A Galerkin
     projection has symmetric matrices and C = B'; in others (``W`` (Nc, n) is what the equations were tested
     with, ``is_projection`` says whether one V expands all of M, D and K) the rigid-body modes come first.
@@ -117,7 +117,7 @@ class ReducedModel:
 class Reducer(ABC):
     """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
 
-    A method says about itself what others have to know: what it cannot reduce (``why_not``), what it costs, and the
+    A method states itself what others need from it: what it cannot reduce (``why_not``), what it costs, and the
     properties below.
     """
 
@@ -145,7 +145,7 @@ class Reducer(ABC):
 
     @property
     def follows_responses(self) -> bool:
-        """Whether the responses to all interface motions are followed at once, which many motions make long."""
+        """Whether the responses to all interface dofs are followed at once, which takes long where there are many."""
         return False
 
     @property
@@ -154,7 +154,7 @@ class Reducer(ABC):
         return None
 
     def why_not(self, facts: Facts) -> str:
-        """Why such a problem is not reduced, as far as it can be told before a factorisation; "" where it is."""
+        """Why such a problem cannot be reduced, as far as is known before a factorisation; "" where it can."""
         if self.needs_interfaces and not facts.inputs:
             return (
                 f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
@@ -162,7 +162,7 @@ class Reducer(ABC):
         return ""
 
     def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
-        """Time beside the factorisation, good to a factor of about three; None where it cannot be told."""
+        """Time in addition to the factorisation, within a factor of about three; None where it cannot be predicted."""
         return None
 
     def in_units(self, length: float) -> Self:
@@ -173,7 +173,7 @@ class Reducer(ABC):
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
         progress: Progress = SILENT,
     ) -> StaticModeTables | None:  # fmt: skip
-        """Tables of static modes beside ``reduced``, which this reducer made; None for all but one method."""
+        """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""
         return None
 
     @abstractmethod
@@ -281,7 +281,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         k = int(np.argmax(lost / size))
         what = f"its mode {k - r + 1}" if k >= r else f"its rigid motion at {LOW:g} of its lowest frequency"
         raise SolverError(
-            f"round-off in the reduced stiffness hides {what}: it takes {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
+            f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
             f"(allowed {LOST:.0e} of it); {SOFTER}"
         )
 
@@ -328,7 +328,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     """
     W = complement(orthogonal_to, W, problem.M, problem.budget)
     if basis.holds_interfaces:
-        # Scaling up nearly dependent columns scaled up the round-off of their interface motion too.
+        # Scaling up nearly dependent columns scaled up the round-off of their interface displacements too.
         constraint = basis.V[:, : basis.kinds.count("constraint")]
         W -= constraint @ (problem.B.T @ W)
     stiffness = W.T @ (problem.K @ W)

@@ -20,7 +20,7 @@ from morembs.problem import Problem
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NORMALS = "normals"
-# A step along the path that is longer than this many of those beside it is a gap in it.
+# A step along the path that is longer than this multiple of its neighbours is a gap.
 GAP = 3.5
 # Points nearer than this many steps are neighbours.
 BESIDE = 1.2
@@ -184,7 +184,7 @@ def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
     k, column = np.nonzero((apart > 1) & (distance < BESIDE * step[:, None]))
     if len(k):
         raise InputError(
-            f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie beside each other without following "
+            f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie next to each other without following "
             'each other, so the nodes are no open line; select one row, or take kind = "surface"'
         )
 

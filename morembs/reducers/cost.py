@@ -25,7 +25,7 @@ COMPARED = 2.0
 
 
 def mode_seconds(size: int, count: int, factor_entries: int) -> float:
-    """Time of the lowest ``count`` modes of ``size`` dofs beside the factorisation."""
+    """Time of the lowest ``count`` modes of ``size`` dofs, the factorisation not included."""
     rate = 1e9 * measured_speed().gemm_gflops
     if size <= DENSE or (size <= DENSE_PART and 4 * count > size):
         return _DENSE * size**3 / (_DENSE_EFFICIENCY * rate)

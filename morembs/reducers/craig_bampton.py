@@ -8,7 +8,7 @@ With ``inertia_modes`` the deformation under the inertia of the constraint modes
 basis (quasi-static mode compensation, Shyu, Ma and Hulbert 1997): what the cut fixed-interface modes
 would have contributed at low frequency. It usually lowers the errors by orders of magnitude.
 
-With many interface motions, characteristic modes take the place of the constraint modes (``interface_modes``).
+With many interface dofs, characteristic modes take the place of the constraint modes (``interface_modes``).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes
 
 @dataclass(frozen=True, kw_only=True)
 class CraigBampton(OfModes):
-    """Interface motions stay coordinates; ``modes`` internal ones, or fixed-interface modes up to ``up_to_hz``.
+    """Interface dofs stay coordinates; ``modes`` internal ones, or fixed-interface modes up to ``up_to_hz``.
 
-    ``inertia_modes`` takes as many internal coordinates as there are interface motions for the inertia
+    ``inertia_modes`` takes as many internal coordinates as there are interface dofs for the inertia
     deformation, and the rest for fixed-interface modes; with ``up_to_hz`` it adds them.
 
     ``interface_modes`` elastic characteristic modes, or all ``interface_up_to_hz``, and the rigid-body modes replace
@@ -71,17 +71,17 @@ class CraigBampton(OfModes):
         if not reason and (self.interface_modes or 0) > facts.inputs:
             return (
                 f"interface_modes = {self.interface_modes} was given, but there are only {facts.inputs} interface "
-                "motions; ask for fewer"
+                "degrees of freedom; ask for fewer"
             )
         if not reason and not self.reduces_interfaces:
-            return self._why_not_inertia(facts.inputs, "interface motion")
+            return self._why_not_inertia(facts.inputs, "interface dof")
         return reason
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         if self.reduces_interfaces:
             return self._on_few(problem, progress)
         below, inputs = self.below, problem.B.shape[1]
-        count = self._beside_inertia(inputs, "interface motion")
+        count = self._beside_inertia(inputs, "interface dof")
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.internal.impose()
         basis = Basis(

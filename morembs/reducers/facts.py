@@ -35,7 +35,7 @@ class Facts:
 
     @property
     def inputs(self) -> int:
-        """Number of interface motions."""
+        """Number of interface degrees of freedom."""
         return int(self.coupling.B.shape[1])
 
     @property

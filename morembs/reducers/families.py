@@ -57,7 +57,7 @@ class OfModes(Reducer):
 
 @dataclass(frozen=True, kw_only=True)
 class OfResponses(Reducer):
-    """Methods that follow the responses to all interface motions in a reference model.
+    """Methods that follow the responses to all interface degrees of freedom in a reference model.
 
     ``of_reference`` is how often they do the work on that model.
     """

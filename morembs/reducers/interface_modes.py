@@ -1,4 +1,4 @@
-"""Interface reduction: characteristic constraint modes instead of one constraint mode for each interface motion.
+"""Interface reduction: characteristic constraint modes instead of one constraint mode for each interface dof.
 
 They are the eigenvectors of the Craig-Bampton constraint part (Castanier, Tan and Pierre 2001): (K, M) on the span of
 the constraint modes Psi. Rigid-body motion lies in that span and is always kept. With the elastic flexibility G_e of
@@ -6,7 +6,7 @@ the free body and that of the body held at its interfaces, G_i,
 
     Psi (Psi'K Psi)^+ Psi' = P (G_e - G_i) P',   P = I - Z Z'M for the rigid modes Z,
 
-since a static solution is the constraint modes under its own interface motions plus what the loads do to the held
+since a static solution is the constraint modes under its own interface displacements plus what the loads do to the held
 body. So block Lanczos finds the modes from two sparse solves for each vector, and Psi (N, m) is never formed.
 """
 
@@ -31,10 +31,10 @@ from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# Up to this many interface motions, or where so large a part of them is wanted, all constraint modes are made.
+# Up to this many interface dofs, or where so large a part of them is wanted, all constraint modes are computed.
 DENSE = 400
 PART = 4
-# Above this many interface motions the body is held by leaving their rows out, not by solving for each.
+# Above this many interface dofs the body is held by leaving their rows out, not by solving for each.
 MANY = 100
 # Scaled condition of the rigid motions on rows above which these rows do not hold the body.
 LOOSE = 1e6
@@ -126,7 +126,7 @@ def interface_modes(
         from_all: from all constraint modes (True) or by block Lanczos (False); by default what their number is for.
 
     Peak memory: some three times as many columns of length Nc as modes, where the budget wants them; with up to
-    ``DENSE`` interface motions, or where a large part of the modes is wanted, all constraint modes (Nc, m).
+    ``DENSE`` interface dofs, or where a large part of the modes is wanted, all constraint modes (Nc, m).
 
     Raises:
         InputError: more modes than there are.
@@ -134,7 +134,7 @@ def interface_modes(
     most = problem.B.shape[1] - problem.rigid.shape[1]
     if count is not None and count > most:
         raise InputError(
-            f"interface_modes = {count} was given, but {problem.B.shape[1]} interface motions have {most} elastic "
+            f"interface_modes = {count} was given, but {problem.B.shape[1]} interface dofs have {most} elastic "
             "characteristic modes; ask for fewer"
         )
     if from_all is None:

@@ -22,7 +22,7 @@ def two_sided_basis(
     problem: Problem, V: Floats, W: Floats, kind: str, notes: Mapping[str, object], *, inertial: Floats | None = None,
     what: str, instead: str,
 ) -> Basis:  # fmt: skip
-    """Rigid-body modes beside elastic columns ``V``, tested with them beside ``W``, all (Nc, n).
+    """Rigid-body modes and elastic columns ``V``, tested with the rigid-body modes and ``W``, all (Nc, n).
 
     ``inertial`` (Nc, n) expands velocities and accelerations where V does not. ``what`` was made and what to take
     ``instead`` are words for the message.

@@ -146,11 +146,11 @@ class StaticModesSwitching(Reducer):
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
         progress: Progress = SILENT,
     ) -> StaticModeTables:  # fmt: skip
-        """Tables of all candidates beside ``reduced``, which this reducer made.
+        """Tables of all candidates that complement ``reduced``, the result of this reducer.
 
-        One solve for each candidate, in blocks. Peak memory: the columns of a block and of the band (all candidates
-        without one) beside the factor, where the budget wants them. ``operator`` gives stress at some nodes that
-        hold all the candidates'; by default it is made where ``stress`` asks for it.
+        One solve for each candidate, in blocks. Peak memory: the factor, and the columns of a block and of the band
+        (all candidates without one), which the budget may put on disk. ``operator`` gives stress at nodes that include
+        all candidates; by default it is computed where ``stress`` asks for it.
 
         Raises:
             InputError: no candidates, candidates on an interface, a path with gaps, stress without elements.

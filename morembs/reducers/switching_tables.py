@@ -32,7 +32,7 @@ _KEPT = 64
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticModeTables:
-    """Tables of c candidate dofs on nc nodes beside a constant basis of n coordinates.
+    """Tables of c candidate dofs on nc nodes that complement a constant basis of n coordinates.
 
     ``kind`` "path" (nodes in the order in which a load passes them) or "surface". ``node_ids`` (nc,) labels, ``xyz``
     (nc, 3) m in the model. Candidate i is dof of node ``node[i]`` (ascending places in ``node_ids``) along the unit

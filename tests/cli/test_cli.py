@@ -22,6 +22,7 @@ import morembs
 from morembs.body.file import read_body
 from morembs.cli import commands as cli
 from morembs.cli import screen, terminal
+from morembs.cli.certificates import Certified
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import _view
@@ -355,3 +356,10 @@ def test_stages_are_reported(tmp_path: Path) -> None:
     listener = Heard()
     result = run_job(load_job(folder(tmp_path)), listener)
     assert [stage.name for stage in result.stages] == [s for s in listener.stages if not s.startswith("writing")]
+
+
+@pytest.mark.parametrize(
+    ("stored", "shown"), [((), ""), (("first", "second"), "first; second"), (np.array(" "), ""), ("one", "one")]
+)
+def test_notes_of_certificates_read_alike_before_and_after_they_are_stored(stored: Any, shown: str) -> None:
+    assert Certified(name="body", order=1, values={"notes": stored}).text("notes") == shown

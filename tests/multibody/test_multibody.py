@@ -408,13 +408,13 @@ def test_bad_starts_are_told():
     system = System()
     body = system.add(link(position=(0.5, 0, 0), velocity=(1, 0, 0)))
     system.add(SphericalJoint(ground.marker_at(), body.marker("left"), name="foot"))
-    with pytest.raises(InputError, match=r"velocities at the start break joints: SphericalJoint 'foot'.* at 1 "):
+    with pytest.raises(InputError, match=r"velocities at the start violate joints: SphericalJoint 'foot'.* at 1 "):
         simulate(system, end=1, step=0.1)
     system = System()
     body = system.add(link(position=(0.5, 0, 0)))
     system.add(RevoluteJoint(ground.marker_at(), body.marker("left")))
     system.add(DrivenAngle(ground.marker_at(), body.marker("left"), motion=Motion.steady(2.0)))
-    with pytest.raises(InputError, match="break joints: DrivenAngle"):
+    with pytest.raises(InputError, match="violate joints: DrivenAngle"):
         simulate(system, end=1, step=0.1)
 
 

@@ -96,8 +96,8 @@ def test_each_ratio_holds_from_its_frequency_to_the_next():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"modal_table": [[0, 0.01], [200, 0.1], [100, 0.2]]}, ["100 Hz behind 200 Hz", "ascending"]),
-        ({"modal_table": [[0, 0.01], [100, 0.1], [100, 0.2]]}, ["100 Hz behind 100 Hz", "ascending"]),
+        ({"modal_table": [[0, 0.01], [200, 0.1], [100, 0.2]]}, ["100 Hz after 200 Hz", "ascending"]),
+        ({"modal_table": [[0, 0.01], [100, 0.1], [100, 0.2]]}, ["100 Hz after 100 Hz", "ascending"]),
         ({"modal_table": [[0, -0.01]]}, ["ratio -0.01 at 0 Hz", "0 to 1"]),
         ({"modal_table": [[0, 0.01], [100, 2.0]]}, ["ratio 2 at 100 Hz", "0.02 for 2 percent"]),
         ({"modal_table": [[0, float("nan")]]}, ["ratio nan"]),
@@ -337,7 +337,7 @@ def test_what_structural_damping_has_not_is_refused():
             Balanced(order=6).reduce(problem)
         with pytest.raises(InputError, match="follows poles"):
             Irka(order=4, band_hz=[0.0, 1000.0]).reduce(problem)
-    with pytest.raises(InputError, match="beside a damping matrix"):
+    with pytest.raises(InputError, match="in addition to a damping matrix"):
         Problem(replace(model, D=1e-6 * model.K), ends(model), damping=Damping(structural=0.02))
 
 
@@ -411,7 +411,7 @@ def test_a_table_of_a_job_is_in_hz_whatever_the_unit_of_time(tmp_path, units):
     ("text", "words"),
     [
         ('modal = "adam"', ["[damping], modal", "'adam'", "did you mean 'adams'?"]),
-        ("modal = [[0, 0.1], [200, 0.1], [100, 0.2]]", ["100 Hz behind 200 Hz", "ascending"]),
+        ("modal = [[0, 0.1], [200, 0.1], [100, 0.2]]", ["100 Hz after 200 Hz", "ascending"]),
         ("modal = [[0, -0.1]]", ["ratio -0.1 at 0 Hz"]),
         ("modal = [[0, 5]]", ["ratio 5 at 0 Hz", "0.02 for 2 percent"]),
         ("modal = [[100, 0.1]]", ["begins at 100 Hz"]),

@@ -119,7 +119,7 @@ def test_fewer_interface_modes_keep_the_frequencies_in_the_band(inertia, lanczos
         assert np.abs(reduced.V @ coordinates - R).max() < 1e-10 * np.abs(R).max()
         assert np.abs(reduced.K @ coordinates).max() < 1e-10 * np.abs(reduced.K).max()
         assert reduced.rigid_count == 6
-        # The stiffness is that of the basis, and B holds all interface motions.
+        # The stiffness is that of the basis, and B holds all interface dofs.
         K = reduced.V.T @ (problem.K @ reduced.V)
         assert np.abs(K - reduced.K).max() < 1e-8 * np.abs(K).max()
         assert reduced.C.shape == (problem.B.shape[1], reduced.order)
@@ -254,7 +254,7 @@ def test_wrong_limits_are_refused(options, words):
 def test_more_modes_than_there_are_and_too_few_for_inertia_are_refused():
     model = bar()
     with Problem(model, faces(model, "rigid")) as problem:
-        with pytest.raises(InputError, match="12 interface motions have 6 elastic"):
+        with pytest.raises(InputError, match="12 interface dofs have 6 elastic"):
             CraigBampton(modes=3, interface_modes=7).reduce(problem)
         with pytest.raises(InputError, match="at least 8, one for each rigid-body and characteristic mode"):
             CraigBampton(modes=7, interface_modes=2, inertia_modes=True).reduce(problem)
@@ -315,7 +315,7 @@ def test_a_job_reduces_its_interfaces_and_the_file_tells(tmp_path):
         ("modes = 3\ninterface_modes = 2.5", "", "interface_modes = 2.5 was given"),
         ("modes = 3\ninterface_modes = 2\ninterface_up_to_hz = 9.0", "", "choose one"),
         ("modes = 3\ninterface_mode = 2", "", "did you mean 'interface_modes'"),
-        ("modes = 3\ninterface_modes = 999", "", "only 96 interface motions"),
+        ("modes = 3\ninterface_modes = 999", "", "only 96 interface degrees of freedom"),
     ],
 )
 def test_wrong_lines_in_a_job_are_refused(tmp_path, options, extra, words):

@@ -122,5 +122,5 @@ def test_meshes_take_numbers_only_from_beside_them(tmp_path: Path, form: str) ->
     beside.rename(tmp_path / beside.name)
     text = path.read_text()
     path.write_text(text.replace(str(beside), f"../{beside.name}").replace(f">{beside.name}", f">../{beside.name}"))
-    with pytest.raises(InputError, match=r"takes numbers from .* expected files beside it"):
+    with pytest.raises(InputError, match=r"takes numbers from .* expected files next to it"):
         import_file(path, "mesh")

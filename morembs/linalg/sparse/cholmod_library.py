@@ -99,7 +99,7 @@ def parse_header(text: str) -> tuple[str, dict[str, type[ctypes.Structure]]]:
     numbers = [defined.get(f"CHOLMOD_{part}_VERSION", "") for part in ("MAIN", "SUB", "SUBSUB")]
     if not all(numbers):
         raise UnusableError("its header does not say its version")
-    # Handles of CUDA are pointers, whatever their names.
+    # Handles of CUDA are pointers, regardless of their names.
     types = _TYPES | dict.fromkeys(re.findall(r"\bCHOLMOD_CU\w+", text))
     structures = {}
     for name, needed in _NEEDED.items():

@@ -73,7 +73,7 @@ class Session(ForeignObject):
         with self.library.serial_loops():
             result = self.library.functions[name](*args, ctypes.byref(self.common))
         if name == "analyze_p":
-            # Noted here, because nobody else may be left to free it.
+            # Noted here, because no other holder may be left to free it.
             self._factor = ctypes.c_void_p(result)
         return result
 

@@ -43,7 +43,7 @@ def find_library(name: str) -> str | None:
 
 
 def open_deep(path: str) -> ctypes.CDLL:
-    """The library at ``path``, bound to the BLAS that it was linked with, whatever BLAS became global before (MKL's).
+    """The library at ``path``, bound to the BLAS that it was linked with, even where another (MKL's) is global.
 
     Raises:
         OSError: it cannot be loaded.

@@ -23,7 +23,7 @@ _NAME = "morembs-call"
 
 
 def calls_running() -> bool:
-    """Whether a call goes on that nobody waits for: the libraries it uses must not be unloaded then."""
+    """Whether an abandoned call is still running: the libraries it uses must not be unloaded then."""
     return any(thread.name == _NAME for thread in threading.enumerate())
 
 
@@ -31,7 +31,7 @@ class ForeignObject(ABC):
     """What a library holds for one pattern; its long calls can be interrupted, one at a time.
 
     ``abandoned`` says that the wait for a call was interrupted. The object then belongs to that call, which frees it
-    when it has ended; nobody else may touch or free it.
+    when it has ended; no other code may touch or free it.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class _Job(Generic[T]):
         self.error: BaseException | None = None
 
     def run(self) -> None:
-        """In the worker: call, and free the object if nobody waits any more."""
+        """In the worker: call, and free the object if the caller no longer waits."""
         try:
             self.result.append(self._function(*self._args))
         except BaseException as error:

@@ -47,7 +47,7 @@ class _MixedAnalysis(Analysis):
             try:
                 rough = self._rough._factorize(A)
             except SingularMatrixError:
-                # Perhaps in single precision only: the double factor knows.
+                # Perhaps in single precision only: the factor in double precision will tell.
                 return self.in_double(A)
             factor = _MixedFactor(self, rough, A)
             try:

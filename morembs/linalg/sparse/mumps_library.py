@@ -93,7 +93,7 @@ def parse_header(text: str, letter: str = "d") -> tuple[str, type[ctypes.Structu
 
 
 def refuse_wide_integers(header: Path) -> None:
-    """Raise UnusableError where the headers beside ``header`` are those of a build with 64-bit integers."""
+    """Raise UnusableError where the headers next to ``header`` are those of a build with 64-bit integers."""
     for path in (header.with_name("mumps_int_def.h"), header.with_name("mumps_c_types.h")):
         if path.is_file() and "MUMPS_INTSIZE64" in re.findall(
             r"^\s*#\s*define\s+(\w+)", without_comments(path.read_text(encoding="latin-1")), flags=re.MULTILINE
@@ -111,7 +111,7 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
     except (OSError, AttributeError) as error:
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
-    # Keeps the padding alive beside the structure.
+    # Keeps the padding alive as long as the structure.
     holder = padded(layout, _PADDING)
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
@@ -160,7 +160,7 @@ def casadi_folder() -> Path | None:
 
 
 def casadi_file(folder: Path) -> Path | None:
-    """The MUMPS library in the folder of the CasADi package, whatever this system calls it."""
+    """The MUMPS library in the folder of the CasADi package, under any name that this system gives it."""
     library = re.compile(r"\.so(\.\d+)?$|\.dylib$|\.dll$")
     paths = [path for path in folder.glob("libcoinmumps*") if library.search(path.name)]
     # The one with the number of its interface is the one that CasADi itself loads: sharing it keeps a

@@ -34,7 +34,7 @@ _WORDS = {
 # Columns solved at once. Blocks of 16 cost twice the time per column, and 64 are close to 128.
 _BLOCK = 128
 # Pivots below 10^-this of the largest value count as zero. Small ones stay: the check of the factor judges them
-# by the scale of their rows, which PARDISO does not know.
+# by the scale of their rows, which PARDISO ignores.
 _ZERO = 20
 # Beyond this backward error solutions are refined, in up to so many steps: beside an eigenvalue each gains a factor of
 # twenty. (PARDISO's own refinement stopped at 5e-14 after three.)

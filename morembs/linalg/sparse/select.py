@@ -33,8 +33,8 @@ FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
 LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg", "superlu")
 DIRECT = ("mumps", "mumps-embedded")
 COUNTING = (*DIRECT, "superlu")
-# Beside a factor in memory while it solves: columns of length n, and bytes for buffers of the libraries; and what
-# is kept against the forecast of MUMPS.
+# In addition to a factor in memory while it solves: columns of length n, and bytes for buffers of the libraries; and
+# what is kept compared with the forecast of MUMPS.
 COLUMNS, BYTES, KEPT = 60, 60_000_000, 1.25
 
 
@@ -69,7 +69,7 @@ class AutoSolver(LinearSolver):
     """The fastest solver that runs here and keeps the budget.
 
     With a budget, the analysis of MUMPS tells first where the factor has room: in memory, with a Sturm count
-    and blocks of columns beside it; on disk; on disk in single precision; nowhere, which leaves multigrid.
+    and blocks of columns as well; on disk; on disk in single precision; nowhere, which leaves multigrid.
     """
 
     name: ClassVar[str] = AUTO
@@ -131,7 +131,7 @@ class AutoSolver(LinearSolver):
                     yield self._made(name)
 
     def _has_room(self, A: Lower, structure: str, direct: str) -> bool:
-        """Whether the factor and what comes beside it fit into memory."""
+        """Whether the factor and its workspace fit into memory."""
         with self._made(direct).with_memory(None).analyse(A, structure) as analysis:
             if not isinstance(analysis, MumpsAnalysis) or self.memory is None:
                 return True

@@ -17,7 +17,7 @@ from morembs.errors import InputError, SingularMatrixError
 
 Values = NDArray[Any]
 Ints = NDArray[Any]
-# Rows handled at once: the temporaries of a piece stay small beside the matrix.
+# Rows handled at once: the temporaries of a piece stay small compared with the matrix.
 _ROWS = 1 << 15
 # Relative difference between the two triangles that is still round-off of an assembly.
 SYMMETRIC = 1e-9
@@ -80,7 +80,7 @@ class Lower:
             local = np.bincount(row[keep] - first)
             counts[first + 1 : first + 1 + len(local)] = local
             budget.release_if_tight()
-        # The same types for the same pattern, whatever SciPy chose for the whole matrix.
+        # The same types for the same pattern, regardless of what SciPy chose for the whole matrix.
         small = np.iinfo(np.int32).max
         indptr = np.cumsum(counts)
         indptr = indptr.astype(np.int32 if indptr[-1] <= small else np.int64)

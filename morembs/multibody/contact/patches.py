@@ -53,7 +53,7 @@ def _elevated(V: Floats) -> Floats:
 
 
 def _inside(V: Floats, normal_a: Floats, normal_b: Floats, first: Floats, last: Floats) -> tuple[Floats, Floats]:
-    """The two control points beside an edge, from those (first, last) beside its ends on the other edges."""
+    """The two control points next to an edge, from those (first, last) next to its ends on the other edges."""
     W, E = np.diff(V, axis=0), _elevated(V)
     A0 = cross(normal_a, W[0]) / np.linalg.norm(W[0])
     A2 = cross(normal_b, W[2]) / np.linalg.norm(W[2])

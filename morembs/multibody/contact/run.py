@@ -62,7 +62,7 @@ def simulate_contact(
         run.finish()
     except np.linalg.LinAlgError:
         time = run.states[-1].time if run.states else begin
-        message = f"the equations of joints and contacts are dependent at t = {time:.9g} s (a lock or dead point)"
+        message = f"the equations of joints and contacts are dependent at t = {time:.9g} s (a lock or dead centre)"
         raise ContactError(message, result=events.result(run)) from None
     except RayError as error:
         raise ContactError(events.no_solution(error, run.states, begin), result=events.result(run)) from None
@@ -102,7 +102,7 @@ class ContactEvents(Events):
             more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
             raise InputError(
                 f"points are inside their surfaces at t = {t:.9g} s: {named}{more}. Place the bodies so that no point "
-                "penetrates, or turn the surface round (its normal points to where the points may be)"
+                "penetrates, or flip the surface (its normal points to where the points may be)"
             )
 
     def _touching(self, x: Floats, v: Floats, closed: Bools) -> Bools:

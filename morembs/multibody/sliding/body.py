@@ -87,7 +87,7 @@ class SwitchingBody(Component):
             slice(0, inner.size), slice(0, inner.size)
         )  # fmt: skip
         self.map = inner.frame.elastic if isinstance(inner, FlexibleBody) else np.eye(inner.size)
-        # Reduced coordinates by velocities of the inner body: static modes beside constraint modes push its frame too.
+        # Reduced coordinates by velocities of the inner body: static modes next to constraint modes push its frame too.
         self.all_inner = np.hstack((inner.frame.rigid, self.map)) if isinstance(inner, FlexibleBody) else self.map
         self.origin = inner.frame.origin if isinstance(inner, FlexibleBody) else np.zeros(3)
         if len(self.map) != switching.modes.shape[1]:
@@ -131,7 +131,7 @@ class SwitchingBody(Component):
         if not -1e-9 * length <= s <= length * (1 + 1e-9):
             raise InputError(
                 f"body {self.name!r}: the load is outside all candidates {when}: s = {s:.9g} m on a path of "
-                f"{length:.9g} m; end the run before, add candidates there, or take the load away"
+                f"{length:.9g} m; end the run earlier, add candidates there, or remove the load"
             )
 
     def window_about(self, s: float) -> int:

@@ -24,7 +24,7 @@ Ints = NDArray[np.int64]
 
 
 class Slider:
-    """What moves along a path: it knows its position s (m) there."""
+    """What moves along a path: it has a position s (m) there."""
 
     path: PathMarker
     name: str
@@ -177,7 +177,7 @@ class PathSupport(Force, Slider):
         if not value > floor:
             raise InputError(
                 f"support {self.name!r}: the active set has lost its rank at s = {s:.9g} m: no static mode moves "
-                "along the support there; keep off held nodes, add the direction to the candidates or give a compliance"
+                "along the support there; avoid held nodes, add the direction to the candidates or give a compliance"
             )
         return value, normal, here
 
