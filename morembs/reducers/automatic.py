@@ -33,9 +33,9 @@ from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.loads import load_scale
 from morembs.responses.measures import Limit, checked_measure, compare, decide
-from morembs.responses.pencils import terms_of
-from morembs.responses.rational import Terms
+from morembs.responses.pencils import response_of
 from morembs.responses.reference import Reference, product, reference_model
+from morembs.responses.rounding import Response
 
 Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
@@ -92,7 +92,7 @@ class AutoReducer(OfResponses):
         return self.band_hz
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        floor = floor_of(problem, self.damping_floor)
+        floor = floor_of(problem, self.band_hz, self.damping_floor)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
@@ -270,7 +270,7 @@ class _FamilySearch:
     def _decided(self, C: Floats) -> bool:
         """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
         low, high = (2 * np.pi * f for f in self.certified.band_hz)
-        verdict = decide(self.standard, self._terms(C), low, high, self.measure, self.tolerance)
+        verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
         if not verdict.decided:
             self._look_at(verdict.at)
             return False
@@ -279,16 +279,16 @@ class _FamilySearch:
     def limit(self, C: Floats, theta: Floats) -> Limit:
         """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
         low, high = (2 * np.pi * f for f in self.certified.band_hz)
-        body = self._terms(C, theta if len(theta) == C.shape[1] else None)
+        body = self._response(C, theta if len(theta) == C.shape[1] else None)
         self.worst = compare(self.standard, body, low, high)[0][self.measure]
         return self.worst
 
-    def _terms(self, C: Floats, real: Floats | None = None) -> Terms:
+    def _response(self, C: Floats, real: Floats | None = None) -> Response:
         """The transfer matrix of the model on span(C)."""
         reduced, layout = self._reduced(C, real), self.standard.layout
         b, theta = reduced.B[:, : self.reference.inputs], reduced.theta
         D = np.diag(reduced.damping.of_modes(theta)) if reduced.D is None else reduced.D
-        return terms_of(
+        return response_of(
             np.eye(len(theta)), D, np.diag(theta), b, b.T, layout, structural=reduced.damping.structural,
             highest=2 * np.pi * self.certified.band_hz[1],
         )  # fmt: skip
@@ -296,7 +296,7 @@ class _FamilySearch:
     def zero(self, hz: float) -> bool:
         """Whether the response is as good as zero at ``hz``."""
         w = 2 * np.pi * np.array([hz])
-        e = (1 / self.standard.modes.distances(w).prod(axis=2)) @ self.standard.sizes[:, 0]
+        e = self.standard.modes.moduli(w)[0] @ self.standard.sizes[:, 0]
         return bool(np.linalg.norm(self.standard.H.at(w)) < ZERO * e[0])
 
     def _cut(self, columns: Floats) -> tuple[Floats, float]:
