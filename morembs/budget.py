@@ -11,12 +11,12 @@ import mmap
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from morembs.closing import Closing
 from morembs.errors import OutputError
 from morembs.memory import resident_bytes, trim
 from morembs.moved import with_old_names
@@ -36,7 +36,7 @@ _TIGHT = 0.3
 
 @with_old_names(rest="release_pages", relax="release_if_tight")
 @dataclass(eq=False)
-class Budget:
+class Budget(Closing):
     """What a process may use.
 
     ``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the temporary folder of
@@ -123,14 +123,6 @@ class Budget:
         if self._folder is not None:
             self._folder.close()
             self._folder = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _map(self, size: int) -> mmap.mmap:
         if self._folder is None:

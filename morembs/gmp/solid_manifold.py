@@ -7,14 +7,13 @@ t2; the end may slide along the chord, which has its natural length then. One sy
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import NotFollowedError, first_share
 from morembs.linalg.sparse.solver import LinearSolver
@@ -40,7 +39,7 @@ class SolidEquilibrium:
     K: sp.csr_array
 
 
-class SolidEquilibria:
+class SolidEquilibria(Closing):
     """Equilibria of one solid over t = (t1, t2); a context manager.
 
     Raises:
@@ -65,13 +64,9 @@ class SolidEquilibria:
         self.tangents = Tangents(self.free, solver)
         self._newton = Newton(solid, self.tangents, self.held, lambda x: np.zeros(solid.size), _TOLERANCE, True)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.tangents.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """Release the factors."""
+        self.tangents.close()
 
     def _settled(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
         X = self._newton.found(guess, np.zeros(len(self.held)), 1.0, resultants)

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -27,7 +28,7 @@ _LARGEST = 1e150
 _ROWS = 1 << 12
 
 
-class TripletStore:
+class TripletStore(Closing):
     """Triplets (row, column, value) in a temporary file, so that text is read once and memory holds a block.
 
     It takes 24 bytes per entry on the disk where temporary files go.
@@ -56,10 +57,8 @@ class TripletStore:
             rows, columns = (np.frombuffer(self._file.read(8 * length), dtype=np.int64) for _ in range(2))
             yield rows, columns, np.frombuffer(self._file.read(8 * length))
 
-    def __enter__(self) -> TripletStore:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Remove the file."""
         self._file.close()
 
 

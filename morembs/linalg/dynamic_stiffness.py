@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
+from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -22,7 +22,7 @@ Ints = NDArray[Any]
 _CHUNK = 1 << 20
 
 
-class DynamicStiffness:
+class DynamicStiffness(Closing):
     """The pencil of ``K``, ``M`` and optionally ``D`` (N, N), symmetric. A context manager.
 
     ``lower`` is the lower triangle of K on the union of the patterns. Peak memory: that triangle, one more of
@@ -92,14 +92,6 @@ class DynamicStiffness:
         for analysis in self._analyses.values():
             analysis.close()
         self._analyses.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:

@@ -59,7 +59,7 @@ def resonant(low: float, high: float, poles: Complexes) -> tuple[Floats, Floats]
 def trapezoid(x: Floats) -> Floats:
     """Weights (n,) of the samples at ``x`` (n,), ascending."""
     half = 0.5 * np.diff(x)
-    return np.append(half, 0.0) + np.append(0.0, half)
+    return np.asarray(np.append(half, 0.0) + np.append(0.0, half))
 
 
 def modal_poles(values: Floats, damping: Floats) -> Complexes:

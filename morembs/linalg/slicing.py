@@ -9,14 +9,13 @@ Modes that are known are locked out of the next space.
 from __future__ import annotations
 
 import logging
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.columns import dense, map_columns, project_out
 from morembs.linalg.dynamic_stiffness import constrained
@@ -32,7 +31,7 @@ SLICE, BLOCK = 120, 12
 _LEFT = 0.55
 
 
-class Shifted:
+class Shifted(Closing):
     """(K - sigma M)^-1 on the subspace of ``body``, and the number of its modes ``below`` sigma."""
 
     def __init__(self, body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> None:
@@ -71,12 +70,8 @@ class Shifted:
                 U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, off))
         return U
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Release the factor."""
         self.factor.close()
 
 

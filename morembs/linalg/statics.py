@@ -13,15 +13,13 @@ interface (C = B), for any kind of coupling.
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import Budget
+from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.columns import map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
@@ -50,7 +48,7 @@ def support_dofs(Z: Floats) -> Ints:
     return np.sort(pivots[: Z.shape[1]]).astype(np.int64)
 
 
-class Statics:
+class Statics(Closing):
     """K_c^-1 of the stiffness of ``pencil`` (N, N), positive semidefinite with null space ``Z`` (N, r).
 
     ``held`` (N, h) are rigid motions that the stiffness holds, perhaps softly.
@@ -86,14 +84,6 @@ class Statics:
     def close(self) -> None:
         """Give the factor's memory back."""
         self.factor.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class ConstrainedStatics:

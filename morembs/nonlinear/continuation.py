@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
@@ -61,7 +61,7 @@ class Conservative(Protocol):
         """Stress at x plus its linear change by a ``step`` (N,)."""
 
 
-class Tangents:
+class Tangents(Closing):
     """Factors of the tangent between ``free`` coordinates; a context manager. One factor lives at a time."""
 
     def __init__(self, free: Integers, solver: LinearSolver | None = None) -> None:
@@ -69,12 +69,8 @@ class Tangents:
         self.count = 0
         self._analysis: Analysis | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Release the analysis and its factor."""
         if self._analysis is not None:
             self._analysis.close()
 

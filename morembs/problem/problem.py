@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.linalg as sl
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
+from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
 from morembs.linalg.congruence import congruence, magnitudes, scaled_row_sums
@@ -45,7 +45,7 @@ SOFTER = (
 )
 
 
-class Problem:
+class Problem(Closing):
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
     ``budget`` bounds the resident memory of the process; by default it is that of ``solver``.
@@ -192,14 +192,6 @@ class Problem:
         self.close()
         for made in ("statics", "elastic", "internal"):
             self.__dict__.pop(made, None)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _rigid_motions(self) -> tuple[Floats, Floats]:
         """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.

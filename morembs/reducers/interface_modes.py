@@ -20,6 +20,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
@@ -52,7 +53,7 @@ class InterfaceModes:
     next_hz: float | None
 
 
-class FixedInterfaceBody:
+class FixedInterfaceBody(Closing):
     """The body held at its interfaces. Interface motions that are single dofs are rows left out of the matrices.
 
     A context manager, as it may own a factor. Peak memory: K and M without those rows, and the factor.
@@ -103,12 +104,6 @@ class FixedInterfaceBody:
         if self.statics is not None:
             self.statics.close()
             self.statics.pencil.close()
-
-    def __enter__(self) -> FixedInterfaceBody:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _whole(self, inner: Floats) -> Floats:
         whole = self.problem.budget.empty((self.problem.K.shape[0], inner.shape[1]), order="F")

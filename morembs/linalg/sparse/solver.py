@@ -13,13 +13,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads
@@ -82,7 +82,7 @@ class FactorStats:
     threads: int = 0
 
 
-class _Resource(ABC):
+class _Resource(Closing):
     """Something that holds memory or files and gives them back."""
 
     def __init__(self) -> None:
@@ -98,14 +98,6 @@ class _Resource(ABC):
         if not self.closed:
             self.closed = True
             self._close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __del__(self) -> None:
         if not getattr(self, "closed", True):
