@@ -1,5 +1,5 @@
 """``python -m morembs`` is the command ``morembs``."""
 
-from morembs.cli import main
+from morembs.cli import console
 
-main()
+console()

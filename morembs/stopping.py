@@ -4,7 +4,8 @@ The handler of a signal raises an exception, and Python drops exceptions where n
 weak references, in ``__del__``, in callbacks from foreign libraries; libraries turn them into errors of their own. So
 the signal is kept too: what was dropped is raised again a moment later, work looks at ``check`` between its steps and
 before it gives a file its name, and ``asked`` tells at the end how the run has to end. A library can end the process
-too, and with a code of its own (STOP in Fortran is exit code 0): ``end_with`` sets the code that counts.
+too, and with a code of its own (STOP in Fortran is exit code 0): ``end_with`` sets the code that counts. That is for
+a process that does nothing else: a program that calls the command line keeps its own end and its own handlers.
 """
 
 from __future__ import annotations
@@ -42,17 +43,19 @@ def check() -> None:
 
 
 @contextmanager
-def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
+def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
     """Heed SIGINT, SIGTERM and SIGHUP within; those that this process was told to ignore stay ignored.
 
-    A second request ends the process at once. Afterwards the system ends the process when a signal comes.
+    A second request ends the process at once. ``ends`` says that the process ends afterwards: by the code of the
+    signal whoever ends it, and by the system when a signal comes later. Otherwise handlers are as they were before.
     """
 
     def handle(number: int, _: object) -> None:
         now = clock()
         if not _asked:
             _asked.append((number, now))
-            end_with(128 + number)
+            if ends:
+                end_with(128 + number)
         elif now - _asked[0][1] >= _SAME:
             os._exit(128 + _asked[0][0])
         else:
@@ -67,18 +70,19 @@ def heeded(clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
             before(what)
 
     numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
-    numbers = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
-    before, sys.unraisablehook = sys.unraisablehook, dropped
-    for number in numbers:
-        signal.signal(number, handle)
+    handlers: dict[int, Any] = {number: handle for number in numbers if signal.getsignal(number) is not signal.SIG_IGN}
     if _HAS_TIMER:
-        signal.signal(signal.SIGALRM, lambda *_: check())
+        handlers[signal.SIGALRM] = lambda *_: check()
+    _asked.clear()
+    before, sys.unraisablehook = sys.unraisablehook, dropped
+    replaced = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:
         _set_timer(0.0)
-        for number in numbers:
-            signal.signal(number, signal.SIG_DFL)
+        for number, handler in replaced.items():
+            # None stands for one that was not made in Python.
+            signal.signal(number, signal.SIG_DFL if ends or handler is None else handler)
         sys.unraisablehook = before
 
 

@@ -112,14 +112,14 @@ def _built() -> Any:
 
 def program(arguments: Sequence[str]) -> Callable[[], None]:
     """The command line of morembs."""
-    from morembs.cli import main
+    from morembs.cli import console
 
     _built()
 
     def work() -> None:
         typer.main.get_command = lambda _: _built()
         sys.argv = ["morembs", *arguments]
-        main()
+        console()
 
     return work
 

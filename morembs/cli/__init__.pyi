@@ -1,4 +1,4 @@
 from .commands import app
-from .entry import main
+from .entry import console, main
 
-__all__ = ["app", "main"]
+__all__ = ["app", "console", "main"]

@@ -15,16 +15,19 @@ from morembs.version import VERSION
 
 
 def main() -> None:
-    """Entry point of the command ``morembs``."""
+    """Do what ``sys.argv`` says, as the command ``morembs`` does, for a program that may go on afterwards.
+
+    Raises:
+        SystemExit: always, with the exit code of the command.
+    """
+    sys.exit(_run(ends=False))
+
+
+def console() -> None:
+    """Entry point of the command ``morembs``, whose process ends with it."""
     # Until its own end is known: a library that ends the process has failed.
     stopping.end_with(FAULT)
-    with stopping.heeded():
-        code = _exit_code()
-        number = stopping.asked()
-        if number is not None:
-            code = 128 + number
-            end = "interrupted" if number == signal.SIGINT else "terminated"
-            tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
+    code = _run(ends=True)
     stopping.end_with(code)
     if calls_running():
         # A library still computes in another thread; ending as usual would take its memory from under it.
@@ -32,6 +35,18 @@ def main() -> None:
             sys.stdout.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _run(*, ends: bool) -> int:
+    """Run the command; its exit code."""
+    with stopping.heeded(ends=ends):
+        code = _exit_code()
+        number = stopping.asked()
+        if number is not None:
+            code = 128 + number
+            end = "interrupted" if number == signal.SIGINT else "terminated"
+            tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
+    return code
 
 
 def _exit_code() -> int:

@@ -1,6 +1,8 @@
 """Certificates over whole bands: bodies of every method and from files, undamped models, round-off, bad input."""
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +14,14 @@ from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.limits import error_limits
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.jobs.job import load_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
+from morembs.responses.measures import Limit
 from tests.certificate.test_certify import Truth, norms
 from tests.support.meshes import box, steel, where
 
@@ -224,8 +227,28 @@ def test_tolerances_that_no_body_keeps():
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances; give damping, or a"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
-        with pytest.raises(Exception, match=r"tolerance = 1e-14 .* lies below the round-off of this model, .* Hz"):
+        with pytest.raises(SolverError, match=r"tolerance = 1e-14 .* round-off .* of its response at .* Hz"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
+
+
+def test_a_tolerance_that_no_certificate_keeps_is_not_told_a_larger_error():
+    wanted = AutoReducer(band_hz=[0.0, 300.0], tolerance=1e-7)
+    for least, words in ((3e-6, "the smallest error found is 3.0e-06"), (8e-15, "keeps their certificate above it")):
+        error = wanted._unreachable(SimpleNamespace(worst=Limit(lower=least, upper=least, at_hz=10.0)))
+        assert words in str(error)
+
+
+def test_a_tolerance_that_is_refused_for_round_off_names_one_that_will_do():
+    model = beam((2, 1, 1), "hex8")
+    # A bar along z between two nodes, far stiffer than what it joins.
+    K = model.K.toarray()
+    K[np.ix_([2, 5], [2, 5])] += 1e8 * K.max() * np.array([[1, -1], [-1, 1]])
+    with Problem(replace(model, K=sp.csr_array(K)), ends(model)[:1]) as problem:
+        with pytest.raises(SolverError, match=r"round-off .* 3 times that has to be allowed") as refused:
+            AutoReducer(band_hz=[0.0, 1000.0], tolerance=1e-9).reduce(problem)
+        named = float(re.search(r"raise the tolerance to (\S+) or more", str(refused.value))[1])
+        body = AutoReducer(band_hz=[0.0, 1000.0], tolerance=named).reduce(problem)
+        assert 1e-9 < body.recipe["certified"] <= named < 0.1
 
 
 def test_a_list_of_frequencies_is_taken_once_more():

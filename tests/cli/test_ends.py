@@ -23,7 +23,7 @@ RUNNER = CliRunner()
 
 LOST = """
 import ctypes, os, signal, sys, weakref
-from morembs.cli import main
+from morembs.cli import console
 from morembs.jobs import run
 from morembs.storage import safefile
 
@@ -94,7 +94,7 @@ def wrapped(*args, **options):
 
 setattr(holder, place, wrapped)
 sys.argv = ["morembs", *sys.argv[4:]]
-main()
+console()
 """
 
 
@@ -154,7 +154,7 @@ REPEATED = """
 import os, signal
 from morembs import stopping
 times = iter([0.0, 0.5, 5.0])
-with stopping.heeded(clock=lambda: next(times)):
+with stopping.heeded(ends=True, clock=lambda: next(times)):
     try:
         os.kill(os.getpid(), signal.SIGTERM)
     except SystemExit:
@@ -177,6 +177,39 @@ def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
     code = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + LOST
     done = ended(code, "swallowed", int(signal.SIGHUP), "_reduce", "reduce", job)
     assert done.returncode == 0 and (tmp_path / "part.h5").is_file(), done.stderr
+
+
+EMBEDDING = """
+import os, signal, sys
+from morembs.cli import main
+from morembs.cli import entry
+
+def ended(*arguments):
+    sys.argv = ["morembs", *arguments]
+    try:
+        main()
+    except SystemExit as end:
+        return end.code
+
+mine = lambda *_: print("my own handler", flush=True)
+signal.signal(signal.SIGTERM, mine)
+print(ended("info", "missing.h5"), signal.getsignal(signal.SIGTERM) is mine)
+work = entry._work
+entry._work = lambda _: os.kill(os.getpid(), signal.SIGTERM)
+print(ended("check", "missing.toml"))
+entry._work = work
+print(ended("--version"))
+os.kill(os.getpid(), signal.SIGTERM)
+print("went on", flush=True)
+"""
+
+
+def test_a_program_that_calls_the_command_line_goes_on() -> None:
+    """After bad input and after a signal, with its own handlers, and ends with its own exit code."""
+    done = ended(EMBEDDING)
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    said = done.stdout.splitlines()
+    assert said[:2] == ["2 True", "143"] and said[3:] == ["0", "my own handler", "went on"], said
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from morembs.nonlinear.continuation import follow_equilibrium
 from tests.gmp.test_gmp import LENGTH, Softening, rod
 from tests.gmp.test_solid_member import LENGTH as SOLID
 from tests.gmp.test_solid_member import SIDE, E, prism
+from tests.support.progress import Heard
 
 ROOT = Path(__file__).parents[2]
 
