@@ -18,7 +18,7 @@ from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
-from tests.support.meshes import STEEL, box, steel
+from tests.support.meshes import STEEL, box, fully_integrated, steel
 
 FULL_HZ = [1283.20037, 1283.20037, 5781.97486, 6919.39888, 6919.39888, 10172.61498]
 FREE_HZ = [7366.49503969, 7366.49503969, 11504.89523664, 17285.70459456, 17285.70459, 20137.193]
@@ -416,7 +416,7 @@ def test_every_solid_and_its_degenerate_forms(tmp_path, kind, tets, form, plain)
     assert imported.nodes.ids.tolist() == (101 + np.arange(len(mesh.nodes))).tolist()
     assert imported.nodes.xyz == pytest.approx(mesh.nodes.xyz, abs=1e-13)
     assert [block.type for block in imported.mesh.blocks] == [kind]
-    ours, theirs = steel(imported.mesh), steel(mesh)
+    ours, theirs = steel(fully_integrated(imported.mesh)), steel(mesh)
     assert abs(ours.K - theirs.K).max() <= 1e-11 * abs(theirs.K).max()
 
 
@@ -440,7 +440,7 @@ def test_archives_of_ansys_against_the_library(shared_data):
 
 
 def test_beam_against_frequencies_of_ansys(shared_data):
-    """SOLID186 is integrated at 8 points by ANSYS and at 27 here, which is a little stiffer."""
+    """SOLID186 with 8 points for the stiffness and 14 for the mass, by the modes of ANSYS itself."""
     mesh = import_ansys_cdb(shared_data / "mapdl_reader" / "HexBeam.cdb")
     assert len(mesh.nodes) == 321 and mesh.materials[0].density == 2700 and mesh.notes == ()
     stiffness = isotropic(set="all", young=7e10, poisson=0.35, density=2700.0).stiffness
@@ -448,8 +448,7 @@ def test_beam_against_frequencies_of_ansys(shared_data):
     material = isotropic(set="material 1", young=16.9e6, poisson=0.31, density=4.1408e-4)
     with Problem(assemble(mesh.mesh, [material])) as problem:
         found = problem.elastic_modes(count=6).frequencies_hz
-    assert (found > FREE_HZ).all() and found == pytest.approx(FREE_HZ, rel=4e-3)
-    assert found[:2] == pytest.approx(FREE_HZ[:2], rel=3e-4)
+    assert found == pytest.approx(FREE_HZ, rel=1e-8)
 
 
 def components(*given):

@@ -14,7 +14,7 @@ from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
 from morembs.problem import Problem
 from tests.support.decks import damaged
-from tests.support.meshes import STEEL, box, steel
+from tests.support.meshes import STEEL, box, fully_integrated, steel
 
 CARDS = {"tet": "CTETRA", "hex": "CHEXA", "wed": "CPENTA"}
 # Where the cards put what VTK puts at each place (Quick Reference Guide: bottom edges, upright edges, top edges).
@@ -104,7 +104,7 @@ def test_every_type_in_every_form_gives_the_stiffness_of_its_mesh(kind, form, bu
     assert np.allclose(found.nodes.xyz, mesh.nodes.xyz, rtol=1e-9)
     assert np.array_equal(found.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
     assert found.mesh.blocks[0].ids.tolist() == mesh.blocks[0].ids.tolist() and "PSOLID_1" in found.mesh.element_sets
-    model = assemble(found.mesh, found.materials)
+    model = assemble(fully_integrated(found.mesh), found.materials)
     assert abs(model.K - steel(mesh).K).max() < 1e-9 * abs(model.K).max()
     assert model.M.sum() / 3 == pytest.approx(7850 * 0.5 * 0.25 * 0.125)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -94,6 +95,11 @@ def _bulged(p: np.ndarray, inner: float) -> np.ndarray:
 def steel(mesh: Mesh, **change: float) -> FEModel:
     """The mesh made of steel (SI)."""
     return assemble(mesh, [isotropic(set="all", **{**STEEL, **change})])
+
+
+def fully_integrated(mesh: Mesh) -> Mesh:
+    """The mesh without the formulations that the program of its file has: full integration, consistent mass."""
+    return replace(mesh, blocks=tuple(replace(block, formulation="full", mass="exact") for block in mesh.blocks))
 
 
 def where(model: FEModel, axis: int, value: float) -> np.ndarray:
