@@ -34,6 +34,12 @@ _WIDEST = 256
 _TIGHT = 0.3
 
 
+def memory_that_leaves(room: int, used: int) -> int:
+    """Memory under which ``room`` bytes are left of a process that has ``used`` ones beside arrays, whatever arrays of
+    ``_SMALLEST`` bytes or more it has: the last that stays in memory takes what is left from ``_TIGHT`` of it."""
+    return max(room + used, math.ceil((room + _SMALL) / _TIGHT))
+
+
 @with_old_names(rest="release_pages", relax="release_if_tight")
 @dataclass(eq=False)
 class Budget(Closing):
@@ -50,6 +56,8 @@ class Budget(Closing):
     widest: int = _WIDEST
     _folder: ScratchFolder | None = field(default=None, repr=False)
     _maps: list[mmap.mmap] = field(default_factory=list, repr=False)
+    # What was resident when each of them was made.
+    _beside: list[int] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
 
     def left(self) -> int | None:
@@ -85,14 +93,33 @@ class Budget(Closing):
     def _unlimited(self) -> bool:
         return self.memory is None and self.in_memory is None
 
-    def _largest(self) -> float:
-        """Bytes of the largest array that stays in memory: many small ones are a large one."""
+    def raise_for(self, more: int) -> int:
+        """Bytes by which to raise the memory for ``more`` to be left now: under a larger budget some of the arrays that
+        are in files stay in memory, and take their part of it."""
+        staying = -1
+        while (found := self._staying(more + max(staying, 0))) > staying:
+            staying = found
+        return more + staying
+
+    def _staying(self, more: int) -> int:
+        """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it."""
+        staying = 0
+        for mapped, beside in zip(self._maps, self._beside, strict=True):
+            if len(mapped) <= self._largest(more, beside + staying):
+                staying += len(mapped)
+        return staying
+
+    def _largest(self, more: int = 0, resident: int | None = None) -> float:
+        """Bytes of the largest array that stays in memory: many small ones are a large one.
+
+        With ``more`` bytes of it, and ``resident`` ones in use (None: now).
+        """
         if self.in_memory is not None:
             return self.in_memory
         if self.memory is None:
             return math.inf
-        tight = self.memory - resident_bytes() < _TIGHT * self.memory
-        return _SMALLEST if tight else max(_SMALL, _IN_MEMORY * self.memory)
+        memory, used = self.memory + more, resident_bytes() if resident is None else resident
+        return _SMALLEST if memory - used < _TIGHT * memory else max(_SMALL, _IN_MEMORY * memory)
 
     def store(self, array: Values) -> Values:
         """``array``, or a copy of it in a scratch file where the budget wants that."""
@@ -120,6 +147,7 @@ class Budget(Closing):
     def close(self) -> None:
         """Remove the files; arrays in them stay readable as long as somebody holds them."""
         self._maps.clear()
+        self._beside.clear()
         if self._folder is not None:
             self._folder.close()
             self._folder = None
@@ -142,6 +170,7 @@ class Budget(Closing):
         # Nothing needs the name any more: the file is gone as soon as nobody maps it.
         path.unlink()
         self._maps.append(mapped)
+        self._beside.append(resident_bytes())
         return mapped
 
 

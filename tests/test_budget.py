@@ -52,6 +52,36 @@ def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monke
         assert not budget.files
 
 
+def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made again under the budget that ``raise_for`` names they leave what was asked for, under less they do not."""
+    resident = 80 * MB
+
+    def made(budget: Budget) -> int:
+        """What is left after four arrays."""
+        nonlocal resident
+        resident = 80 * MB
+        monkeypatch.setattr(budgets, "resident_bytes", lambda: resident)
+        for _ in range(4):
+            before = budget.files
+            budget.empty(10 * MB // 8)
+            resident += 10 * MB if budget.files == before else 0
+        left = budget.left()
+        assert left is not None
+        return left
+
+    for wanted in (21 * MB, 30 * MB, 50 * MB, 200 * MB):
+        with Budget(100 * MB, tmp_path) as tight:
+            left = made(tight)
+            assert left == 20 * MB and tight.files == 4
+            more = tight.raise_for(wanted - left)
+            assert more - (wanted - left) in (0, 10 * MB, 20 * MB, 30 * MB, 40 * MB)
+        with Budget(100 * MB + more, tmp_path) as enough:
+            assert made(enough) >= wanted
+        if wanted == 50 * MB:
+            with Budget(100 * MB + wanted - left, tmp_path) as short:
+                assert made(short) < wanted
+
+
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_large_arrays_live_in_a_file_without_a_name(tmp_path: Path, order: str) -> None:
     with Budget(100 * MB, tmp_path) as budget:

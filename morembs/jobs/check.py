@@ -12,7 +12,14 @@ from scipy.sparse.csgraph import connected_components
 from morembs.errors import InputError
 from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
-from morembs.jobs.forecast import Cost, JobForecast, forecast_cost
+from morembs.jobs.forecast import (
+    Cost,
+    JobForecast,
+    forecast_cost,
+    least_memory,
+    outlined,
+    require_room_of_mesh,
+)  # fmt: skip
 from morembs.jobs.inputs import (
     budget_of,
     damping_of,
@@ -30,8 +37,8 @@ from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import blas_threads, limit_threads
 from morembs.memory import available_bytes, resident_bytes
-from morembs.model import DofMap, FEModel, Mesh, rigid_motion
-from morembs.model.assembly import check_mesh, mass_warnings, stiffness_pattern
+from morembs.model import Mesh, rigid_motion
+from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
@@ -56,22 +63,16 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
-    require_room(job, start)
     progress.stage("read")
     if job.tables.model.file is not None:
         return _check_file(job, solver, start, progress)
     mesh = mesh_of(job)
     progress.stage("check elements")
-    require_room(job, start, 3 * len(mesh.nodes))
+    require_room_of_mesh(job, mesh, materials, solver, start)
     graph = check_mesh(mesh, materials, progress)
     progress.stage("check interfaces")
     size = 3 * len(mesh.nodes)
-    empty = sp.csr_array((size, size))
-    dofs = DofMap.translations(len(mesh.nodes))
-    model = FEModel(
-        K=empty, M=empty, nodes=mesh.nodes, dofs=dofs, mesh=mesh, materials=tuple(materials), source=mesh.source,
-        warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
-    )  # fmt: skip
+    model = outlined(job, mesh, materials)
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
@@ -111,7 +112,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         model = read_model(source_of(job), budget=budget)
-        require_room(job, start, model.size)
+        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
         progress.stage("examine")
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)

@@ -6,18 +6,26 @@ factor and the dense columns of the modes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import scipy.sparse as sp
 
-from morembs.budget import Budget
-from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, resting_bytes
+from morembs.budget import UNLIMITED, Budget, memory_that_leaves
+from morembs.errors import BudgetError
+from morembs.interface import couple
+from morembs.jobs.inputs import interfaces_of, wants_modes
+from morembs.jobs.job import Job
+from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
 from morembs.linalg.congruence import congruence
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
 from morembs.linalg.statics import require_room_to_count
+from morembs.model import DofMap, FEModel, Mesh
+from morembs.model.assembly import check_mesh, mass_warnings, stiffness_pattern
+from morembs.model.material import Material
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
 _ENTRY, _TRIANGLE = 12, 12
@@ -93,10 +101,8 @@ def forecast_cost(
     """
     square = T.shape[0] == T.shape[1]
     lower = Lower.of(K if square else congruence(T, K, budget), budget=budget)
-    n, mass = lower.n, lower.nnz // 3
-    held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
+    n, matrices = lower.n, _matrices(K, lower, square)
     del K
-    triangle = _TRIANGLE * (lower.nnz + mass)
     room = None if budget.memory is None else budget.memory - start - resting_bytes(n)
     # What reduce loads and keeps later is not there yet when it looks at this.
     first = None if room is None else room + RESTING_BYTES - LOADED_BYTES
@@ -105,7 +111,7 @@ def forecast_cost(
     with limited.analyse(lower, "spd", "the stiffness matrix") as analysis:
         plan, choice = analysis.forecast, analysis.choice
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
-    before = start + held + triangle
+    before = start + matrices
     peak = max(
         before + 8 * lower.nnz + plan.memory,
         before + 16 * lower.nnz + plan.kept + (count.memory if count else 0) + dense,
@@ -114,6 +120,58 @@ def forecast_cost(
         # Matrices and columns rest in files when the factorisation needs their room.
         peak = min(peak, budget.memory)
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan))
+
+
+def least_memory(job: Job, model: FEModel, solver: LinearSolver, start: int, K: sp.csr_array | None = None) -> int:
+    """A budget that will do for the modes of ``job``, from the symbolic analysis of ``K`` (by default that of
+    ``model``); 0 where it has none. ``start`` as in ``forecast_cost``.
+
+    Raises:
+        InputError: interfaces that do not fit.
+    """
+    if not wants_modes(job):
+        return 0
+    K = model.K if K is None else K
+    T = abs(couple(model, interfaces_of(job, model)).T)
+    square = T.shape[0] == T.shape[1]
+    lower = Lower.of(K if square else congruence(T, K, UNLIMITED))
+    count = 0
+    try:
+        require_room_to_count(solver, lower, 0)
+    except BudgetError as error:
+        count = error.needed
+    used = start + resting_bytes(lower.n) - RESTING_BYTES + LOADED_BYTES
+    matrices = _matrices(K, lower, square)
+    return min(used + matrices + count, memory_that_leaves(count, used))
+
+
+def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
+    """The model of ``mesh`` with empty matrices."""
+    size = 3 * len(mesh.nodes)
+    empty = sp.csr_array((size, size))
+    return FEModel(
+        K=empty, M=empty, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh,
+        materials=tuple(materials), source=mesh.source,
+        warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
+    )  # fmt: skip
+
+
+def require_room_of_mesh(
+    job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int
+) -> None:
+    """As ``require_room``, for a model of ``mesh`` that is not assembled yet."""
+
+    def least() -> int:
+        pattern = stiffness_pattern(check_mesh(mesh, materials))
+        return least_memory(job, outlined(job, mesh, materials), solver, start, pattern)
+
+    require_room(job, start, 3 * len(mesh.nodes), least)
+
+
+def _matrices(K: sp.csr_array, lower: Lower, square: bool) -> int:
+    """Bytes of K and M, as they came and coupled, and of their triangles."""
+    held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
+    return held + _TRIANGLE * (lower.nnz + lower.nnz // 3)
 
 
 def _seconds(plan: Forecast) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from morembs.body.build import BodyOptions
 from morembs.budget import UNLIMITED, Budget
@@ -38,11 +38,12 @@ RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
 LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
 
 
-def require_room(job: Job, start: int, dofs: int = 0) -> None:
+def require_room(job: Job, start: int, dofs: int, least: Callable[[], int]) -> None:
     """Refuse a memory budget that ``job`` with a model of ``dofs`` exceeds whatever it does.
 
     Args:
         start: resident memory of the process before any model was read.
+        least: tells a budget that will do for the job.
 
     Raises:
         BudgetError: as said.
@@ -53,11 +54,12 @@ def require_room(job: Job, start: int, dofs: int = 0) -> None:
         beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
     needed = start + beside
     if job.memory is not None and job.memory < needed:
+        enough = max(needed, least())
         raise BudgetError(
             f"[solver]: memory = {job.memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} "
-            f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of the smallest "
-            f"such job; give at least {enough_megabytes(needed)} MB",
-            needed=needed,
+            f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of a job of this "
+            f"size; give at least {enough_megabytes(enough)} MB",
+            needed=enough,
         )
 
 

@@ -18,6 +18,7 @@ from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
 from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
+from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
     body_options,
@@ -92,7 +93,6 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
-    require_room(job, start)
     with (
         limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget,
         PeakMemory() as memory,
@@ -105,7 +105,7 @@ def _run(
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model = _read(job, materials, budget, start, watch)
+    model = _read(job, solver, materials, budget, start, watch)
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -155,17 +155,19 @@ def _run(
     )  # fmt: skip
 
 
-def _read(job: Job, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch) -> FEModel:
+def _read(
+    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch
+) -> FEModel:
     """The model of the job, from its model file or assembled from its mesh."""
     asked, progress = job.tables.model, watch.progress
     if asked.file is not None:
         with watch.stage("read"):
             model = read_model(job.resolve(asked.file), budget=budget)
-        require_room(job, start, model.size)
+        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
         return model
     with watch.stage("read"):
         mesh = mesh_of(job)
-    require_room(job, start, 3 * len(mesh.nodes))
+    require_room_of_mesh(job, mesh, materials, solver, start)
     with watch.stage("assemble"):
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 

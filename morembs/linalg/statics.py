@@ -18,7 +18,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.budget import Budget
+from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.columns import map_columns
@@ -273,11 +273,14 @@ def room_for_factor(budget: Budget) -> int | None:
     return None if left is None else max(0, left)
 
 
-def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) -> Forecast:
+def require_room_to_count(
+    solver: LinearSolver, lower: Lower, room: int | None, budget: Budget = UNLIMITED
+) -> Forecast:
     """What a Sturm count will need, refused now where it would be refused after hours of work.
 
     Args:
         room: bytes that may be allocated once all pages that can be released are; None for no limit.
+        budget: where the arrays are that were made before.
 
     Raises:
         BudgetError: the count has no room within the budget; the message says how much more it takes.
@@ -290,7 +293,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
     try:
         return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
     except BudgetError as error:
-        more = error.needed + beside - room
+        more = budget.raise_for(error.needed + beside - room)
         raise BudgetError(
             f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
             f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(more)} MB or more, "

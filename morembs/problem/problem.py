@@ -159,7 +159,7 @@ class Problem(Closing):
             BudgetError: as said.
         """
         if self.budget.memory is not None:
-            require_room_to_count(self.solver, self.stiffness.lower, room_for_factor(self.budget))
+            require_room_to_count(self.solver, self.stiffness.lower, room_for_factor(self.budget), self.budget)
 
     def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
         """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""
