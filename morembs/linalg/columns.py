@@ -99,6 +99,11 @@ def projected(V: Floats, A: sp.csr_array, budget: Budget, W: Floats | None = Non
     return 0.5 * (whole + whole.T) if W is None else whole
 
 
+def symmetric(A: Floats) -> Floats:
+    """The symmetric part of ``A`` (n, n)."""
+    return np.asarray(0.5 * (A + A.T))
+
+
 def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
     """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
     for column in V.T:
