@@ -109,9 +109,9 @@ class Terms:
         return found
 
 
-def product(a: Complexes, N: NDArray[Any]) -> Complexes:
-    """a N, in real arithmetic where N is real."""
-    if np.iscomplexobj(N):
+def product(a: NDArray[Any], N: NDArray[Any]) -> NDArray[Any]:
+    """a N, in real arithmetic where one of them is real."""
+    if np.iscomplexobj(N) or not np.iscomplexobj(a):
         return np.asarray(a @ N)
     return np.asarray(a.real @ N + 1j * (a.imag @ N))
 

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import complement, dot, multiply, projected
+from morembs.linalg.columns import dot, multiply, orthonormal, project_out, projected
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import Problem
@@ -235,9 +235,10 @@ class ReferenceSpace:
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
         lanczos, M = self.lanczos, self.problem.M
-        known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
+        Q = lanczos.pending
+        project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
         # What was orthonormal keeps its length, unless it was rigid motion or round-off.
-        Q = complement(known, lanczos.pending, M, self.problem.budget, least=np.sqrt(0.5))
+        Q = orthonormal(Q, M, np.ones(Q.shape[1]), least=np.sqrt(0.5))
         lanczos.pending = Q[:, : self.room - lanczos.size]
 
     def _border(self) -> None:

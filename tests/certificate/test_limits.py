@@ -134,7 +134,7 @@ def test_samples_and_ends_on_an_undamped_resonance(floor):
             (its,) = certify(problem, [body], band, points=41, damping_floor=floor)
             assert np.isfinite(its.error).all() and its.frequencies_hz[0] >= band[0]
             assert np.isfinite(its.limit.upper) == (floor is None)
-        for tolerance in (1e-1, 1e-2, 1e-4) if floor is None else ():
+        for tolerance in (1e-1, 1e-2, 1e-3, 1e-4) if floor is None else ():
             reduced = AutoReducer(band_hz=[0.0, 2 * first], tolerance=tolerance).reduce(problem)
             assert reduced.recipe["certified"] <= tolerance
 
