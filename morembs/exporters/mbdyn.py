@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.floating.frame import FloatingFrame, Marker
+from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -66,8 +67,8 @@ def _groups(name: str, frame: FloatingFrame, markers: dict[str, Marker]) -> Iter
         yield _group(5 + axis, words, [_line(points[k, axis : axis + 1], words) for k in range(len(points))])
     modes = [f"**    NORMAL MODE SHAPE # {i + 1}\n" + _rows(motions[:, :, i], "mode shapes") for i in range(n)]
     yield _group(8, "MODE SHAPES", modes)
-    yield _group(9, "MODAL MASS MATRIX", [_rows(_symmetric(integrals.Me), "modal mass")])
-    yield _group(10, "MODAL STIFFNESS MATRIX", [_rows(_symmetric(frame.Ke), "modal stiffness")])
+    yield _group(9, "MODAL MASS MATRIX", [_rows(symmetric(integrals.Me), "modal mass")])
+    yield _group(10, "MODAL STIFFNESS MATRIX", [_rows(symmetric(frame.Ke), "modal stiffness")])
     yield _group(12, "GLOBAL INERTIA", _inertia(frame))
     if np.any(frame.De):
         yield _group(13, "MODAL DAMPING MATRIX", [_rows(frame.De, "modal damping")])
@@ -83,7 +84,7 @@ def _inertia(frame: FloatingFrame) -> list[str]:
     about_center = integrals.about(center).inertia
     return [
         _line(np.array([integrals.mass]), "the mass"), _line(center, "the centre of mass"),
-        _rows(_symmetric(about_center), "the inertia"),
+        _rows(symmetric(about_center), "the inertia"),
     ]  # fmt: skip
 
 
@@ -98,10 +99,6 @@ def _invariants(frame: FloatingFrame) -> Iterator[tuple[int, str, Floats]]:
     yield 17, "INVARIANT 5", integrals.Cr1.transpose(2, 1, 0).reshape(3, n * n)
     # [a, j, k, b] of int phi_j~ phi_k~.
     yield 18, "INVARIANT 9", integrals.C6.transpose(2, 0, 1, 3).reshape(3, 3 * n * n)
-
-
-def _symmetric(A: Floats) -> Floats:
-    return 0.5 * (A + A.T)
 
 
 def _group(number: int, words: str, parts: list[str]) -> str:

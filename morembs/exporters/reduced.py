@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
+from morembs.linalg.columns import symmetric
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,7 +73,7 @@ def on_interfaces(
         )
     T, notes = _to_interfaces(body)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
-    matrices = {key: _symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
+    matrices = {key: symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
     others = len(T) - len(source.input_interface)
     label, note = _first_label(source, first_label, others, largest_label)
     grids, node, free = _grids(source, label)
@@ -82,10 +83,6 @@ def on_interfaces(
         node=np.concatenate([node, np.array(rest, dtype=np.int64)]),
         dof=np.concatenate([source.input_component + 1, np.full(len(rest), component_of_rest, dtype=np.int64)]),
     )  # fmt: skip
-
-
-def _symmetric(A: Floats) -> Floats:
-    return 0.5 * (A + A.T)
 
 
 def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
@@ -112,7 +109,7 @@ def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
     if m == n:
         return boundary, ("coordinates were changed to the interface degrees of freedom",)
     N = sl.null_space(C / size[:, None], rcond=_INDEPENDENT)
-    eigenvalues, Y = sl.eigh(_symmetric(N.T @ body.stiffness_matrix @ N), _symmetric(N.T @ body.mass_matrix @ N))
+    eigenvalues, Y = sl.eigh(symmetric(N.T @ body.stiffness_matrix @ N), symmetric(N.T @ body.mass_matrix @ N))
     N = N @ Y
     if eigenvalues[0] > _HELD * eigenvalues[-1]:
         # With the interfaces held nothing moves freely, so unit motions can be static: K couples nothing then.

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -121,7 +122,7 @@ def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats
     C = body.output_matrix[rows]
     count, n = C.shape
     if np.array_equal(C, np.eye(count, n)) and not K[:count, count:].any():
-        return _symmetric(K), _symmetric(M), _symmetric(D)
+        return symmetric(K), symmetric(M), symmetric(D)
     # Coordinates of unit modal mass; rotations beside translations by the size of their rows.
     scale = 1 / np.sqrt(np.diag(M))
     scaled = C * scale
@@ -136,16 +137,12 @@ def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats
     X = scale[:, None] * sl.lstsq(scaled, np.eye(count))[0]
     if N.shape[1]:
         X = X - N @ sl.solve(N.T @ K @ N, N.T @ (K @ X), assume_a="pos")
-        N = N @ sl.eigh(_symmetric(N.T @ K @ N), _symmetric(N.T @ M @ N))[1]
+        N = N @ sl.eigh(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))[1]
         N = N * np.where(N[np.argmax(np.abs(N), axis=0), np.arange(N.shape[1])] < 0, -1.0, 1.0)
     T = np.hstack([X, N])
-    K, M, D = (_symmetric(T.T @ A @ T) for A in (K, M, D))
+    K, M, D = (symmetric(T.T @ A @ T) for A in (K, M, D))
     K[:count, count:] = K[count:, :count] = 0.0
     return K, M, D
-
-
-def _symmetric(A: Floats) -> Floats:
-    return np.asarray(0.5 * (A + A.T))
 
 
 def _quaternion(R: Floats) -> Floats:

@@ -99,6 +99,11 @@ def projected(V: Floats, A: sp.csr_array, budget: Budget, W: Floats | None = Non
     return 0.5 * (whole + whole.T) if W is None else whole
 
 
+def symmetric(A: Floats) -> Floats:
+    """The symmetric part of ``A`` (n, n)."""
+    return np.asarray(0.5 * (A + A.T))
+
+
 def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
     """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
     for column in V.T:
@@ -126,24 +131,22 @@ def project_out(
 
 
 def complement(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1,
-    least: float = DEPENDENT,
-) -> Values:  # fmt: skip
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
+) -> Values:
     """M-orthonormal columns of what ``W`` (overwritten) adds to the M-orthonormal ``V``, in one or several blocks."""
-    return split(V, W, M, budget, passes=passes, least=least)[1]
+    return split(V, W, M, budget, passes=passes)[1]
 
 
 def split(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1,
-    least: float = DEPENDENT,
-) -> tuple[Values, Values]:  # fmt: skip
+    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
+) -> tuple[Values, Values]:
     """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
     before = m_norms(W, M @ W)
     coefficients = project_out(V, W, M, budget=budget)
-    Q = orthonormal(W, M, before, passes=passes, least=least)
+    Q = orthonormal(W, M, before, passes=passes)
     # Scaling up what was small scaled up its part along V too.
     project_out(V, Q, M, budget=budget)
-    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes, least=least)
+    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes)
 
 
 def orthonormal(

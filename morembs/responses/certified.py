@@ -34,14 +34,14 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, m_norms, multiply, multiply_into, subtract
+from morembs.linalg.columns import dot, m_norms, multiply, multiply_into, subtract, symmetric
 from morembs.linalg.eigen import GAP, Modes
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
 from morembs.responses.cells import Bounds, first_edges, search
-from morembs.responses.krylov_space import KrylovSpace, root, static_response, symmetric
+from morembs.responses.krylov_space import KrylovSpace, root, static_response
 from morembs.responses.layout import Layout
 from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.linalg.columns import dot, hstack, map_columns, orthonormal, project_out, subtract
+from morembs.linalg.columns import dot, hstack, map_columns, orthonormal, project_out, subtract, symmetric
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
@@ -69,8 +69,3 @@ def root(gram: Floats) -> Floats:
     scale = np.sqrt(np.maximum(size, max(EPS * size.max(initial=0.0), float(np.finfo(float).tiny))))
     values, U = sl.eigh(symmetric(gram / np.outer(scale, scale)))
     return np.asarray(np.sqrt(np.maximum(values, 0.0) + len(values) * EPS)[:, None] * U.T * scale)
-
-
-def symmetric(A: Floats) -> Floats:
-    """The symmetric part of ``A``."""
-    return np.asarray(0.5 * (A + A.T))
