@@ -272,7 +272,8 @@ class Run:
                     f"at t = {state.time:.9g} s body {component.name!r} deflects by {deflection:.3g} of its length in "
                     f"its floating frame; the limit max_deflection is {self.max_deflection:g}. Linear elastic shapes "
                     "do not hold there: spinning or compressed parts need geometric stiffening (stiffening=True), "
-                    "large bending several bodies or a geometrically nonlinear one. max_deflection=None removes the limit"
+                    "large bending several bodies or a geometrically nonlinear one. max_deflection=None removes the "
+                    "limit"
                 )
 
     def _count(self, time: float) -> None:
