@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Entry = TypeVar("Entry")
 
 
-class Table(MutableMapping[str, Entry], Generic[Entry]):
+class Registry(MutableMapping[str, Entry], Generic[Entry]):
     """Name -> entry: the ``own`` entries first, in their order, then those of the entry points of ``group``.
 
     ``fault`` says what is wrong with a name and what an entry point gives for it; "" where nothing is.

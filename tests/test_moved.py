@@ -62,6 +62,9 @@ def test_an_old_public_name_is_still_there(name: str) -> None:
         ("linalg.sparse.select", "Automatic", "AutoSolver"),
         ("reducers", "Automatic", "AutoReducer"),
         ("reducers.switching_tables", "Switching", "StaticModeTables"),
+        ("floating.frame", "Marker", "InterfaceMarker"),
+        ("gmp", "Envelope", "AngleRange"),
+        ("gmp", "Table", "ChebyshevTable"),
     ],
 )
 def test_an_old_name_in_a_module_warns_and_gives_the_new_one(module: str, old: str, new: str) -> None:

@@ -20,7 +20,7 @@ from morembs.importers import IMPORTERS
 from morembs.interface import COUPLINGS, make_interface
 from morembs.jobs.job import load_job
 from morembs.linalg.sparse.select import SOLVERS, available_solvers, select_solver
-from morembs.plugins import Table
+from morembs.plugins import Registry
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, CraigBampton
 from tests.support.decks import BEAM, deck, folder
@@ -29,7 +29,7 @@ from tests.support.meshes import box, steel, where
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text()
 PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
-TABLES: tuple[Table, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS, COUPLINGS)
+TABLES: tuple[Registry, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS, COUPLINGS)
 REDUCE = 'name = "few"\nmethod = "static-responses"'
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from morembs.floating.frame import FloatingFrame, Marker
+from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.floating.ranking import RankedTerm
 from morembs.floating.stiffening import Stiffening
@@ -145,7 +145,7 @@ INTEGRALS = Table((
 MARKER = Table((
     Row("point", "real", "3", "undeformed, from the origin", "m"),
     Row("motion", "real", "6 ne", "displacement and small rotation per coordinate"),
-), build=Marker)  # fmt: skip
+), build=InterfaceMarker)  # fmt: skip
 
 STIFFENING = Table((
     Row("acceleration", "real", "3 ne ne", "geometric stiffness per acceleration of the frame", "s2/m"),

@@ -20,7 +20,7 @@ from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
 from morembs.moved import renamed
 from morembs.options import checked
-from morembs.plugins import Table, subclass_fault
+from morembs.plugins import Registry, subclass_fault
 
 # One line for each target.
 _ALL: tuple[type[Exporter], ...] = (
@@ -33,7 +33,7 @@ _ALL: tuple[type[Exporter], ...] = (
     AbaqusExporter,
     MatrixMarketExporter,
 )
-EXPORTERS: Table[type[Exporter]] = Table(
+EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
 )
 # Programs by name, in small letters -> what to export to instead.

@@ -16,7 +16,7 @@ from morembs.errors import InputError
 from morembs.problem.damping import frequency_domain_only
 
 if TYPE_CHECKING:
-    from morembs.floating.frame import FloatingFrame, Marker
+    from morembs.floating.frame import FloatingFrame, InterfaceMarker
 
 Floats = NDArray[np.float64]
 # Columns of a basis that are in memory at a time.
@@ -102,7 +102,7 @@ class ExportContext:
             result += self.body.basis(block) @ to_reduced[block]
         return result
 
-    def markers(self, target: str) -> dict[str, Marker]:
+    def markers(self, target: str) -> dict[str, InterfaceMarker]:
         """Interface frames by name, all six degrees of freedom of each, in the order of the file.
 
         Raises:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
-from morembs.floating.frame import FloatingFrame, Marker
+from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
@@ -52,7 +52,7 @@ class MBDynExporter(Exporter):
         return Exported(paths=(context.path,), notes=notes)
 
 
-def _groups(name: str, frame: FloatingFrame, markers: dict[str, Marker]) -> Iterator[str]:
+def _groups(name: str, frame: FloatingFrame, markers: dict[str, InterfaceMarker]) -> Iterator[str]:
     integrals, n = frame.integrals, frame.count
     points = np.array([marker.point for marker in markers.values()])
     motions = np.array([marker.motion for marker in markers.values()])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
-from morembs.floating.frame import FloatingFrame, Marker
+from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.model import skew
 from morembs.storage.safefile import replacing
 
@@ -68,7 +68,9 @@ class SidFem(Exporter):
                 file.check()
         return Exported(paths=(context.path,), notes=self._notes(context, markers, changed))
 
-    def _pieces(self, context: ExportContext, sid: Sid, markers: dict[str, Marker], count: int) -> Iterator[str]:
+    def _pieces(
+        self, context: ExportContext, sid: Sid, markers: dict[str, InterfaceMarker], count: int
+    ) -> Iterator[str]:
         """The file, section by section."""
         name = context.body.name
         yield f"{count:5d}{sid.count:5d}    :No. nodes, No. modes: written by morembs from {name}\n"
@@ -95,7 +97,7 @@ class SidFem(Exporter):
             yield _section(11, term, Taylor(M0=columns[term]) if term in columns else getattr(sid, term), sid.count)
         yield _line(6, "end modal") + _line(1, "end part")
 
-    def _frames(self, context: ExportContext, markers: dict[str, Marker]) -> Iterator[SidNode]:
+    def _frames(self, context: ExportContext, markers: dict[str, InterfaceMarker]) -> Iterator[SidNode]:
         frame = context.frame
         for name, marker in markers.items():
             wrench = None if frame.stiffening is None else frame.stiffening.wrench.get(name)
@@ -108,7 +110,7 @@ class SidFem(Exporter):
                     psi=Taylor(M0=np.zeros_like(phi)), AP=Taylor(M0=np.eye(3)),
                 )  # fmt: skip
 
-    def _notes(self, context: ExportContext, markers: dict[str, Marker], changed: bool) -> tuple[str, ...]:
+    def _notes(self, context: ExportContext, markers: dict[str, InterfaceMarker], changed: bool) -> tuple[str, ...]:
         notes = [*context.lost("stress", "certificate"), "numbers have twelve digits"]
         if changed:
             notes.append("the elastic coordinates of the file are the normal modes of (Ke, Me), so that Me is one")
@@ -159,7 +161,7 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
             angular_acceleration=_both(T, stiff.angular_acceleration),
             wrench={name: _both(T, G) for name, G in stiff.wrench.items()},
         )  # fmt: skip
-    markers = {name: Marker(point=marker.point, motion=marker.motion @ T) for name, marker in frame.markers.items()}
+    markers = {name: replace(marker, motion=marker.motion @ T) for name, marker in frame.markers.items()}
     return replace(
         frame, elastic=frame.elastic @ T, integrals=integrals, Ke=_both(T, Ke), De=_both(T, frame.De),
         markers=markers, stiffening=stiff,

@@ -19,6 +19,7 @@ from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
 from morembs.model import frozen, rigid_motion, skew
+from morembs.moved import renamed
 
 if TYPE_CHECKING:
     from morembs.problem import Problem
@@ -31,7 +32,7 @@ RIGID_MOTIONS = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Marker:
+class InterfaceMarker:
     """The frame of an interface: ``point`` (3,) undeformed, from the origin of the body frame; ``motion`` (6, n)
     displacement and small rotation for each elastic coordinate."""
 
@@ -61,7 +62,7 @@ class FloatingFrame:
     integrals: ShapeIntegrals
     Ke: Floats
     De: Floats
-    markers: Mapping[str, Marker]
+    markers: Mapping[str, InterfaceMarker]
     stiffening: Stiffening | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
 
@@ -83,7 +84,7 @@ class FloatingFrame:
         momentum = np.hstack([self.integrals.Ct, self.integrals.Cr]).T
         c = _followed(self, kind, interfaces, {name: marker.motion for name, marker in self.markers.items()}, momentum)
         markers = {
-            name: Marker(point=marker.point, motion=marker.motion - _motion_of(marker.point) @ c)
+            name: InterfaceMarker(point=marker.point, motion=marker.motion - _motion_of(marker.point) @ c)
             for name, marker in self.markers.items()
         }
         return replace(
@@ -102,7 +103,7 @@ class FloatingFrame:
         d = np.asarray(origin, dtype=float) - self.origin
         H = np.eye(6)
         H[:3, 3:] = skew(d)
-        markers = {name: Marker(point=marker.point - d, motion=marker.motion) for name, marker in self.markers.items()}
+        markers = {name: replace(marker, point=marker.point - d) for name, marker in self.markers.items()}
         return replace(
             self, origin=self.origin + d, rigid=self.rigid @ H, integrals=self.integrals.about(d), markers=markers,
             stiffening=None if self.stiffening is None else self.stiffening.about(d),
@@ -219,7 +220,8 @@ def floating_frame(
     motions = dot(coupling.frames.toarray(), elastic, budget) if coupling.frame_columns else np.zeros((0, Y.shape[1]))
     points = {interface.name: interface.point for interface in problem.interfaces}
     markers = {
-        name: Marker(point=points[name] - center, motion=motions[at]) for name, at in coupling.frame_columns.items()
+        name: InterfaceMarker(point=points[name] - center, motion=motions[at])
+        for name, at in coupling.frame_columns.items()
     }
     integrals, note = shape_integrals(problem.model, _on_model(problem, elastic), center, budget)
     K, D = Y.T @ reduced.K @ Y, Y.T @ reduced.D @ Y
@@ -275,3 +277,6 @@ def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
         coordinates += scale[:, None] * sl.cho_solve(factor, scale[:, None] * dot(reduced.V, problem.M @ rest))
         rest = R - reduced.V @ coordinates
     return coordinates
+
+
+__getattr__ = renamed(__name__, {"Marker": "InterfaceMarker"})

@@ -10,6 +10,7 @@ from numpy.polynomial.chebyshev import chebder
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.moved import renamed
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def _basis(z: Floats, count: int) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class ChebyshevTable:
     """Polynomial in two parameters through samples at the tensor grid of ``points(reach, count)``.
 
     ``coefficients`` (count, count, *shape). Outside of the range the table goes on as its Taylor polynomial of the
@@ -54,7 +55,7 @@ class Table:
     curved: bool = False
 
     @classmethod
-    def through(cls, reach: float, samples: Floats, *, curved: bool = False) -> Table:
+    def through(cls, reach: float, samples: Floats, *, curved: bool = False) -> ChebyshevTable:
         """From ``samples`` (count, count, *shape) on the grid."""
         count = samples.shape[0]
         z = points(1.0, count)
@@ -91,3 +92,6 @@ class Table:
             else:
                 first = first + edge * np.einsum("ijk,j->ik", second, out)
         return value.reshape(shape), first.reshape(2, *shape), second.reshape(2, 2, *shape)
+
+
+__getattr__ = renamed(__name__, {"Table": "ChebyshevTable"})

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.gmp.chebyshev import Table
+from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.fields import Fields
 
 Floats = NDArray[np.float64]
@@ -32,8 +32,8 @@ class Parameterised:
     reach: float
     length: float
     count: int
-    table: Table
-    energy: Table
+    table: ChebyshevTable
+    energy: ChebyshevTable
     fields: Fields
     Psi: Floats
     peaks: Floats

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import Equilibrium
-from morembs.gmp.plan import Envelope
+from morembs.gmp.plan import AngleRange
 from morembs.gmp.symmetry import Symmetry
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Loaded(Protocol):
         """Forces (N,) of a unit load along y that is spread as the mass is."""
 
 
-def target(work: Loaded, start: Equilibrium, turns: Any, envelope: Envelope, group: tuple[Symmetry, ...]) -> tuple[float, tuple[str, ...]]:  # noqa: E501  # fmt: skip
+def target(work: Loaded, start: Equilibrium, turns: Any, envelope: AngleRange, group: tuple[Symmetry, ...]) -> tuple[float, tuple[str, ...]]:  # noqa: E501  # fmt: skip
     """The range in rad for an envelope, and notes of what is not reached.
 
     Raises:

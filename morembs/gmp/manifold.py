@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.gmp.chebyshev import Table, points
+from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.equilibria import BeamWork, Equilibrium, Solver
 from morembs.gmp.offline import Tabulated, tabulated
 from morembs.gmp.plan import Plan
@@ -35,8 +35,8 @@ class Manifold:
     W: Floats
     moments: Floats
     modes: Floats
-    shape: Table
-    energy: Table
+    shape: ChebyshevTable
+    energy: ChebyshevTable
 
     @classmethod
     def of(cls, tables: Tabulated) -> Manifold:
@@ -44,7 +44,7 @@ class Manifold:
         X, W = tables.grown("X"), tables.grown("W")
         return cls(
             reach=tables.reach, X=X, W=W, moments=tables.grown("moments"), modes=tables.grown("modes"),
-            shape=Table.through(tables.reach, X), energy=Table.through(tables.reach, W, curved=True),
+            shape=ChebyshevTable.through(tables.reach, X), energy=ChebyshevTable.through(tables.reach, W, curved=True),
         )  # fmt: skip
 
     def errors(self) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.gmp.data import Formulation, Parameterised
-from morembs.gmp.plan import TOLERANCE, Envelope, Plan, Report
+from morembs.gmp.plan import TOLERANCE, AngleRange, Plan, Report
 from morembs.gmp.shapes import shapes
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.member import MemberState
@@ -31,7 +31,7 @@ class ReducedMember:
         modes: number of bending modes, zero or more.
         formulation: "membrane" (of beams), "tangent" (of any component), "foreshortened" (no nonlinear solves) or
             "linear" (floating frame with component modes).
-        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``Envelope``.
+        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``AngleRange``.
         points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
         progress: hears of equilibria as they are found.
 
@@ -50,7 +50,7 @@ class ReducedMember:
         *,
         modes: int,
         formulation: Formulation = "tangent",
-        reach: float | Envelope = 0.8,
+        reach: float | AngleRange = 0.8,
         points_per_angle: int | None = None,
         tolerance: float = TOLERANCE,
         workers: int = 1,

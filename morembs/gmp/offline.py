@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.gmp.chebyshev import Table
+from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.checkpoint import Checkpoint
 from morembs.gmp.envelope import Loaded, target
 from morembs.gmp.equilibria import Equilibrium, NotFollowedError
-from morembs.gmp.plan import Envelope, Plan, Report
+from morembs.gmp.plan import AngleRange, Plan, Report
 from morembs.gmp.symmetry import Shaped, Symmetry, symmetries
 from morembs.gmp.worker_pool import Work, WorkerPool
 from morembs.progress import SILENT, Progress
@@ -35,7 +35,7 @@ LEVELS = (3, 5, 9, 17)
 _BACK, _LEAST = 0.9, 0.1
 
 
-class Member(Work, Loaded, Protocol):
+class TabulatedMember(Work, Loaded, Protocol):
     """A component at work. ``turns`` (2,) are the coordinates of the end angles, ``length`` that of its chord."""
 
     turns: Any
@@ -94,8 +94,8 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: Member, pool: WorkerPool, group: Sequence[Symmetry], reach: float, store: Checkpoint | None,
-        progress: Progress,
+        self, work: TabulatedMember, pool: WorkerPool, group: Sequence[Symmetry], reach: float,
+        store: Checkpoint | None, progress: Progress,
     ) -> None:  # fmt: skip
         self.work, self.pool, self.group, self.reach = work, pool, group, reach
         self.store, self.progress = store, progress
@@ -182,9 +182,9 @@ class Sampling:
         samples, checks = self.sampled(inside), self.sampled(outside)
         equilibria = [self.equilibria[key] for key in inside]
 
-        def through(values: Sequence[Any]) -> Table:
+        def through(values: Sequence[Any]) -> ChebyshevTable:
             array = np.array(values)
-            return Table.through(self.reach, array.reshape(count, count, *array.shape[1:]))
+            return ChebyshevTable.through(self.reach, array.reshape(count, count, *array.shape[1:]))
 
         straight = self.equilibria[Fraction(0), Fraction(0)].X
         X, W = through([s.X - straight for s in equilibria]), through([s.W for s in equilibria])
@@ -217,7 +217,7 @@ def _numbers(key: Key) -> tuple[int, int, int, int]:
     return a.numerator, a.denominator, b.numerator, b.denominator
 
 
-def tabulated(work: Member, plan: Plan, progress: Progress = SILENT) -> Tabulated:
+def tabulated(work: TabulatedMember, plan: Plan, progress: Progress = SILENT) -> Tabulated:
     """Equilibria and samples of a member as ``plan`` says.
 
     Raises:
@@ -240,12 +240,12 @@ def tabulated(work: Member, plan: Plan, progress: Progress = SILENT) -> Tabulate
 
 
 def _ranged(
-    work: Member, pool: WorkerPool, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
+    work: TabulatedMember, pool: WorkerPool, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
     progress: Progress, begin: float,
 ) -> Tabulated:  # fmt: skip
     """Over smaller and smaller ranges, where the range follows from an envelope."""
     notes: tuple[str, ...] = ()
-    if not isinstance(plan.reach, Envelope):
+    if not isinstance(plan.reach, AngleRange):
         asked = plan.reach
     elif store is not None and store.reach:
         asked, notes = store.reach, store.notes
@@ -261,7 +261,7 @@ def _ranged(
             break
         except NotFollowedError as stuck:
             last = float(np.abs(stuck.reached).max())
-            if not isinstance(plan.reach, Envelope) or _BACK * last < _LEAST * asked:
+            if not isinstance(plan.reach, AngleRange) or _BACK * last < _LEAST * asked:
                 raise
             notes = (*notes, f"the range is +-{_BACK * last:.4g} rad, not {reach:.4g}: {stuck}")
             reach = _BACK * last
@@ -280,7 +280,7 @@ def _ranged(
 def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
     """Number of points per angle and their errors, all equilibria being found."""
     if plan.points_per_angle is not None:
-        if isinstance(plan.reach, Envelope):
+        if isinstance(plan.reach, AngleRange):
             sampling.ensure(shells(2)[-1])
         for shell in shells(plan.points_per_angle):
             sampling.ensure(shell)
@@ -301,13 +301,13 @@ def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
 
 
 def _options(plan: Plan, group: tuple[Symmetry, ...]) -> str:
-    reach = asdict(plan.reach) if isinstance(plan.reach, Envelope) else plan.reach
+    reach = asdict(plan.reach) if isinstance(plan.reach, AngleRange) else plan.reach
     return json.dumps(
         {"reach": reach, "points_per_angle": plan.points_per_angle, "symmetries": [g.name for g in group]}
     )
 
 
-def _signature(work: Member) -> Floats:
+def _signature(work: TabulatedMember) -> Floats:
     """Numbers (k,) that tell a component from others: its shape, energies and forces of two deflections."""
     component, random = work.component, np.random.default_rng(5)
     numbers = [float(component.size), work.length, float(component.reference @ random.uniform(1, 2, component.size))]

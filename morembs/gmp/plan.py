@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.errors import InputError
+from morembs.moved import renamed
 
 TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Envelope:
+class AngleRange:
     """What a member must bear; the range of its tables follows from it. One of three is given.
 
     ``angle``: largest angle (rad) of an end to the chord. ``moment``: largest moment (N m) on each of its ends, of any
@@ -56,7 +57,7 @@ class Plan:
         symmetric: take equilibria from others by the symmetries that the component is found to have.
     """
 
-    reach: float | Envelope = 0.8
+    reach: float | AngleRange = 0.8
     points_per_angle: int | None = None
     tolerance: float = TOLERANCE
     workers: int = 1
@@ -64,9 +65,9 @@ class Plan:
     symmetric: bool = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.reach, bool) or not isinstance(self.reach, Envelope | int | float):
+        if isinstance(self.reach, bool) or not isinstance(self.reach, AngleRange | int | float):
             raise InputError(f"reach = {self.reach!r} was given; expected an angle in rad or an Envelope")
-        if not isinstance(self.reach, Envelope) and not 0 < self.reach < math.pi:
+        if not isinstance(self.reach, AngleRange) and not 0 < self.reach < math.pi:
             raise InputError(f"a range of +-{self.reach} rad was given; expected a positive number below pi")
         if isinstance(self.tolerance, str) or not (math.isfinite(self.tolerance) and self.tolerance > 0):
             raise InputError(f"tolerance = {self.tolerance} was given; expected a positive number")
@@ -94,3 +95,6 @@ class Report:
     errors: dict[str, float]
     notes: tuple[str, ...]
     seconds: float
+
+
+__getattr__ = renamed(__name__, {"Envelope": "AngleRange"})

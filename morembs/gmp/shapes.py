@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.gmp.chebyshev import Table, points
+from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.envelope import target
 from morembs.gmp.equilibria import BeamWork, Equilibrium, Solver
@@ -30,7 +30,7 @@ from morembs.gmp.fields import Fields, fields
 from morembs.gmp.manifold import Manifold, refuse_coarse
 from morembs.gmp.modes import BendingModes, bending_modes
 from morembs.gmp.offline import tabulated
-from morembs.gmp.plan import Envelope, Plan, Report
+from morembs.gmp.plan import AngleRange, Plan, Report
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.planar_beam import PlanarBeam
 from morembs.nonlinear.statics import Factor
@@ -92,13 +92,14 @@ def shapes(
         grid, along = points(reach, count), law.linear if formulation == "linear" else law.foreshortened
         samples = [along(np.array([a, b])) for a in grid for b in grid]
         W = np.array([[0.5 * np.array([a, b]) @ law.angles @ np.array([a, b]) for b in grid] for a in grid])
-        energy = Table.through(reach, W, curved=True)
+        energy = ChebyshevTable.through(reach, W, curved=True)
     H0 = np.zeros(len(available.squares)) if formulation == "linear" else law.straight_diagonal()
     of = fields(component, np.column_stack([column for s in samples for column in (s.X, s.A)] + [available.Psi]))
     flat = np.array([s.flat(of, int(solver.second[0])) for s in samples]).reshape(count, count, -1)
     data = Parameterised(
-        formulation=formulation, reach=reach, length=solver.length, count=modes, table=Table.through(reach, flat),
-        energy=energy, fields=of, Psi=of.condensed(available.Psi), squares=available.squares, H0=H0,
+        formulation=formulation, reach=reach, length=solver.length, count=modes,
+        table=ChebyshevTable.through(reach, flat), energy=energy, fields=of,
+        Psi=of.condensed(available.Psi), squares=available.squares, H0=H0,
         peaks=np.abs(available.Psi[component.translations]).max(axis=(0, 1)), excluded=available.excluded,
         errors=errors,
     )  # fmt: skip
@@ -108,7 +109,7 @@ def shapes(
 def _without_equilibria(law: _Law, plan: Plan) -> Report:
     """Three points, which linear and quadratic functions need; the range as for those with equilibria."""
     reach, notes = plan.reach, tuple[str, ...]()
-    if isinstance(reach, Envelope):
+    if isinstance(reach, AngleRange):
         reach, notes = target(BeamWork(law.component), law.start, law.solver.turns, reach, ())
     return Report(
         reach=reach, points=3, equilibria=0, solved=0, restored=0, symmetries=(), errors={}, notes=notes, seconds=0.0

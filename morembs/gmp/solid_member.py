@@ -18,14 +18,14 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.gmp.chebyshev import Table, points
+from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Parameterised
 from morembs.gmp.equilibria import Equilibrium
 from morembs.gmp.fields import Fields
 from morembs.gmp.manifold import refuse_coarse
 from morembs.gmp.member import ReducedMember
 from morembs.gmp.offline import Tabulated, tabulated
-from morembs.gmp.plan import TOLERANCE, Envelope, Plan
+from morembs.gmp.plan import TOLERANCE, AngleRange, Plan
 from morembs.gmp.solid_manifold import (
     PlaneModes,
     SolidEquilibria,
@@ -59,7 +59,7 @@ class _Sample:
 
 
 def solid_member(
-    solid: NonlinearSolid, *, modes: int, reach: float | Envelope = 0.8, points_per_angle: int | None = None,
+    solid: NonlinearSolid, *, modes: int, reach: float | AngleRange = 0.8, points_per_angle: int | None = None,
     tolerance: float = TOLERANCE, workers: int = 1, checkpoint: str | Path | None = None, symmetric: bool = True,
     solver: LinearSolver | None = None, progress: Progress = SILENT,
 ) -> ReducedMember:  # fmt: skip
@@ -69,7 +69,7 @@ def solid_member(
         solid: with rigid interfaces ``start`` at the origin and ``end`` on the x axis; symmetric to the plane z = 0,
             or near enough for its motion to stay in the plane.
         modes: number of bending modes, zero or more.
-        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``Envelope``.
+        reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``AngleRange``.
         points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
         progress: hears of equilibria as they are found.
 
@@ -209,9 +209,9 @@ def _parameterised(
     flat = np.array(
         [np.concatenate((of.condensed(s.X.ravel()), of.condensed(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel())) for s in ordered]  # noqa: E501
     ).reshape(grid, grid, -1)  # fmt: skip
-    table = Table.through(reach, flat)
+    table = ChebyshevTable.through(reach, flat)
     W = np.array([s.W for s in ordered]).reshape(grid, grid)
-    energy = Table.through(reach, W, curved=True)
+    energy = ChebyshevTable.through(reach, W, curved=True)
     return Parameterised(
         formulation="tangent", reach=reach, length=length, count=count, table=table, energy=energy, fields=of,
         Psi=of.condensed(Psi.reshape(len(Psi), -1).T), squares=kept.squares, H0=H0, excluded=np.zeros(0),
@@ -219,7 +219,7 @@ def _parameterised(
     )  # fmt: skip
 
 
-def _errors(samples: Sequence[_Sample], table: Table, energy: Table, of: Fields, grid: int) -> Floats:
+def _errors(samples: Sequence[_Sample], table: ChebyshevTable, energy: ChebyshevTable, of: Fields, grid: int) -> Floats:
     """Largest errors (2,) of the derivatives of the tables, of shapes against constraint modes and of the energy
     against moments, each per largest."""
     values = points(table.reach, grid)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from morembs.errors import InputError
-from morembs.gmp.chebyshev import Table as Chebyshev
+from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.fields import Fields
 from morembs.storage.checksums import Checksums
@@ -36,8 +36,8 @@ _COEFFICIENTS = "coefficients of Chebyshev polynomials: "
 def _member(formulation: Formulation, reach: float, table: Any, energy: Any, **values: Any) -> Parameterised:
     fields = Fields(**{row.name: values.pop(row.name) for row in _FIELDS})
     return Parameterised(
-        formulation=formulation, reach=reach, fields=fields, table=Chebyshev(reach=reach, coefficients=table),
-        energy=Chebyshev(reach=reach, coefficients=energy, curved=True), **values,
+        formulation=formulation, reach=reach, fields=fields, table=ChebyshevTable(reach=reach, coefficients=table),
+        energy=ChebyshevTable(reach=reach, coefficients=energy, curved=True), **values,
     )  # fmt: skip
 
 

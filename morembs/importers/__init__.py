@@ -28,7 +28,7 @@ from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.options import Text, checked, known
-from morembs.plugins import Table
+from morembs.plugins import Registry
 from morembs.storage.hdf5 import reading
 from morembs.units import Units, parse_units
 
@@ -95,7 +95,7 @@ _OWN: dict[str, Importer] = {
         read=import_mesh,
     ),
 }
-IMPORTERS: Table[Importer] = Table(
+IMPORTERS: Registry[Importer] = Registry(
     "morembs.importers", _OWN, lambda _, entry: "" if isinstance(entry, Importer) else f"{entry!r} is no Importer"
 )
 

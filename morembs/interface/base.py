@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model import FEModel, frozen
-from morembs.plugins import Table
+from morembs.plugins import Registry
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -145,7 +145,7 @@ def _fault(name: str, entry: object) -> str:
 
 
 # Coupling -> its kind; ``morembs.interface`` gives those that are its own.
-COUPLINGS: Table[CouplingKind] = Table("morembs.couplings", {}, _fault)
+COUPLINGS: Registry[CouplingKind] = Registry("morembs.couplings", {}, _fault)
 
 
 def coupling_kind(interface: str, coupling: str) -> CouplingKind:

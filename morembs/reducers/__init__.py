@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from morembs.moved import renamed
-from morembs.plugins import Table, subclass_fault
+from morembs.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
@@ -30,7 +30,7 @@ _OWN: tuple[type[Reducer], ...] = (
     Irka,
     StaticModesSwitching,
 )
-REDUCERS: Table[type[Reducer]] = Table(
+REDUCERS: Registry[type[Reducer]] = Registry(
     "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
 )
 

@@ -154,8 +154,8 @@ class Balanced(OfResponses):
                 )
             return self.order
         names = ("p", "v") if self.variant == "so" else (self.variant,)
-        found = [singular_values(products, name) for name in names]
-        return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in found))
+        values = [singular_values(products, name) for name in names]
+        return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in values))
 
     def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
         if self.band_hz is not None:
@@ -167,12 +167,12 @@ class Balanced(OfResponses):
     def _over_all(self, problem: Problem, progress: Progress) -> _Gramian:
         with _pencil(problem) as (pencil, notes):
             system = _system(problem, pencil)
-            found = low_rank_gramian(
+            gramian = low_rank_gramian(
                 system, _loads(problem), tolerance=self.adi_tolerance, max_steps=self.adi_steps,
                 budget=problem.budget, progress=progress,
             )  # fmt: skip
         M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
-        Zp, Zv = found.Zp, found.Zv
+        Zp, Zv = gramian.Zp, gramian.Zv
         Mpp, Mpv, Mvv = projected(Zp, M, budget), projected(Zv, M, budget, Zp), projected(Zv, M, budget)
         Dpp, Dpv = alpha * Mpp, alpha * Mpv
         if beta:
@@ -180,32 +180,32 @@ class Balanced(OfResponses):
         if problem.D is not None:
             Dpp, Dpv = Dpp + projected(Zp, problem.D, budget), Dpv + projected(Zv, problem.D, budget, Zp)
         notes = {
-            **notes, "gramian": "low-rank ADI over all frequencies", "adi_residual": found.residual,
-            "adi_shifts": len(found.shifts),
+            **notes, "gramian": "low-rank ADI over all frequencies", "adi_residual": gramian.residual,
+            "adi_shifts": len(gramian.shifts),
         }  # fmt: skip
         products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
         return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
 
     def _with_modal_damping(self, problem: Problem, progress: Progress) -> _Gramian:
         """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
-        made = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR, progress=progress)
+        reference = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR, progress=progress)
         wanted = self.order or 10
-        top = 4 * float(np.sqrt(made.values[0]))
+        top = 4 * float(np.sqrt(reference.values[0]))
         before: tuple[Floats, Floats] | None = None
         for _ in range(DOUBLINGS):
-            made = _up_to(problem, top, progress)
-            Zp, Zv = lyapunov_factor(made.values, made.damping_of_modes(), made.B * problem.motion_scale)
-            products = _modal_products(made, Zp, Zv)
+            reference = _up_to(problem, top, progress)
+            Zp, Zv = lyapunov_factor(reference.values, reference.damping_of_modes(), reference.B * problem.motion_scale)
+            products = _modal_products(reference, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
             if before is not None and len(before[0]) == wanted:
                 settled, change = (float(np.abs(a - b).max() / a[0]) for a, b in zip(values, before, strict=True))
                 if settled <= SETTLED:
                     notes = {
                         "gramian": "modal damping: Lyapunov equation of a reference model of order "
-                        f"{len(made.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
+                        f"{len(reference.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
                         "gramian_change": change,
                     }
-                    return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=made, notes=notes)
+                    return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=reference, notes=notes)
             before = values
             top *= 2
         raise SolverError(
@@ -254,20 +254,20 @@ def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progres
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
     omega = np.linspace(low, high, SAMPLES)
-    made = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
-    loads = made.B * problem.motion_scale
-    decay = made.damping_at_resonance()
+    reference = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
+    loads = reference.B * problem.motion_scale
+    decay = reference.damping_at_resonance()
     # Modes of a table may be damped in part.
     delta = 0.0 if (decay > 0).all() else BESIDE * high
-    Zp, Zv = band_factor(lambda s: made.states(s, loads), made.values, decay, (low, high), delta)
+    Zp, Zv = band_factor(lambda s: reference.states(s, loads), reference.values, decay, (low, high), delta)
     notes: dict[str, object] = {
         "gramian": f"quadrature over {band_hz[0]:g} to {band_hz[1]:g} Hz of a reference model of order "
-        f"{len(made.values)}"
+        f"{len(reference.values)}"
     }
     if delta:
         notes["delta"] = delta
         notes["undamped"] = f"resonances without damping: integrated along s = {delta:.6g} rad/s + i omega"
-    return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(made, Zp, Zv), reference=made, notes=notes)
+    return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(reference, Zp, Zv), reference=reference, notes=notes)
 
 
 def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
@@ -338,14 +338,14 @@ def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
 def _two_sided(
     problem: Problem, gramian: _Gramian, cut: Truncation, right: Floats, notes: Mapping[str, object], variant: str
 ) -> Basis:
-    """Rigid-body modes beside the elastic columns of trial, test and inertial spaces; refused where unstable."""
+    """Rigid-body modes and the elastic columns of trial, test and velocity spaces; refused where unstable."""
     M, Z = problem.M, problem.rigid
-    left = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
-    moved = None if cut.inertial is None else gramian.lift(gramian.Zv, cut.inertial, problem)
-    for X in (right, left, *([] if moved is None else [moved])):
+    W = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
+    V_velocity = None if cut.velocity is None else gramian.lift(gramian.Zv, cut.velocity, problem)
+    for X in (right, W, *([] if V_velocity is None else [V_velocity])):
         project_out(Z, X, M)
     notes = {**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"}
     return two_sided_basis(
-        problem, right, left, "balanced", notes, inertial=moved, what=f'variant = "{variant}"',
+        problem, right, W, "balanced", notes, V_velocity=V_velocity, what=f'variant = "{variant}"',
         instead='take variant = "fv" or "pv", which are always stable, or another order',
     )  # fmt: skip

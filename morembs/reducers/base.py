@@ -210,8 +210,8 @@ class Reducer(ABC):
             K = _without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
             B = outputs.T
         else:
-            moved = V if basis.V_velocity is None else basis.V_velocity
-            M, K = projected(moved, problem.M, budget, basis.W), basis.K
+            V_velocity = V if basis.V_velocity is None else basis.V_velocity
+            M, K = projected(V_velocity, problem.M, budget, basis.W), basis.K
             B = np.asarray((problem.B.T @ basis.W).T)
         _refuse_wrong_stiffness(self.method, replace(basis, K=K), M, problem)
         # Velocities see the stiffness through their own basis.

@@ -112,9 +112,9 @@ class Krylov(Reducer):
     def why_not(self, facts: Facts) -> str:
         columns = facts.coupling.columns
         for key, given in (("inputs", self.inputs), ("outputs", self.outputs)):
-            for one in given or []:
-                if one not in columns:
-                    return f"{key} name the interface {one!r}, which there is not; {nearest(one, columns)}"
+            for name in given or []:
+                if name not in columns:
+                    return f"{key} name the interface {name!r}, which does not exist; {nearest(name, columns)}"
         return super().why_not(facts)
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:

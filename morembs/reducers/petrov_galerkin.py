@@ -19,12 +19,12 @@ GROWING = 1e-8
 
 
 def two_sided_basis(
-    problem: Problem, V: Floats, W: Floats, kind: str, notes: Mapping[str, object], *, inertial: Floats | None = None,
-    what: str, instead: str,
+    problem: Problem, V: Floats, W: Floats, kind: str, notes: Mapping[str, object], *,
+    V_velocity: Floats | None = None, what: str, instead: str,
 ) -> Basis:  # fmt: skip
     """Rigid-body modes and elastic columns ``V``, tested with the rigid-body modes and ``W``, all (Nc, n).
 
-    ``inertial`` (Nc, n) expands velocities and accelerations where V does not. ``what`` was made and what to take
+    ``V_velocity`` (Nc, n) expands velocities and accelerations where V does not. ``what`` was made and what to take
     ``instead`` are words for the message.
 
     Raises:
@@ -34,17 +34,17 @@ def two_sided_basis(
     r, n = Z.shape[1], V.shape[1]
     K = np.zeros((r + n, r + n))
     K[r:, r:] = projected(V, problem.K, budget, W)
-    moved = V if inertial is None else inertial
-    mass = projected(moved, problem.M, budget, W)
-    # Velocities are expanded with the inertial columns, so stiffness damping acts on those.
-    slow = K[r:, r:] if inertial is None else projected(inertial, problem.K, budget, W)
-    D = problem.damping.matrix(mass, slow, np.zeros((n, 0)), symmetric=False)
+    velocity = V if V_velocity is None else V_velocity
+    mass = projected(velocity, problem.M, budget, W)
+    # Stiffness damping acts on the columns of velocities.
+    stiffness = K[r:, r:] if V_velocity is None else projected(V_velocity, problem.K, budget, W)
+    D = problem.damping.matrix(mass, stiffness, np.zeros((n, 0)), symmetric=False)
     if problem.D is not None:
-        D = D + projected(moved, problem.D, budget, W)
+        D = D + projected(velocity, problem.D, budget, W)
     refuse_unstable(mass, D, K[r:, r:], what, instead)
     return Basis(
         V=hstack(Z, V, budget=budget), W=hstack(Z, W, budget=budget),
-        V_velocity=None if inertial is None else hstack(Z, inertial, budget=budget),
+        V_velocity=None if V_velocity is None else hstack(Z, V_velocity, budget=budget),
         K=K, kinds=("rigid",) * r + (kind,) * n, rigid=np.eye(r + n, r), notes=notes,
     )  # fmt: skip
 

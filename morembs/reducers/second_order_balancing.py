@@ -50,14 +50,14 @@ class Products:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truncation:
     """V = Zp ``right`` or, for ``right_of_velocities``, Zv ``right``; equations are tested with Zp ``left``
-    (None: with V) and velocities expanded with Zv ``inertial`` (None: with V); ``values`` the singular values.
+    (None: with V) and velocities expanded with Zv ``velocity`` (None: with V); ``values`` the singular values.
 
     ``cosine`` is that of the largest angle in M between spaces that belong together; 1 for one-sided variants.
     """
 
     right: Floats
     left: Floats | None
-    inertial: Floats | None
+    velocity: Floats | None
     right_of_velocities: bool
     values: Floats
     cosine: float
@@ -74,31 +74,31 @@ def truncated(products: Products, variant: str, order: int, balancing: str) -> T
     Uv, sv, Vv = _svd(products.vv)
     test = Uv[:, :order]
     left: Floats | None = test
-    inertial: Floats | None = None
+    velocity: Floats | None = None
     if variant == "so":
         # T = V1 (W1'V1)^-1 W1'V2 depends on no scaling of V1 and W1.
-        inertial = Vv[:, :order]
-        right = (Vp[:, :order] / sp[:order]) @ (Up[:, :order].T @ (products.vp @ inertial))
+        velocity = Vv[:, :order]
+        right = (Vp[:, :order] / sp[:order]) @ (Up[:, :order].T @ (products.vp @ velocity))
         values, lengths = sv, products.v_norms
     else:
         _, values, right = _svd(_leading(products, variant))
         right = right[:, :order]
         lengths = products.v_norms if variant in ("v", "vp") else products.p_norms
-    expanded = right if inertial is None else inertial
+    expanded = right if velocity is None else velocity
     trial_change, test_change = _orthonormalising(expanded, lengths), _orthonormalising(test, products.p_norms)
     # Zp' M Zv of mixed spaces is the product vv.
     mixed = products.p_norms if lengths is products.p_norms else products.vv
     cosine = _cosine(test @ test_change, mixed, expanded @ trial_change)
-    if inertial is not None:
+    if velocity is not None:
         positions = right @ _orthonormalising(right, products.p_norms)
-        cosine = min(cosine, _cosine(positions, products.vv, inertial @ trial_change))
+        cosine = min(cosine, _cosine(positions, products.vv, velocity @ trial_change))
     if variant in ONE_SIDED:
         left, cosine = None, 1.0
     if balancing == "sr":
         trial_change = test_change = np.diag(1 / np.sqrt(values[:order]))
     return Truncation(
         right=right @ trial_change, left=None if left is None else left @ test_change,
-        inertial=None if inertial is None else inertial @ trial_change,
+        velocity=None if velocity is None else velocity @ trial_change,
         right_of_velocities=variant in ("v", "vp"), values=values, cosine=cosine,
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as sl
 
 from morembs.errors import InputError, SolverError
-from morembs.gmp import ReducedMember, Solver, Table, bending_modes, manifold, points
+from morembs.gmp import ChebyshevTable, ReducedMember, Solver, bending_modes, manifold, points
 from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
 
 LENGTH = 0.304
@@ -49,7 +49,7 @@ def test_a_table_reproduces_polynomials_and_their_derivatives():
     def f(a, b):
         return np.array([1 + a - 2 * b + a**4 * b**3, a**2 * b**2 - 3 * b**4])
 
-    table = Table.through(0.7, np.array([[f(a, b) for b in grid] for a in grid]))
+    table = ChebyshevTable.through(0.7, np.array([[f(a, b) for b in grid] for a in grid]))
     a, b = t = np.array([0.31, -0.55])
     value, first, second = table.at(t)
     assert np.allclose(value, f(a, b), atol=1e-12)
@@ -62,7 +62,8 @@ def test_a_table_reproduces_polynomials_and_their_derivatives():
 @pytest.mark.parametrize("t", [(0.9, 0.2), (0.9, -1.1), (-0.3, 0.75)])
 def test_a_table_goes_on_smoothly_outside_its_range(curved, t):
     grid, h, t = points(0.7, 5), 1e-6, np.array(t)
-    table = Table.through(0.7, np.array([[a**3 * b + a * b**2 - b for b in grid] for a in grid]), curved=curved)
+    samples = np.array([[a**3 * b + a * b**2 - b for b in grid] for a in grid])
+    table = ChebyshevTable.through(0.7, samples, curved=curved)
     inside = np.clip(t, -0.7, 0.7)
     close = inside + 1e-9 * (t - inside)
     assert np.allclose(table.at(close)[0], table.at(inside)[0]) and np.allclose(table.at(close)[1], table.at(inside)[1])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError, OutputError
-from morembs.gmp import Envelope, ReducedMember, Solver, manifold, solid_member
+from morembs.gmp import AngleRange, ReducedMember, Solver, manifold, solid_member
 from morembs.gmp.symmetry import symmetries
 from morembs.nonlinear import PlanarBeam, Section
 from morembs.nonlinear.continuation import follow_equilibrium
@@ -101,7 +101,7 @@ def test_a_tolerance_that_cannot_be_met_is_said():
 
 def test_the_range_follows_from_end_moments():
     moment, EI = 0.008, rod().section.EI
-    report = made(reach=Envelope(moment=moment)).report
+    report = made(reach=AngleRange(moment=moment)).report
     # Equal and opposite moments bend the rod to an arc: the most that moments of this size can do.
     assert report.reach == pytest.approx(1.05 * moment * LENGTH / (2 * EI), rel=1e-6)
     assert report.notes == ()
@@ -109,13 +109,13 @@ def test_the_range_follows_from_end_moments():
 
 def test_the_range_follows_from_a_load_across():
     load, EI = 1e-3, rod().section.EI
-    report = made(reach=Envelope(load=load)).report
+    report = made(reach=AngleRange(load=load)).report
     assert report.reach == pytest.approx(1.05 * load * LENGTH**2 / (24 * EI), rel=1e-2)
 
 
 def test_the_range_of_a_solid_follows_from_end_moments():
     solid, moment = prism(4), 1e-5
-    report = solid_member(solid, modes=1, reach=Envelope(moment=moment)).report
+    report = solid_member(solid, modes=1, reach=AngleRange(moment=moment)).report
     # The same moments, applied to the frames of the solid with its start held.
     moments = np.zeros(solid.size)
     moments[solid.frames["end"][5]] = moment
@@ -125,7 +125,7 @@ def test_the_range_of_a_solid_follows_from_end_moments():
 
 def test_the_range_of_a_solid_follows_from_a_load_across():
     solid, load = prism(6), 1e-3
-    report = solid_member(solid, modes=0, reach=Envelope(load=load)).report
+    report = solid_member(solid, modes=0, reach=AngleRange(load=load)).report
     assert report.reach == pytest.approx(1.05 * load * SOLID**2 / (24 * E * SIDE**4 / 12), rel=0.05)
 
 
@@ -133,7 +133,7 @@ def test_a_range_stops_before_a_bifurcation_and_says_so():
     beam = Softening(1e4)
     with pytest.raises(InputError, match="cannot be followed"):
         made(beam, reach=1.2, tolerance=0.02)
-    member = made(beam, reach=Envelope(angle=1.2), tolerance=0.05)
+    member = made(beam, reach=AngleRange(angle=1.2), tolerance=0.05)
     assert 0.2 < member.data.reach < 1.2 and member.data.reach == member.report.reach
     assert any("not 1.2" in note and "cannot be followed" in note for note in member.report.notes)
     # All of the range is there, and not much was given away: the equilibria end soon behind it.
@@ -146,7 +146,7 @@ def test_a_range_stops_before_a_bifurcation_and_says_so():
 
 
 def test_moments_that_are_not_borne_are_said():
-    member = made(Softening(1e4), reach=Envelope(moment=0.05), tolerance=0.05)
+    member = made(Softening(1e4), reach=AngleRange(moment=0.05), tolerance=0.05)
     assert any("not borne" in note for note in member.report.notes)
 
 
@@ -355,7 +355,7 @@ def test_processes_end_with_their_parent(tmp_path):
 
 
 def test_a_range_that_was_found_is_kept(tmp_path):
-    path, options = tmp_path / "soft.h5", {"reach": Envelope(angle=1.2), "tolerance": 0.05}
+    path, options = tmp_path / "soft.h5", {"reach": AngleRange(angle=1.2), "tolerance": 0.05}
     one = made(Softening(1e4), checkpoint=path, **options)
     again = made(Softening(1e4), checkpoint=path, **options)
     assert again.report.solved == 0 and again.report.reach == one.report.reach and same_bits(one, again)
@@ -392,8 +392,8 @@ def test_bad_plans_are_named():
         with pytest.raises(InputError, match=words):
             made(**options)
     with pytest.raises(InputError, match="expected one of angle, moment, load"):
-        Envelope(angle=0.5, moment=1.0)
+        AngleRange(angle=0.5, moment=1.0)
     with pytest.raises(InputError, match=r"moment = -1"):
-        Envelope(moment=-1)
+        AngleRange(moment=-1)
     with pytest.raises(InputError, match=r"3\.2 rad"):
-        Envelope(angle=3.2)
+        AngleRange(angle=3.2)

@@ -19,13 +19,13 @@ from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
 from morembs.moved import renamed
-from morembs.plugins import Table, subclass_fault
+from morembs.plugins import Registry, subclass_fault
 
 log = logging.getLogger(__name__)
 AUTO = "auto"
 # One name for each solver.
 _OWN: tuple[type[LinearSolver], ...] = (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
-SOLVERS: Table[type[LinearSolver]] = Table(
+SOLVERS: Registry[type[LinearSolver]] = Registry(
     "morembs.solvers", {solver_class.name: solver_class for solver_class in _OWN}, subclass_fault(LinearSolver, "name")
 )
 # What "auto" takes, the best first: with room in memory, with less of it; where MUMPS comes from; who counts.
