@@ -54,7 +54,7 @@ class Simscape(Exporter):
             "D": D,
             "interface_names": np.array(names, dtype=object)[:, None],
             "interface_origins": np.array([one.point for one in framed]),
-            "interface_quaternions": np.array([_quaternion(one.axes.T) for one in framed]),
+            "interface_quaternions": np.array([quaternion(one.axes.T) for one in framed]),
             "fixed_interface_frequencies_hz": np.sqrt(np.maximum(modes, 0.0)) / (2 * np.pi),
             "mass": source.mass,
             "center_of_mass": source.center_of_mass,
@@ -148,7 +148,7 @@ def _symmetric(A: Floats) -> Floats:
     return np.asarray(0.5 * (A + A.T))
 
 
-def _quaternion(R: Floats) -> Floats:
+def quaternion(R: Floats) -> Floats:
     """(w, x, y, z) of a rotation matrix, w not negative (Shepperd 1978)."""
     trace = float(np.trace(R))
     squares = np.array([trace, *np.diag(R)])

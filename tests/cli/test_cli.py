@@ -26,7 +26,7 @@ from morembs.cli import commands as cli
 from morembs.cli import screen, terminal
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
-from morembs.jobs.picture import _view
+from morembs.jobs.picture import viewed_axes
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
 from tests.support.commands import said
@@ -138,7 +138,7 @@ def test_picture_shows_the_flat_side() -> None:
     """A plate along no axis of the model: its length runs to the right, its normal comes towards the viewer."""
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     corners = np.array(list(np.ndindex(2, 2, 2))) * [0.3, 0.1, 0.01]
-    frame = _view(corners @ turn.T)
+    frame = viewed_axes(corners @ turn.T)
     assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(frame) == pytest.approx(1)
     length, _, normal = turn.T

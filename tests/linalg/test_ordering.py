@@ -59,7 +59,7 @@ def test_groups_of_equal_rows() -> None:
     graph, starts = ordering.node_graph(A)
     np.testing.assert_array_equal(starts, [0, 3, 4, 6])
     np.testing.assert_array_equal(graph.toarray() != 0, touch - np.eye(4) != 0)
-    exploded = ordering._explode(np.array([2, 0, 3, 1]), np.array([0, 3, 4, 6]), np.array([3, 1, 2, 1]))
+    exploded = ordering.explode(np.array([2, 0, 3, 1]), np.array([0, 3, 4, 6]), np.array([3, 1, 2, 1]))
     np.testing.assert_array_equal(exploded, [4, 5, 0, 1, 2, 6, 3])
 
 
