@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs import budget as budgets
 from morembs import scratch as scratches
 from morembs.budget import Budget
 from morembs.errors import InputError, OutputError
-from morembs.linalg import congruence as congruences
-from morembs.linalg import orthogonal
+from morembs.linalg.columns import dot, multiply_into, subtract
 from morembs.linalg.congruence import congruence, magnitudes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.scratch import ScratchFolder, free_bytes
+from tests.support.machine import has_memory
 from tests.support.matrices import brick, mass, random
 
 MB = 1 << 20
@@ -41,7 +40,7 @@ def test_small_arrays_and_those_without_a_limit_stay_in_memory(tmp_path: Path) -
 
 
 def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budgets, "resident_bytes", lambda: 80 * MB)
+    has_memory(monkeypatch, resident=80 * MB)
     with Budget(100 * MB, tmp_path) as budget:
         for _ in range(3):
             budget.empty(MB // 2)
@@ -54,17 +53,16 @@ def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monke
 
 def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Made again under the budget that ``raise_for`` names they leave what was asked for, under less they do not."""
-    resident = 80 * MB
 
     def made(budget: Budget) -> int:
         """What is left after four arrays."""
-        nonlocal resident
         resident = 80 * MB
-        monkeypatch.setattr(budgets, "resident_bytes", lambda: resident)
+        has_memory(monkeypatch, resident=resident)
         for _ in range(4):
             before = budget.files
             budget.empty(10 * MB // 8)
             resident += 10 * MB if budget.files == before else 0
+            has_memory(monkeypatch, resident=resident)
         left = budget.left()
         assert left is not None
         return left
@@ -136,7 +134,7 @@ def test_rest_gives_memory_back_and_keeps_the_values(tmp_path: Path, more: int, 
 
 def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Budget().columns(10**9) == 256 and Budget(widest=4).columns(10**9) == 4
-    monkeypatch.setattr(budgets, "resident_bytes", lambda: 400 * MB)
+    has_memory(monkeypatch, resident=400 * MB)
     for memory in (1, 100, 500, 700, 1100, 5000, 10**6):
         budget = Budget(memory * MB)
         assert budget.left() == (memory - 400) * MB
@@ -275,13 +273,24 @@ def test_parent_that_cannot_be_used_is_reported(tmp_path: Path, monkeypatch: pyt
     assert free_bytes(tmp_path / "not" / "yet") == free_bytes(tmp_path) > 0
 
 
-@pytest.mark.parametrize("entries", [50, 1 << 22])
+def test_a_large_congruence_is_made_in_pieces() -> None:
+    """2.7 million entries of which most are kept, against SciPy."""
+    n = 80_000
+    bands = [np.sin(1.0 + np.arange(n - abs(k))) for k in range(-17, 18)]
+    A = sp.csr_array(sp.diags_array(bands, offsets=range(-17, 18)))
+    A = sp.csr_array(A + A.T)
+    slave = np.zeros(n, dtype=bool)
+    slave[[5, 6, 40_000, n - 1]] = True
+    rows = np.concatenate([np.flatnonzero(~slave), np.repeat(np.flatnonzero(slave), 6)])
+    columns = np.concatenate([np.arange(n - 4), np.tile(n - 4 + np.arange(6), 4)])
+    values = np.concatenate([np.ones(n - 4), random(24)])
+    T = sp.csr_array((values, (rows, columns)), shape=(n, n + 2))
+    assert abs(congruence(T, A, Budget()) - T.T @ A @ T).max() < 1e-12
+
+
 @pytest.mark.parametrize("in_files", [False, True])
-def test_congruence_is_that_of_scipy(
-    filed: Budget, monkeypatch: pytest.MonkeyPatch, entries: int, in_files: bool
-) -> None:
+def test_congruence_is_that_of_scipy(filed: Budget, in_files: bool) -> None:
     """Most rows are kept, some follow six others (a rigid interface), some follow many, some vanish."""
-    monkeypatch.setattr(congruences, "_ENTRIES", entries)
     rng = np.random.default_rng(6)
     A = sp.csr_array(brick(4))
     for slaves, masters in ((0, 0), (12, 6), (90, 6), (150, 20)):
@@ -305,23 +314,22 @@ def test_congruence_is_that_of_scipy(
     filed.close()
 
 
-@pytest.mark.parametrize("piece", [3, 1000])
-def test_products_of_tall_blocks_are_those_of_numpy(filed: Budget, monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
-    monkeypatch.setattr(orthogonal, "_COLUMNS", piece)
-    monkeypatch.setattr(orthogonal, "_ROWS", piece)
-    V = filed.empty((50, 8), order="F")
-    V[:] = values = random(50, 8)
-    W, C, Y = random(50, 4, seed=5), random(8, 4), random(8, 3, seed=6)
-    np.testing.assert_allclose(orthogonal.dot(V, W, filed), values.T @ W, atol=1e-13)
+@pytest.mark.parametrize(("rows", "width"), [(50, 8), (50, 150), (70_000, 8)])
+def test_products_of_tall_blocks_are_those_of_numpy(filed: Budget, rows: int, width: int) -> None:
+    """Also of so many columns, or rows, that they are taken in pieces."""
+    V = filed.empty((rows, width), order="F")
+    V[:] = values = random(rows, width)
+    W, C, Y = random(rows, 4, seed=5), random(width, 4), random(width, 3, seed=6)
+    np.testing.assert_allclose(dot(V, W, filed), values.T @ W, atol=1e-9)
     rest = W.copy()
-    orthogonal.subtract(V, C, rest, filed)
-    np.testing.assert_allclose(rest, W - values @ C, atol=1e-13)
-    out = np.full((50, 3), np.nan)
-    assert orthogonal.combine(V, Y, out, filed) is out
-    np.testing.assert_allclose(out, values @ Y, atol=1e-13)
-    orthogonal.combine(V, Y, V[:, :3], filed)
-    np.testing.assert_allclose(V, np.hstack([values @ Y, values[:, 3:]]), atol=1e-13)
-    assert orthogonal.dot(V[:, :0], W).shape == (0, 4)
+    subtract(V, C, rest, filed)
+    np.testing.assert_allclose(rest, W - values @ C, atol=1e-12)
+    out = np.full((rows, 3), np.nan)
+    assert multiply_into(V, Y, out, filed) is out
+    np.testing.assert_allclose(out, values @ Y, atol=1e-12)
+    multiply_into(V, Y, V[:, :3], filed)
+    np.testing.assert_allclose(V, np.hstack([values @ Y, values[:, 3:]]), atol=1e-12)
+    assert dot(V[:, :0], W).shape == (0, 4)
     filed.close()
 
 

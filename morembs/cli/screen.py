@@ -28,9 +28,9 @@ class Screen(Console):
 
 
 class TerminalProgress:
-    """A line on standard error that says what is going on, once that takes more than a second."""
+    """A line on standard error that says what is going on, once that takes more than ``patience`` seconds."""
 
-    def __init__(self, screen: Console, visible: bool) -> None:
+    def __init__(self, screen: Console, visible: bool, *, patience: float = PATIENCE_SECONDS) -> None:
         # Not at the top: what shows tables alone does without.
         from rich.progress import Progress as Bar
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -38,7 +38,7 @@ class TerminalProgress:
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
         self._bar = Bar(*columns, console=screen, transient=True, disable=not visible)
         self._task = self._bar.add_task("", total=None)
-        self._timer = Timer(PATIENCE_SECONDS, self._bar.start)
+        self._timer = Timer(patience, self._bar.start)
         self._timer.daemon = True
         self._stage = ""
 

@@ -43,11 +43,14 @@ class LineProgress:
     """Lines on standard error where no terminal is: a stage that begins, and each quarter of a minute what it does.
 
     A thread looks at the clock, so that long calls of libraries are told too, as far as they let other threads run.
-    Work that takes less than ``PATIENCE_OF_LINES`` writes nothing.
+    Work that takes less than ``patience`` seconds writes nothing.
     """
 
-    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
-        self._write, self._clock = write, clock
+    def __init__(
+        self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic, *,
+        patience: float = PATIENCE_OF_LINES,
+    ) -> None:  # fmt: skip
+        self._write, self._clock, self._patience = write, clock, patience
         self._start = clock()
         self._stage, self._news, self._told = "", "", ""
         self._last = -REPEAT_SECONDS
@@ -71,7 +74,7 @@ class LineProgress:
             elapsed = self._clock() - self._start
             since = elapsed - self._last
             due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
-            if elapsed < PATIENCE_OF_LINES or not due or not (self._stage or self._news):
+            if elapsed < self._patience or not due or not (self._stage or self._news):
                 return
             self._told, self._last = self._stage, elapsed
             self._write(f"[{elapsed:,.0f} s] " + ": ".join(filter(None, (self._stage, self._news))))

@@ -55,7 +55,7 @@ class Simscape(Exporter):
             "D": D,
             "interface_names": np.array(names, dtype=object)[:, None],
             "interface_origins": np.array([interface.point for interface in framed]),
-            "interface_quaternions": np.array([_quaternion(interface.axes.T) for interface in framed]),
+            "interfacequaternions": np.array([quaternion(interface.axes.T) for interface in framed]),
             "fixed_interface_frequencies_hz": np.sqrt(np.maximum(modes, 0.0)) / (2 * np.pi),
             "mass": source.mass,
             "center_of_mass": source.center_of_mass,
@@ -145,7 +145,7 @@ def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats
     return K, M, D
 
 
-def _quaternion(R: Floats) -> Floats:
+def quaternion(R: Floats) -> Floats:
     """(w, x, y, z) of a rotation matrix, w not negative (Shepperd 1978)."""
     trace = float(np.trace(R))
     squares = np.array([trace, *np.diag(R)])

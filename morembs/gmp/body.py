@@ -37,6 +37,7 @@ class ParameterisedBody(VectorComponent):
         rotation: (3, 3), axes of the plane as columns: the chord at the beginning, the direction across, the normal.
         velocity: (3,) m/s of the start along the inertial axes, within the plane.
         spin: rad/s about the normal.
+        ends: (2,) rad, by which start and end are turned from the chord at the beginning.
 
     Raises:
         InputError: a velocity out of the plane, wrong shapes.
@@ -44,7 +45,8 @@ class ParameterisedBody(VectorComponent):
 
     def __init__(
         self, member: ReducedMember, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0.0, 0.0, 0.0), spin: float = 0.0, name: str = "member",
+        velocity: ArrayLike = (0.0, 0.0, 0.0), spin: float = 0.0, ends: ArrayLike = (0.0, 0.0),
+        name: str = "member",
     ) -> None:  # fmt: skip
         label = f"body {name!r}"
         self.name, self.member = name, member
@@ -60,6 +62,7 @@ class ParameterisedBody(VectorComponent):
                 "expected a motion in the plane"
             )
         q = member.start(np.array([0, 0, 0, member.length, 0, 0], dtype=float))
+        q[[2, 5]] += vector(f"{label}: ends", ends, 2)
         v = np.zeros(member.size)
         v[:6] = speed[0], speed[1], spin, speed[0], speed[1] + spin * member.length, spin
         self._start = q, v

@@ -73,7 +73,7 @@ def _fill(
         _draw_response(rows.pop(0), response)
 
 
-def _view(points: Floats) -> Floats:
+def viewed_axes(points: Floats) -> Floats:
     """Rows (3, 3) of the picture's frame: to the right, upwards, towards the viewer.
 
     The longest principal axis runs to the right and the shortest, the normal of the flat side, towards
@@ -96,7 +96,7 @@ def _draw_shapes(figure: SubFigure, shapes: Shapes) -> None:
     rows = 1 if count == 1 else 2
     axes = figure.subplots(rows, -(-count // rows), squeeze=False)
     figure.subplots_adjust(left=0.02, right=0.90, top=0.90, bottom=0.03, wspace=0.04, hspace=0.16)
-    frame = _view(shapes.points)
+    frame = viewed_axes(shapes.points)
     points = (shapes.points - shapes.points.mean(axis=0)) @ frame.T
     largest = EXAGGERATION * float(np.ptp(points, axis=0).max())
     for number, panel in enumerate(axes.ravel()):

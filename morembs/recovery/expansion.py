@@ -20,9 +20,6 @@ from morembs.errors import InputError
 from morembs.recovery.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
-# A basis up to this size is kept in memory; a larger one is read again for each block of steps.
-KEPT_BYTES = 2**30
-BLOCK_BYTES = 2**27
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,27 +41,32 @@ class Expansion:
 
 def expand(
     source: StoredBodies, body: StoredBody, trajectory: Trajectory, *, recovery: Recovery | None = None,
-    scale: float = 1.0,
+    scale: float = 1.0, kept_bytes: int = 2**30,
 ) -> Expansion:  # fmt: skip
     """Displacements at all times, and stresses if ``recovery`` is given; all in memory.
 
-    ``scale`` magnifies the deformation in ``motion``. Loads correct displacements where ``recovery`` is that of a body
-    file (``stored_recovery``).
+    ``scale`` magnifies the deformation in ``motion``. A basis of up to ``kept_bytes`` is read whole. Loads correct
+    displacements where ``recovery`` is that of a body file (``stored_recovery``).
 
     Raises:
         InputError: a trajectory that does not fit the body, or results too large for single precision.
     """
-    return Expander(source, body, recovery, scale).expand(trajectory)
+    return Expander(source, body, recovery, scale, kept_bytes).expand(trajectory)
 
 
 @dataclass(frozen=True, eq=False)
 class Expander:
-    """What takes trajectories of one body to its nodes; the basis is read once, if it is not too large."""
+    """What takes trajectories of one body to its nodes.
+
+    A basis of up to ``kept_bytes`` is read once, a larger one again for each block of steps, of ``block_bytes``.
+    """
 
     source: StoredBodies
     body: StoredBody
     recovery: Recovery | None
     scale: float
+    kept_bytes: int = 2**30
+    block_bytes: int = 2**27
     kept: list[Floats] = field(default_factory=list)
 
     def blocks(self, trajectory: Trajectory) -> Iterator[Expansion]:
@@ -72,7 +74,7 @@ class Expander:
         recovery = self.recovery
         points = 0 if recovery is None else len(recovery.points)
         pairs = 0 if recovery is None or recovery.jump is None else len(recovery.jump) // 6
-        step = max(1, BLOCK_BYTES // (8 * (18 * len(self.source.node_ids) + 18 * points + 24 * pairs + 1)))
+        step = max(1, self.block_bytes // (8 * (18 * len(self.source.node_ids) + 18 * points + 24 * pairs + 1)))
         for at in range(0, len(trajectory.times), step):
             yield self.expand(trajectory.part(slice(at, at + step)))
 
@@ -119,7 +121,7 @@ class Expander:
         """V q as (nt, n, 3)."""
         rows, order = 3 * len(self.source.node_ids), q.shape[1]
         moved = np.zeros((rows, len(q)))
-        width = max(1, KEPT_BYTES // (8 * max(rows, 1)))
+        width = max(1, self.kept_bytes // (8 * max(rows, 1)))
         for at in range(0, order, width):
             if order <= width:
                 if not self.kept:

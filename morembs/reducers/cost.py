@@ -11,7 +11,7 @@ at some two hundred frequencies; what ``auto`` makes of it takes a dozen times a
 from __future__ import annotations
 
 from morembs.linalg.eigen import DENSE, DENSE_PART
-from morembs.linalg.sparse.threads import measured_speed
+from morembs.linalg.sparse.threads import Speed, measured_speed
 
 # Columns of the space for each mode, and blocks on top; operations of the small problem over k^3.
 _PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 2.5
@@ -24,9 +24,10 @@ _PER_INPUT, _REFERENCE = 5, 1e5
 COMPARED = 2.0
 
 
-def mode_seconds(size: int, count: int, factor_entries: int) -> float:
-    """Time of the lowest ``count`` modes of ``size`` dofs, the factorisation not included."""
-    rate = 1e9 * measured_speed().gemm_gflops
+def mode_seconds(size: int, count: int, factor_entries: int, speed: Speed | None = None) -> float:
+    """Time of the lowest ``count`` modes of ``size`` dofs, the factorisation not included, at ``speed``, None: as
+    measured."""
+    rate = 1e9 * (speed or measured_speed()).gemm_gflops
     if size <= DENSE or (size <= DENSE_PART and 4 * count > size):
         return _DENSE * size**3 / (_DENSE_EFFICIENCY * rate)
     block = min(max(count // 2, 8), 16)

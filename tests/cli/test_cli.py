@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import re
 import subprocess
 import sys
 import tempfile
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +27,10 @@ from morembs.cli import screen, terminal
 from morembs.cli.certificates import Certified
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
-from morembs.jobs.picture import _view
+from morembs.jobs.picture import viewed_axes
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
+from tests.support.commands import said
 from tests.support.decks import BEAM, HINGED, deck, folder
 from tests.support.progress import Heard
 
@@ -36,17 +39,11 @@ RUNNER = CliRunner()
 MASS = 7850 * 0.06 * 0.02 * 0.02
 
 
-@pytest.fixture(autouse=True)
-def no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a slow machine even a small job lasts long enough for a line."""
-    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 1e9)
-
-
 def run(*arguments: str) -> Any:
     """The JSON document of a command that succeeds."""
     result = RUNNER.invoke(cli.app, [*arguments, "--json"])
     assert result.exit_code == 0, (result.stderr, result.exception)
-    assert result.stderr == ""
+    assert said(result.stderr) == ""
     return json.loads(result.stdout)
 
 
@@ -142,7 +139,7 @@ def test_picture_shows_the_flat_side() -> None:
     """A plate along no axis of the model: its length runs to the right, its normal comes towards the viewer."""
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     corners = np.array(list(np.ndindex(2, 2, 2))) * [0.3, 0.1, 0.01]
-    frame = _view(corners @ turn.T)
+    frame = viewed_axes(corners @ turn.T)
     assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(frame) == pytest.approx(1)
     length, _, normal = turn.T
@@ -165,7 +162,7 @@ def test_info_of_another_file(tmp_path: Path) -> None:
     (tmp_path / "x.h5").write_bytes(b"no")
     for name in ("x.h5", "y.h5"):
         result = RUNNER.invoke(cli.app, ["info", str(tmp_path / name)])
-        assert result.exit_code == 2 and result.stderr.count("\n") == 1 and name in result.stderr
+        assert result.exit_code == 2 and said(result.stderr).count("\n") == 1 and name in result.stderr
 
 
 def test_check_forecasts_without_factorising(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +207,7 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
     needed = 0
     for verb in ("check", "reduce"):
         done = subprocess.run([sys.executable, "-m", "morembs", verb, job], capture_output=True, text=True)
-        assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+        assert done.returncode == 2 and said(done.stderr).count("\n") == 1, done.stderr
         found = re.search(r"below what this program itself needs.*give at least (\d+) MB", done.stderr)
         assert found, done.stderr
         needed = max(needed, int(found[1]))
@@ -235,7 +232,7 @@ def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
     jobs = [str(tmp_path / name / "job.toml") for name in "abc"]
     result = RUNNER.invoke(cli.app, ["reduce", *jobs, "--json"])
     assert result.exit_code == 2
-    assert result.stderr.startswith(f"error: {jobs[0]}: ") and result.stderr.count("\n") == 1
+    assert said(result.stderr).startswith(f"error: {jobs[0]}: ") and said(result.stderr).count("\n") == 1
     found = json.loads(result.stdout)
     assert [set(one) == {"job", "error"} for one in found] == [True, False, False]
     assert [one["job"] for one in found] == jobs
@@ -249,7 +246,7 @@ def test_memory_that_did_not_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("morembs.jobs.run.run_job", fail)
     result = RUNNER.invoke(cli.app, ["reduce", str(folder(tmp_path))])
     assert result.exit_code == 2
-    assert "memory" in result.stderr and result.stderr.count("\n") == 1
+    assert "memory" in result.stderr and said(result.stderr).count("\n") == 1
 
 
 def test_usage() -> None:
@@ -260,24 +257,19 @@ def test_usage() -> None:
         assert "130 interrupted" in " ".join(RUNNER.invoke(cli.app, [*verb, "--help"]).stdout.split())
 
 
-def test_lines_without_a_terminal(tmp_path: Path) -> None:
-    """Stages on standard error, a clean document on standard output; nothing where it is quick, or --quiet."""
-    fast = "terminal.STAGE_SECONDS = 0.0"
-    for seconds, options in ((0.0, ["--json"]), (0.0, ["--json", "--quiet"]), (1e9, ["--json"])):
-        code = (
-            f"from morembs.cli import main, terminal; terminal.PATIENCE_OF_LINES = {seconds}; {fast}; "
-            "main()"
-        )
-        command = [sys.executable, "-c", code, "reduce", str(folder(tmp_path)), *options]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
-        assert json.loads(done.stdout)["dofs"] == 189
-        lines = done.stderr.splitlines()
-        if seconds or "--quiet" in options:
-            assert lines == []
-        else:
-            told = [re.fullmatch(r"\[\d+ s\] ([a-z ]+).*", line) for line in lines]
-            assert all(told), lines
-            assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {one[1] for one in told if one}
+def test_lines_without_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stages on standard error, a clean document on standard output; nothing with --quiet."""
+    quarters = itertools.count()
+    at_once = partial(terminal.LineProgress, clock=lambda: 15.0 * next(quarters), patience=0.0)
+    monkeypatch.setattr(terminal, "LineProgress", at_once)
+    job = str(folder(tmp_path))
+    result = RUNNER.invoke(cli.app, ["reduce", job, "--json"])
+    assert json.loads(result.stdout)["dofs"] == 189
+    lines = [re.fullmatch(r"\[[\d,]+ s\] ([a-z ]+).*", line) for line in result.stderr.splitlines()]
+    assert all(lines), result.stderr
+    assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {line[1] for line in lines if line}
+    result = RUNNER.invoke(cli.app, ["reduce", job, "--json", "--quiet"])
+    assert json.loads(result.stdout)["dofs"] == 189 and result.stderr == ""
 
 
 class Clock:
@@ -290,9 +282,8 @@ class Clock:
         return self.now
 
 
-def test_long_work_goes_on_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_work_goes_on_being_told() -> None:
     """A call that reports nothing for long is told all the same, and one that reports a lot is not told each time."""
-    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 5.0)
     clock, lines = Clock(), list[str]()
     progress = terminal.LineProgress(lines.append, clock)
 
@@ -314,9 +305,8 @@ def test_long_work_goes_on_being_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lines == ["[40 s] solve modes", "[55 s] solve modes: 239 converged", "[70 s] solve modes: 479 converged"]
 
 
-def test_a_thread_looks_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thread_looks_at_the_clock() -> None:
     """What the work does not tell, and for no longer than the work."""
-    monkeypatch.setattr(terminal, "PATIENCE_OF_LINES", 5.0)
     clock, told = Clock(), threading.Event()
     lines = terminal.LineProgress(lambda _: told.set(), clock)
     with lines.shown() as progress:
@@ -332,8 +322,7 @@ def progress_threads() -> list[str]:
 
 
 @pytest.mark.parametrize("visible", [True, False])
-def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) -> None:
-    monkeypatch.setattr(screen, "PATIENCE_SECONDS", 0.0)
+def test_progress_on_a_terminal(visible: bool) -> None:
 
     class Screen(io.StringIO):
         def write(self, text: str) -> int:
@@ -343,7 +332,8 @@ def test_progress_on_a_terminal(monkeypatch: pytest.MonkeyPatch, visible: bool) 
             return written
 
     seen, drawn = threading.Event(), Screen()
-    with screen.TerminalProgress(Console(file=drawn, force_terminal=True), visible).shown() as progress:
+    console = Console(file=drawn, force_terminal=True)
+    with screen.TerminalProgress(console, visible, patience=0.0).shown() as progress:
         progress.stage("factorise")
         progress.update("half")
         assert seen.wait() if visible else not seen.is_set()

@@ -13,7 +13,7 @@ from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.errors import InputError
 from morembs.exporters import export_body
-from morembs.exporters.simscape import Simscape, _quaternion
+from morembs.exporters.simscape import Simscape, quaternion
 from morembs.interface import make_interface
 from morembs.model import rigid_motion
 from morembs.problem import Damping, Problem
@@ -108,7 +108,7 @@ def test_frames_at_an_angle_and_same_bytes(made, tmp_path):
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ])  # fmt: skip
-        assert _quaternion(R) == pytest.approx(q, abs=1e-12)
+        assert quaternion(R) == pytest.approx(q, abs=1e-12)
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="octave is not installed")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.frame import floating_frame, frame_rows
 from morembs.floating.link_stiffness import Links
@@ -383,16 +384,15 @@ def test_a_body_without_interfaces_has_the_terms_of_its_rotation():
     assert flap == pytest.approx([wanted, wanted], rel=5e-3)
 
 
-def test_blocks_and_groups_change_nothing():
+def test_blocks_and_groups_change_nothing(tmp_path):
     model, interfaces = beam(n=6)
     found = []
-    for columns in (16, 5):
-        with Problem(model, interfaces) as problem, pytest.MonkeyPatch.context() as patch:
-            patch.setattr("morembs.floating.stiffening_terms.COLUMNS", columns)
-            patch.setattr("morembs.floating.stiffening_terms.LOADS", columns // 2)
-            patch.setattr("morembs.model.assembly.CHUNK_BYTES", 10_000_000 // columns**3)
+    # All loads at once; and one by one with few columns, as there is no memory left.
+    for memory in (None, 1):
+        with Problem(model, interfaces, budget=Budget(None, tmp_path, in_memory=1 << 30)) as problem:
             reduced = Krylov(shifts_hz=[0.0, 200.0]).reduce(problem)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
+            problem.budget.memory = memory
             found.append(geometric_stiffening(problem, reduced, frame))
     assert found[1].rotation == pytest.approx(found[0].rotation, rel=1e-6, abs=1e-9 * np.abs(found[0].rotation).max())
 

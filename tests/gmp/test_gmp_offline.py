@@ -276,11 +276,7 @@ def test_a_failure_is_the_same_for_any_number_of_processes():
 KILLED = """
 import os, signal, sys
 sys.path.insert(0, {root!r})
-from morembs.gmp import checkpoint
 from tests.gmp.test_gmp_offline import made
-
-# Every equilibrium is written, however long that takes beside finding it.
-checkpoint._SELDOM = 0
 
 class Fatal:
     def stage(self, name): pass
@@ -299,7 +295,8 @@ def test_a_run_that_was_killed_goes_on_and_gives_the_same(tmp_path):
     assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
     with h5py.File(path) as file:
         kept = len(file["keys"])
-    assert kept >= 4
+    # The first is written at once, the others as often as that takes little beside finding them.
+    assert 1 <= kept <= 9
     straight_on = made(tolerance=1e-5)
     again = made(tolerance=1e-5, checkpoint=path, workers=2)
     assert same_bits(straight_on, again)
@@ -329,7 +326,6 @@ ORPHANS = """
 import os, signal, sys
 sys.path.insert(0, {root!r})
 from morembs.gmp.worker_pool import WorkerPool
-from tests.support.progress import Heard
 
 class Work:
     def fresh(self):

@@ -14,7 +14,7 @@ from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix, read_abaqus_substructure
-from morembs.importers.text_matrices import numbers
+from morembs.importers.text_matrices import numbers, text_blocks
 from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
@@ -82,13 +82,18 @@ def test_unsymmetric_matrices_stay_so(tmp_path):
         assert not back.symmetric and not back.half and np.abs(back.matrix - given).max() <= 1e-15
 
 
-def test_many_blocks_of_text(tmp_path, monkeypatch):
-    """The matrix does not depend on how the text was cut."""
+def test_many_blocks_of_text(tmp_path):
+    """Blocks are whole lines, and hold all of the text; a matrix of several blocks is that which was written."""
     A, node, dof = labelled()
     write_abaqus_matrix(tmp_path / "a.mtx", A, node, dof)
-    whole = read_abaqus_matrix(tmp_path / "a.mtx").matrix
-    monkeypatch.setattr("morembs.importers.text_matrices.text_blocks.__defaults__", (97,))
-    assert (read_abaqus_matrix(tmp_path / "a.mtx").matrix != whole).nnz == 0
+    blocks = list(text_blocks(tmp_path / "a.mtx", 97))
+    assert len(blocks) > 10 and all(block.endswith(b"\n") for block in blocks)
+    assert b"".join(blocks) == (tmp_path / "a.mtx").read_bytes()
+    node, dof = np.repeat(np.arange(1, 30_001), 3), np.tile([1, 2, 3], 30_000)
+    large = sp.diags_array(np.linspace(1.0, 2.0, len(node)), format="csr")
+    write_abaqus_matrix(tmp_path / "b.mtx", large, node, dof)
+    assert len(list(text_blocks(tmp_path / "b.mtx"))) > 1
+    assert abs(read_abaqus_matrix(tmp_path / "b.mtx").matrix - large).max() <= 1e-15
 
 
 def test_matrices_of_fewer_rows_are_placed(tmp_path):

@@ -17,7 +17,6 @@ import scipy.io
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from morembs import memory
 from morembs.cli import app
 from morembs.errors import InputError
 from morembs.exporters.op4 import write_op4
@@ -26,6 +25,7 @@ from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.model_file import write_model
 from morembs.importers.op4 import read_op4
 from morembs.model import FEModel
+from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
 
 STEEL = "young=2.1e11,poisson=0.3,density=7850"
@@ -194,7 +194,7 @@ def test_damaged_zip(tmp_path: Path, model: FEModel) -> None:
 def test_packed_zeros_do_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.savez_compressed(tmp_path / "k.npz", K=np.zeros((1000, 1000)))
     scipy.io.savemat(tmp_path / "k.mat", {"K": np.zeros((1000, 1000))}, do_compression=True)
-    monkeypatch.setattr(memory, "available_bytes", lambda: 7_000_000)
+    has_memory(monkeypatch, free=7_000_000)
     for name in ("k.npz", "k.mat"):
         assert "holds arrays of 8e+06 bytes; 7e+06 bytes of memory are free" in refused(tmp_path / name)
 

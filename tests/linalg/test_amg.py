@@ -93,7 +93,7 @@ def test_rows_are_put_together_to_nodes() -> None:
     touch = np.array([[4, 1, 0, 0], [1, 4, 1, 0], [0, 1, 4, 1], [0, 0, 1, 4]])
     A = sp.csr_array(touch[np.ix_(node, node)] * 1.0)
     near = _random(12, 2)
-    blocks, place, wide = amg._by_nodes(A, near, np.array([0, 3, 5, 6]))
+    blocks, place, wide = amg.by_nodes(A, near, np.array([0, 3, 5, 6]))
     assert blocks.blocksize == (3, 3) and blocks.shape == (15, 15)
     np.testing.assert_array_equal(place, [0, 1, 2, 3, 4, 6, *range(9, 15)])
     full = blocks.toarray()
@@ -102,9 +102,9 @@ def test_rows_are_put_together_to_nodes() -> None:
     np.testing.assert_array_equal(full[idle], 4.0 * np.eye(15)[idle])
     np.testing.assert_array_equal(wide[place], near)
     assert not wide[idle].any()
-    _, _, constant = amg._by_nodes(A, None, np.array([0, 3, 5, 6]))
+    _, _, constant = amg.by_nodes(A, None, np.array([0, 3, 5, 6]))
     np.testing.assert_array_equal(constant[place], np.eye(3)[place % 3])
-    assert amg._by_nodes(A, None, np.arange(12))[0].blocksize == (1, 1)
+    assert amg.by_nodes(A, None, np.arange(12))[0].blocksize == (1, 1)
 
 
 def test_scalar_chain() -> None:

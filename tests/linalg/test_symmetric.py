@@ -11,21 +11,12 @@ import scipy.sparse as sp
 
 from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError
-from morembs.linalg import dynamic_stiffness
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
-from morembs.linalg.sparse import symmetric
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, damped, mass, random
 
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
-
-
-@pytest.fixture(params=[4, 1 << 17], ids="rows{}".format, autouse=True)
-def _rows(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also in pieces that are much smaller than the matrix."""
-    monkeypatch.setattr(symmetric, "_ROWS", request.param)
-    monkeypatch.setattr(dynamic_stiffness, "_CHUNK", 64 * request.param)
 
 
 @pytest.fixture(params=["real", "complex", "no diagonal", "one row"])
@@ -56,6 +47,29 @@ def test_product_is_that_of_the_whole_matrix(dense: np.ndarray) -> None:
         before = X.copy()
         np.testing.assert_allclose(lower @ X, dense @ X, rtol=0, atol=1e-14 * np.abs(dense).sum())
         np.testing.assert_array_equal(X, before)
+
+
+def test_large_matrices_are_handled_in_pieces() -> None:
+    """Some 100,000 rows and 1.2 million entries, against SciPy, which makes all of it at once."""
+    n = 101_000
+    bands = [1.0 + 0.3 * np.sin(np.arange(n - k)) for k in range(12)]
+    half = sp.diags_array(bands, offsets=range(0, -12, -1), shape=(n, n), format="csr")
+    A = sp.csr_array(half + sp.tril(half, -1).T + 40.0 * sp.eye_array(n))
+    lower = Lower.of(A)
+    found = sp.csc_array((lower.data, lower.indices, lower.indptr), shape=A.shape)
+    assert abs(sp.tril(A, format="csc") - found).max() == 0
+    X = random(n, 2)
+    np.testing.assert_allclose(lower @ X, A @ X, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(lower.largest_in_rows(), abs(A).max(axis=1).toarray().ravel(), rtol=1e-15)
+    assert abs(lower.full() - A).max() == 0
+    M = sp.diags_array(1.0 + np.arange(n) / n, format="csr")
+    with DynamicStiffness(A, M, solver=SuperLU()) as pencil:
+        assert abs(pencil.at(2.0).full() - (A + 4.0 * M)).max() < 1e-13
+    rows, kept = np.array([0, 70_000, n - 1]), np.ones(n)
+    kept[rows] = 0.0
+    S = sp.diags_array(kept)
+    held = S @ A @ S + sp.diags_array((1.0 - kept) * A.diagonal().max())
+    assert abs(constrained(lower, rows).full() - held).max() == 0
 
 
 def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:

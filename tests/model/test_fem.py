@@ -14,7 +14,7 @@ from morembs.model.elements import TYPES
 from morembs.model.mass import mass_properties
 from morembs.model.material import isotropic, orthotropic
 from morembs.problem import Problem
-from tests.support.meshes import STEEL, ball, box, steel, where
+from tests.support.meshes import STEEL, ball, box, heavy, steel, where
 
 KINDS = list(TYPES)
 SIZES = {"tet4": 3, "hex8": 3, "wedge6": 3, "tet10": 2, "hex20": 2, "hex27": 2, "wedge15": 2}
@@ -229,15 +229,10 @@ def test_coordinates_that_overflow_are_named(size):
             replace(whole, nodes=far)
 
 
-def test_assembly_in_small_chunks_is_the_same(monkeypatch):
-    import morembs.model.assembly
-
-    mesh = box("tet10", (3, 2, 2), (0.3, 0.2, 0.1))
-    whole = steel(mesh)
-    monkeypatch.setattr(morembs.model.assembly, "CHUNK_BYTES", 60_000)
-    pieces = steel(mesh)
-    assert abs(whole.K - pieces.K).max() <= 1e-15 * abs(whole.K).max()
-    assert abs(whole.M - pieces.M).max() <= 1e-15 * abs(whole.M).max()
+def test_assembly_in_pieces_is_that_of_two_blocks():
+    whole, parts = (steel(mesh) for mesh in heavy())
+    assert abs(whole.K - parts.K).max() <= 1e-15 * abs(whole.K).max()
+    assert abs(whole.M - parts.M).max() <= 1e-15 * abs(whole.M).max()
 
 
 def joined(first, second):

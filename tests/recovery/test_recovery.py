@@ -14,7 +14,6 @@ import scipy.linalg as sl
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
-from morembs import memory
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.body.stress_shapes import recovery_parts, stress_recovery
@@ -30,10 +29,11 @@ from morembs.model.stress_operator import von_mises
 from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
 from morembs.multibody.rotations import exponential
 from morembs.problem import Problem
-from morembs.recovery import expansion as module
+from morembs.recovery.expansion import Expander
 from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
 from morembs.storage.writer import Writer
+from tests.support.machine import has_memory
 from tests.support.meshes import STEEL, box, steel, where
 
 ROOT = Path(__file__).parents[2]
@@ -98,7 +98,7 @@ def turn(angle, axis):
     return np.eye(3) + np.sin(angle) * W + (1 - np.cos(angle)) * W @ W
 
 
-def test_expansion_is_basis_times_coordinates(bar, monkeypatch):
+def test_expansion_is_basis_times_coordinates(bar):
     body = bar.source.bodies["cb"]
     q = bar.given.coordinates
     found = expand(bar.source, body, bar.given, recovery=bar.its)
@@ -108,8 +108,8 @@ def test_expansion_is_basis_times_coordinates(bar, monkeypatch):
     stress = (bar.its.stress @ q.T + bar.its.correction @ bar.given.loads.T).T.reshape(3, -1, 6)
     assert np.abs(found.stress - stress).max() < 1e-9 * np.abs(stress).max()
     # A basis too large to keep is read in blocks of columns, with the same result.
-    monkeypatch.setattr(module, "KEPT_BYTES", 8 * 3 * len(bar.source.node_ids) * 5)
-    assert np.abs(expand(bar.source, body, bar.given).displacement - exact).max() < 1e-13 * np.abs(exact).max()
+    few = expand(bar.source, body, bar.given, kept_bytes=8 * 3 * len(bar.source.node_ids) * 5)
+    assert np.abs(few.displacement - exact).max() < 1e-13 * np.abs(exact).max()
 
 
 def test_a_moving_frame_carries_the_body(bar):
@@ -185,9 +185,18 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
     assert any(f"{len(inner)} of" in note for note in result.notes)
 
 
-def test_blocks_of_steps_and_every_nth_step(bar, tmp_path, monkeypatch):
+def test_blocks_of_steps_are_the_whole(bar):
     many = Trajectory(times=np.arange(7.0), coordinates=np.sin(np.outer(np.arange(7.0), np.ones(bar.cb.order))))
-    monkeypatch.setattr(module, "BLOCK_BYTES", 1)
+    body = bar.source.bodies["cb"]
+    whole = expand(bar.source, body, many, recovery=bar.its, scale=2.0)
+    blocks = list(Expander(bar.source, body, bar.its, 2.0, block_bytes=1).blocks(many))
+    assert len(blocks) == 7
+    for name in ("times", "displacement", "motion", "stress"):
+        close(np.concatenate([getattr(block, name) for block in blocks]), getattr(whole, name))
+
+
+def test_every_nth_step(bar, tmp_path):
+    many = Trajectory(times=np.arange(7.0), coordinates=np.sin(np.outer(np.arange(7.0), np.ones(bar.cb.order))))
     recover(bar.path, many, tmp_path / "out.vtkhdf", body="cb", stress=False, every=3, scale=2.0)
     times, steps = steps_of(tmp_path / "out.vtkhdf")
     assert times.tolist() == [0.0, 3.0, 6.0]
@@ -428,7 +437,7 @@ def bad_trajectories():
 
 def test_packed_zeros_do_not_fill_the_memory(bar, tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / "t.npz", time=np.arange(3.0), coordinates=np.zeros((3, 10**6)))
-    monkeypatch.setattr(memory, "available_bytes", lambda: 7_000_000)
+    has_memory(monkeypatch, free=7_000_000)
     with pytest.raises(InputError, match=r"t.npz holds arrays of 2\.4e\+07 bytes; 7e\+06 bytes of memory are free"):
         recover(bar.path, tmp_path / "t.npz", tmp_path / "out.vtkhdf", body="cb")
 

@@ -6,12 +6,13 @@ import pytest
 import scipy.sparse as sp
 
 from morembs.body.tables import SWITCHING
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.stress_operator import stress_operator
 from morembs.problem import Problem
-from morembs.reducers import REDUCERS, StaticModesSwitching, static_modes_switching
+from morembs.reducers import REDUCERS, StaticModesSwitching
 from morembs.reducers import candidates as candidate_module
 from morembs.reducers.switching_tables import active_set
 from morembs.storage.table import read_rows
@@ -124,13 +125,14 @@ def test_static_answers_of_a_held_body_are_exact_and_stress_too():
 
 
 @pytest.mark.parametrize("width", [1, 4])
-def test_streaming_in_blocks_changes_nothing(monkeypatch, width):
+def test_streaming_in_blocks_changes_nothing(width):
     model, candidates = bar()
     with Problem(model) as problem:
         plain = StaticModesSwitching(base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True)
         reduced = plain.reduce(problem)
         all_pairs = plain.switching(problem, reduced)
-        monkeypatch.setattr(static_modes_switching, "WIDEST", width)
+    with Problem(model, budget=Budget(widest=width)) as problem:
+        reduced = plain.reduce(problem)
         banded = StaticModesSwitching(
             base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True, band=2
         ).switching(problem, reduced)

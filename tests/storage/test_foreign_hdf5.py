@@ -15,7 +15,7 @@ from morembs.errors import InputError
 from morembs.gmp.stored import read_members
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
-from morembs.storage import hdf5
+from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
 
 SECRET = np.arange(9.0)
@@ -89,7 +89,7 @@ def test_packed_zeros_do_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest
         file.create_dataset("K", data=np.zeros((1000, 1000)), compression="gzip", chunks=(1000, 1000))
         file.create_dataset("M", data=np.eye(1000), compression="gzip", chunks=(1000, 1000))
     assert import_file(path, "hdf5").K is not None
-    monkeypatch.setattr(hdf5, "available_bytes", lambda: 15_000_000)
+    has_memory(monkeypatch, free=15_000_000)
     with pytest.raises(InputError, match=r"packed data of 1\.6e\+07 bytes .* 1\.5e\+07 bytes of memory are free"):
         import_file(path, "hdf5")
 

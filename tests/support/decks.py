@@ -73,6 +73,12 @@ def folder(path: Path, tables: Mapping[str, str | None] | None = None, text: str
     return path / "job.toml"
 
 
+def filled(mark: str, size: int) -> str:
+    """``size`` characters, 160 or more, of lines that are comments by their ``mark``."""
+    line = mark.ljust(79, "-") + "\n"
+    return mark.ljust(79 + size % 80, "-") + "\n" + (size // 80 - 1) * line
+
+
 def damaged(sources: Sequence[str], count: int, seed: int, marks: bytes) -> Iterator[bytes]:
     """``count`` damaged copies: cut off, bytes changed to some of ``marks``, lines swapped, lines doubled."""
     chance = random.Random(seed)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
+from morembs.model.assembly import assemble, chunks
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic
 
@@ -59,6 +59,16 @@ def box(
     cells = list(itertools.product(*(range(k) for k in n)))
     xyz = points_and_cells(kind, cells) / np.asarray(n) * np.asarray(size)
     return merged(kind, xyz if warp is None else warp(xyz))
+
+
+def heavy() -> tuple[Mesh, Mesh]:
+    """A mesh of so many large elements that they are integrated in more than one piece; and again as two blocks, each
+    of which is one piece."""
+    mesh = box("hex27", (5, 6, 6), (0.5, 0.6, 0.6))
+    assert len(list(chunks(mesh))) == 2
+    (block,) = mesh.blocks
+    halves = (slice(0, 90), slice(90, None))
+    return mesh, replace(mesh, blocks=tuple(replace(block, ids=block.ids[k], nodes=block.nodes[k]) for k in halves))
 
 
 def ball(kind: str, n: int, radius: float) -> Mesh:

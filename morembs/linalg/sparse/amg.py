@@ -132,7 +132,7 @@ class _Hierarchy:
         """Fill ``levels``; returns the matrix of the coarsest one."""
         import pyamg
 
-        blocks, place, near = _by_nodes(A, near, starts)
+        blocks, place, near = by_nodes(A, near, starts)
         try:
             levels = pyamg.smoothed_aggregation_solver(
                 blocks, B=near, symmetry="symmetric", strength=("symmetric", {"theta": _STRENGTH}), smooth=_ENERGY,
@@ -193,7 +193,7 @@ def _level(A: sp.csr_array, P: sp.csr_array, unit: float) -> _Level:
     return _Level(single, P, sp.csr_array(P.T), inverse[:, None], top)
 
 
-def _by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr_matrix, Ints, Floats]:
+def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr_matrix, Ints, Floats]:
     """``A`` in blocks of one node each, the place (n,) of its rows there, and the near-nullspace there.
 
     Rows of equal pattern, which begin at ``starts``, are taken for a node, three at a time; a node with fewer gets

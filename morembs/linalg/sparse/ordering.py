@@ -91,7 +91,7 @@ def _metis_ordering(A: Lower) -> Ints | None:
     if code != _OK:
         log.warning("METIS failed with code %d; the solver orders the matrix itself", code)
         return None
-    return _explode(order.astype(np.int64), starts, sizes)
+    return explode(order.astype(np.int64), starts, sizes)
 
 
 def node_graph(A: Lower) -> tuple[sp.csr_array, Ints]:
@@ -165,6 +165,6 @@ def _quotient(A: Lower, first: NDArray[np.bool_]) -> sp.csr_array:
     return sp.csr_array(half + half.T)
 
 
-def _explode(order: Ints, starts: Ints, sizes: Ints) -> Ints:
+def explode(order: Ints, starts: Ints, sizes: Ints) -> Ints:
     """Rows of the groups in ``order``."""
     return np.asarray(_places(starts[order], sizes[order])[0], dtype=np.int64)

@@ -77,19 +77,21 @@ def _measured(threads: int) -> Speed:
         np.multiply(c, 3.0, out=a)
         np.add(a, b, out=a)
 
-    gemm = _best(lambda: np.matmul(A, A, out=product))
+    gemm = shortest_time(lambda: np.matmul(A, A, out=product))
     # The first pass reads c and writes a, the second reads a and b and writes a.
-    stream = _best(triad)
+    stream = shortest_time(triad)
     return Speed(gemm_gflops=2e-9 * _ORDER**3 / gemm, triad_gbs=5e-9 * a.nbytes / stream)
 
 
-def _best(job: Callable[[], object]) -> float:
-    """Shortest of the times in seconds that ``job`` takes, run until the budget is used up."""
-    best, end = float("inf"), time.perf_counter() + _BUDGET
+def shortest_time(
+    job: Callable[[], object], budget: float = _BUDGET, clock: Callable[[], float] = time.perf_counter
+) -> float:
+    """Shortest of the times in seconds that ``job`` takes, run until the ``budget`` is used up."""
+    best, end = float("inf"), clock() + budget
     while True:
-        start = time.perf_counter()
+        start = clock()
         job()
-        now = time.perf_counter()
+        now = clock()
         best = min(best, now - start)
         if now + best > end:
             return best
