@@ -32,7 +32,7 @@ _ABAQUS = {
     "C3D8R": Meaning("mean-strain", "row-sum", f"its hourglass stiffness may be another one; {_UNSEEN}"),
     "C3D8I": Meaning("incompatible", "row-sum", f"it has more modes; {_UNSEEN}"),
     "C3D8S": Meaning("b-bar", "row-sum", _UNSEEN),
-    "C3D10": Meaning(),
+    "C3D10": Meaning(mass="stroud"),
     "C3D10M": Meaning(differs=f"a modified formulation; {_UNSEEN}"),
     "C3D15": Meaning(),
     "C3D20": Meaning(),
@@ -127,7 +127,7 @@ _WORDS = {
 }  # fmt: skip
 _MASSES = {
     "exact": "the consistent mass", "reduced": "the mass at the points of the stiffness", "row-sum": "a lumped mass",
-    "irons": "the mass at 14 points",
+    "irons": "the mass at 14 points", "stroud": "the consistent mass",
 }  # fmt: skip
 
 

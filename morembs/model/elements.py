@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Order = int | tuple[int, int] | str
-# The 14 points of Irons (1971) in a hexahedron, exact to degree 5.
-IRONS = "irons"
+# Rules by name, exact to degree 5: 14 points in a hexahedron (Irons 1971), 15 in a tetrahedron (Stroud 1971, T3 5-1).
+IRONS, STROUD = "irons", "stroud"
 
 
 def _with_edges(corners: Sequence[Sequence[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
@@ -104,7 +105,7 @@ class ElementType:
         return N, dN
 
     def rule(self, order: Order) -> Rule:
-        """Quadrature exact to the degree ``order``, or ``IRONS``, with the shape functions at its points."""
+        """Quadrature exact to the degree ``order``, or of that name, with the shape functions at its points."""
         points, weights = _quadrature(self.function.refdom, order)
         N, dN = self.shape(points)
         return Rule(points, weights, N, dN)
@@ -129,7 +130,7 @@ def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
     from skfem.refdom import RefLine, RefTet, RefTri, RefWedge
 
     if isinstance(order, str):
-        return _irons()
+        return _irons() if order == IRONS else _stroud()
     across, along = order if isinstance(order, tuple) else (order, order)
     if domain is not RefWedge:
         # Rules of order 1 have more than one point there, but for tetrahedra; here it is the centre.
@@ -150,6 +151,19 @@ def _irons() -> tuple[Floats, Floats]:
     inner, outer = np.sqrt(19 / 30), np.sqrt(19 / 33)
     points = np.vstack([inner * np.eye(3), -inner * np.eye(3), outer * (2 * np.array(_HEX, dtype=float) - 1)])
     return (points + 1) / 2, np.repeat([320 / 361, 121 / 361], [6, 8]) / 8
+
+
+def _stroud() -> tuple[Floats, Floats]:
+    root = np.sqrt(15)
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    points, weights = [np.full((1, 3), 0.25)], [16 / 135]
+    for sign in (1, -1):
+        a = (7 - sign * root) / 34
+        points.append(a + (1 - 4 * a) * corners)
+        weights += [(2665 + sign * 14 * root) / 37800] * 4
+    c = (5 - root) / 20
+    points.append(np.array([c + (0.5 - 2 * c) * (corners[i] + corners[j]) for i, j in combinations(range(4), 2)]))
+    return np.vstack(points), np.array(weights + [20 / 378] * 6) / 6
 
 
 def _face(name: str, formula: str, reference: Floats, vtk: int, order: int) -> ElementType:
@@ -204,4 +218,4 @@ TYPES: dict[str, ElementType] = {
     )
 }  # fmt: skip
 
-__all__ = ["FACES", "IRONS", "TYPES", "ElementType", "Order", "Rule"]
+__all__ = ["FACES", "IRONS", "STROUD", "TYPES", "ElementType", "Order", "Rule"]

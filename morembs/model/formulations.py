@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.model.elements import IRONS, TYPES, ElementType, Order, Rule
+from morembs.model.elements import IRONS, STROUD, TYPES, ElementType, Order, Rule
 from morembs.model.fe_model import ElementBlock
 
 Floats = NDArray[np.float64]
@@ -25,10 +25,11 @@ SMALLEST, LARGEST = 1e-250, 1e250
 # Hourglass stiffness over E V sum |g|^2 (that of CalculiX).
 HOURGLASS = 0.0005
 LINEAR = ("tet4", "hex8", "wedge6")
-# Rules of the mass; "reduced" takes the points of the stiffness, "row-sum" is lumped, "irons" has 14 points.
-MASSES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"exact": tuple(TYPES), "reduced": tuple(TYPES), "row-sum": LINEAR, "irons": ("hex20",)}
-)
+# Rules of the mass and the types that they are for; "reduced" takes the points of the stiffness, "row-sum" is lumped,
+# "irons" has 14 points, and "stroud" 15, which differ from the exact mass where sides are curved.
+MASSES: Mapping[str, tuple[str, ...]] = MappingProxyType({
+    "exact": tuple(TYPES), "reduced": tuple(TYPES), "row-sum": LINEAR, IRONS: ("hex20",), STROUD: ("tet10",)
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,7 @@ def element_mass(block: ElementBlock, rule_name: str, x: Floats, density: Floats
     if rule_name == "reduced":
         rule = formulation.integration(kind)
     else:
-        rule = kind.rule(IRONS if rule_name == "irons" else kind.mass_order)
+        rule = kind.rule(rule_name if rule_name in (IRONS, STROUD) else kind.mass_order)
     dm = np.linalg.det(jacobian(x, rule)) * rule.weights * density[:, None]
     if rule_name == "reduced" and formulation.mean:
         rule, dm = formulation.points(kind), dm.sum(axis=1, keepdims=True)

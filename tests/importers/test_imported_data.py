@@ -91,15 +91,25 @@ CASES = {
     "block C3D10 of Abaqus": block("C3D10", "451.333341 452.009851 607.870197 1026.459420"),
     # The decks of these blocks, assembled here, against CalculiX.
     "block C3D4 of CalculiX": Case(
-        arguments=["@abaqus_block/blockC3D4.inp", "--mass-integration", "reduced"], hz="512.71",
-        mass=11600.0,
+        arguments=["@abaqus_block/blockC3D4.inp", "--dialect", "calculix"], hz="512.71", mass=11600.0
     ),
     "block C3D8 of CalculiX": Case(
-        arguments=["@abaqus_block/blockC3D8.inp"], hz="472.77", mass=11600.0
+        arguments=["@abaqus_block/blockC3D8.inp", "--dialect", "calculix"], hz="472.77", mass=11600.0
     ),
     "block C3D10 of CalculiX": Case(
-        arguments=["@abaqus_block/blockC3D10.inp", "--mass-integration", "reduced"],
+        arguments=["@abaqus_block/blockC3D10.inp", "--dialect", "calculix"],
         hz="451.4782 452.1581 608.1007", mass=11600.0,
+    ),
+    # The same decks as Abaqus takes them.
+    "deck C3D4 of Abaqus": Case(
+        arguments=["@abaqus_block/blockC3D4.inp"], hz="489.296266 489.854771 697.543460", mass=11600.0
+    ),
+    "deck C3D8 of Abaqus": Case(
+        arguments=["@abaqus_block/blockC3D8.inp", "--dialect", "abaqus"],
+        hz="438.775166 438.775166 555.888157 967.040273", rel=1e-8, mass=11600.0,
+    ),
+    "deck C3D10 of Abaqus": Case(
+        arguments=["@abaqus_block/blockC3D10.inp"], hz="451.333341 452.009851 607.870197 1026.459420", mass=11600.0
     ),
     "beam of ANSYS, one end held": Case(
         arguments=[
@@ -114,7 +124,7 @@ CASES = {
         mass=0.1379211513593743, sizes=(2805, 935),
     ),
     "deck of a wheelset by CalculiX": Case(
-        arguments=["@wheelset/wheelset.inp", "--mass-integration", "reduced"],
+        arguments=["@wheelset/wheelset.inp"],
         hz="54.58978 72.29301 72.38615 142.5101 142.6563 350.9457 377.8997 378.2487 618.7531",
         sizes=(16371, 5457),
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from morembs.errors import InputError
 from morembs.model import FEModel, Mesh, rigid_motion
 from morembs.model.assembly import assemble
-from morembs.model.elements import IRONS, TYPES
+from morembs.model.elements import IRONS, STROUD, TYPES
 from morembs.model.formulations import FORMULATIONS, MASSES
 from morembs.model.geometric_stiffness import geometric_stiffness
 from morembs.model.material import isotropic, orthotropic
@@ -144,12 +145,15 @@ def test_the_mass_of_the_mean_strain_is_that_of_the_whole_volume() -> None:
     assert mean.M.sum() == pytest.approx(exact.M.sum(), rel=1e-12)
 
 
-def test_the_fourteen_points_are_exact_to_degree_five() -> None:
-    rule = TYPES["hex20"].rule(IRONS)
-    assert len(rule.weights) == 14
+@pytest.mark.parametrize(("kind", "name", "count"), [("hex20", IRONS, 14), ("tet10", STROUD, 15)])
+def test_rules_by_name_are_exact_to_degree_five(kind: str, name: str, count: int) -> None:
+    rule = TYPES[kind].rule(name)
+    assert len(rule.weights) == count
     for powers in itertools.product(range(6), repeat=3):
         if sum(powers) <= 5:
             exact = 1 / np.prod(np.add(powers, 1))
+            if kind == "tet10":
+                exact = np.prod([math.factorial(p) for p in powers]) / math.factorial(sum(powers) + 3)
             assert rule.weights @ np.prod(rule.points ** np.array(powers), axis=1) == pytest.approx(exact, rel=1e-12)
 
 
