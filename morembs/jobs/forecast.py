@@ -171,7 +171,7 @@ def require_room_of_mesh(
 def _matrices(K: sp.csr_array, lower: Lower, square: bool) -> int:
     """Bytes of K and M, as they came and coupled, and of their triangles."""
     held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
-    return held + _TRIANGLE * (lower.nnz + lower.nnz // 3)
+    return int(held + _TRIANGLE * (lower.nnz + lower.nnz // 3))
 
 
 def _seconds(plan: Forecast) -> float:
