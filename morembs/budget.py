@@ -102,12 +102,10 @@ class Budget(Closing):
         return more + staying
 
     def _staying(self, more: int) -> int:
-        """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it."""
-        staying = 0
-        for mapped, beside in zip(self._maps, self._beside, strict=True):
-            if len(mapped) <= self._largest(more, beside + staying):
-                staying += len(mapped)
-        return staying
+        """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
+        # Pages of earlier arrays in files were resident too, so these need not be added.
+        both = zip(self._maps, self._beside, strict=True)
+        return sum(len(mapped) for mapped, beside in both if len(mapped) <= self._largest(more, beside))
 
     def _largest(self, more: int = 0, resident: int | None = None) -> float:
         """Bytes of the largest array that stays in memory: many small ones are a large one.
