@@ -17,6 +17,7 @@ from morembs.interface import make_interface
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov
+from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box, steel, where
 
 SIZE = (0.5, 0.06, 0.04)
@@ -32,16 +33,8 @@ def body_of(reducer=None, coupling="rigid", damping=None, model=None):
         return elastic_body(problem, reduced, make_part(problem))
 
 
-def grave(diagnosis):
-    return {one.code for one in diagnosis.findings if one.severity != "note"}
-
-
 def with_matrices(body, **matrices):
     return replace(body, reduced=replace(body.reduced, **matrices))
-
-
-def finding(diagnosis, code):
-    return next(one for one in diagnosis.findings if one.code == code)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "average", "direct"])

@@ -16,6 +16,7 @@ from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
 from morembs.units import parse_units
+from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box, merged, points_and_cells, steel, where
 
 SIZE = (0.5, 0.06, 0.04)
@@ -27,15 +28,6 @@ def bar(kind="hex8", n=(6, 2, 2), size=SIZE, **change):
 
 def known(model):
     return {"nodes": model.nodes, "dofs": model.dofs}
-
-
-def grave(diagnosis):
-    """Codes of errors and warnings."""
-    return {one.code for one in diagnosis.findings if one.severity != "note"}
-
-
-def finding(diagnosis, code):
-    return next(one for one in diagnosis.findings if one.code == code)
 
 
 def changed(A, entries):

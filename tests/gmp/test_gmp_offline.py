@@ -345,7 +345,7 @@ def test_processes_end_with_their_parent(tmp_path):
     """SIGKILL of the parent alone: its processes hold standard output open as long as they live."""
     code = ORPHANS.format(root=str(ROOT))
     # communicate ends when nobody holds the pipe any more.
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=600)
     assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
     assert ended.stdout.split()
 

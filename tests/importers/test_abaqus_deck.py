@@ -118,12 +118,12 @@ def test_all_that_hangs_on_a_body_keeps_its_labels(deck):
     assert assemble(mesh, found.materials).M.sum() / 3 == pytest.approx(7850.0)
 
 
-@pytest.mark.parametrize("part", range(9))
-def test_where_pieces_of_a_file_end_does_not_matter(part, deck):
-    """Below comments so long that the first piece that is read ends within the text."""
+@pytest.mark.parametrize("within", [*range(3, len(FULL), len(FULL) // 8), FULL.index(" MATERIAL=Steel")])
+def test_where_pieces_of_a_file_end_does_not_matter(within, deck):
+    """Below comments so long that the first piece that is read ends within the text; also within a keyword's lines."""
     text = FULL + lines(box("tet10", (1, 1, 1), (1.0, 1.0, 1.0)), shift=1000)
     whole = deck(text)
-    parts = deck(filled("**", PIECE - 3 - part * len(text) // 9) + text)
+    parts = deck(filled("**", PIECE - within) + text)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and whole.notes == parts.notes
     assert all(np.array_equal(a.nodes, b.nodes) for a, b in zip(whole.mesh.blocks, parts.mesh.blocks, strict=True))
     assert {k: v.tolist() for k, v in whole.nodes.sets.items()} == {k: v.tolist() for k, v in parts.nodes.sets.items()}

@@ -153,9 +153,11 @@ def test_everything_that_hangs_on_a_body(bulk):
 
 @pytest.mark.parametrize("part", range(9))
 def test_where_pieces_of_a_file_end_does_not_matter(part, bulk):
-    """Below comments so long that the first piece that is read ends within the text, or at its begin."""
+    """Comments so long that a piece ends within what stands above the bulk data, and one within these."""
     whole = bulk(FULL)
-    parts = bulk(filled("$", PIECE - part * len(FULL) // 9) + FULL)
+    head, begin, data = FULL.partition("BEGIN BULK\n")
+    above = filled("$", PIECE - part * len(head + begin) // 8)
+    parts = bulk(above + head + begin + filled("$", PIECE - 3 - part * len(data) // 9) + data)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and sorted(whole.notes) == sorted(parts.notes)
     assert np.array_equal(whole.mesh.blocks[0].nodes, parts.mesh.blocks[0].nodes)
     assert [tie.name for tie in whole.rigid] == [tie.name for tie in parts.rigid]

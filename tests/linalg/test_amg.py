@@ -16,6 +16,7 @@ from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.model import rigid_motion
+from tests.support.matrices import random
 from tests.support.meshes import box, steel, where
 
 
@@ -31,10 +32,6 @@ def _clamped(*shape, kind: str = "tet10") -> tuple[sp.csr_array, np.ndarray]:
     K, Z, model = _body(*shape, kind=kind)
     rows = np.setdiff1d(np.arange(len(Z)), model.dofs.of_nodes(where(model, 0, 0.0)))
     return sp.csr_array(K[rows][:, rows]), Z[rows]
-
-
-def _random(*shape: int) -> np.ndarray:
-    return np.random.default_rng(3).standard_normal(shape)
 
 
 def _steps(K: sp.csr_array, Z: np.ndarray | None, B: np.ndarray) -> tuple[int, np.ndarray]:
@@ -54,7 +51,7 @@ def test_it_is_in_the_table_and_never_chosen() -> None:
 @pytest.mark.parametrize("kind", ["tet10", "hex8"])
 def test_thirty_right_hand_sides_agree_with_a_direct_solver(kind: str) -> None:
     K, Z = _clamped((7, 7, 7) if kind == "hex8" else (4, 4, 5), kind=kind)
-    B = _random(len(Z), 30) * np.geomspace(1e-9, 1e9, 30)
+    B = random(len(Z), 30) * np.geomspace(1e-9, 1e9, 30)
     with SuperLU().factorize(K, "spd") as factor:
         X = factor.solve(B)
     steps, Y = _steps(K, Z, B)
@@ -66,7 +63,7 @@ def test_thirty_right_hand_sides_agree_with_a_direct_solver(kind: str) -> None:
 
 def test_near_nullspace_saves_steps() -> None:
     K, Z = _clamped((8, 3, 3), (4, 1, 1))
-    B = _random(len(Z), 2)
+    B = random(len(Z), 2)
     assert _steps(K, Z, B)[0] < 0.7 * _steps(K, None, B)[0]
 
 
@@ -78,7 +75,7 @@ def test_a_body_on_springs_and_one_without_some_dofs() -> None:
     stiff[held] = K.diagonal()[held]
     keep = np.setdiff1d(np.arange(len(Z)), held)
     for A, near in ((sp.csr_array(K + sp.diags_array(stiff)), Z), (sp.csr_array(K[keep][:, keep]), Z[keep])):
-        b = _random(A.shape[0], 3)
+        b = random(A.shape[0], 3)
         with SuperLU().factorize(A, "spd") as factor:
             X = factor.solve(b)
         steps, Y = _steps(A, near, b)
@@ -92,7 +89,7 @@ def test_rows_are_put_together_to_nodes() -> None:
     node = np.repeat(np.arange(4), sizes)
     touch = np.array([[4, 1, 0, 0], [1, 4, 1, 0], [0, 1, 4, 1], [0, 0, 1, 4]])
     A = sp.csr_array(touch[np.ix_(node, node)] * 1.0)
-    near = _random(12, 2)
+    near = random(12, 2)
     blocks, place, wide = amg.by_nodes(A, near, np.array([0, 3, 5, 6]))
     assert blocks.blocksize == (3, 3) and blocks.shape == (15, 15)
     np.testing.assert_array_equal(place, [0, 1, 2, 3, 4, 6, *range(9, 15)])
@@ -110,7 +107,7 @@ def test_rows_are_put_together_to_nodes() -> None:
 def test_scalar_chain() -> None:
     n = 4000
     A = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.full(n, 2.001), -np.ones(n - 1)], offsets=[-1, 0, 1]))
-    b = _random(n)
+    b = random(n)
     _, x = _steps(A, None, b)
     assert np.abs(A @ x - b).max() < 1e-10
 
@@ -124,7 +121,7 @@ def test_unknowns_that_do_not_couple() -> None:
 def test_small_matrices_are_solved_directly(n: int) -> None:
     A = np.eye(n) * 3.0 + 0.1
     with Amg().factorize(sp.csr_array(A), "spd") as factor:
-        b = _random(n, 2)
+        b = random(n, 2)
         np.testing.assert_allclose(factor.solve(b), np.linalg.solve(A, b), rtol=1e-13)
         assert factor.steps == 1
 
@@ -132,7 +129,7 @@ def test_small_matrices_are_solved_directly(n: int) -> None:
 def test_v_cycle_is_symmetric_and_positive() -> None:
     K, Z = _clamped((4, 4, 5))
     with Amg(near_nullspace=Z).factorize(K, "spd") as factor:
-        B = np.asfortranarray(_random(len(Z), 6))
+        B = np.asfortranarray(random(len(Z), 6))
         S = B.T @ factor._hierarchy.precondition(B)
     assert np.abs(S - S.T).max() < 1e-5 * np.abs(S).max()
     assert np.linalg.eigvalsh(S + S.T).min() > 0
@@ -140,7 +137,7 @@ def test_v_cycle_is_symmetric_and_positive() -> None:
 
 def test_memory_bounds_the_columns_of_a_block() -> None:
     K, Z = _clamped((4, 4, 5))
-    B = _random(len(Z), 9)
+    B = random(len(Z), 9)
     needed = Amg().analyse(K, "spd").forecast.memory
     with Amg(near_nullspace=Z).factorize(K, "spd") as free, Amg(near_nullspace=Z, memory=needed).factorize(
         K, "spd"

@@ -7,15 +7,12 @@ import pytest
 import scipy.linalg as sl
 
 from morembs.linalg.sparse.conjugate_gradient import Operator, Solution, conjugate_gradients
-
-
-def _random(*shape: int, seed: int = 3) -> np.ndarray:
-    return np.random.default_rng(seed).standard_normal(shape)
+from tests.support.matrices import random
 
 
 def _matrix(values: np.ndarray) -> np.ndarray:
     """Symmetric, with these eigenvalues."""
-    Q, _ = np.linalg.qr(_random(len(values), len(values)))
+    Q, _ = np.linalg.qr(random(len(values), len(values)))
     return (Q * values) @ Q.T
 
 
@@ -59,7 +56,7 @@ def _solve(A: np.ndarray, B: np.ndarray, precondition: Operator, **options: floa
 
 @pytest.mark.parametrize("columns", [1, 7])
 def test_positive_definite_solution_is_that_of_numpy(columns: int) -> None:
-    A, B = _matrix(np.geomspace(1e-2, 1.0, 120)), _random(120, columns)
+    A, B = _matrix(np.geomspace(1e-2, 1.0, 120)), random(120, columns)
     found = _solve(A, B, _jacobi(A))
     X = np.linalg.solve(A, B)
     assert not found.stagnated
@@ -68,7 +65,7 @@ def test_positive_definite_solution_is_that_of_numpy(columns: int) -> None:
 
 def test_complex_symmetric_solution_is_that_of_numpy() -> None:
     A = _matrix(np.geomspace(1e-3, 1.0, 90)) + 1j * _matrix(np.linspace(0.1, 0.3, 90))
-    B = np.asfortranarray(_random(90, 5) + 1j * _random(90, 5, seed=4))
+    B = np.asfortranarray(random(90, 5) + 1j * random(90, 5, seed=4))
     X = np.linalg.solve(A, B)
     for precondition, most in ((_jacobi(A), 90), (_single(A), 3)):
         found = _solve(A, B, precondition)
@@ -77,7 +74,7 @@ def test_complex_symmetric_solution_is_that_of_numpy() -> None:
 
 
 def test_indefinite_solution_with_a_rough_factor() -> None:
-    A, B = _matrix(np.concatenate([np.linspace(-3.0, -1e-3, 30), np.linspace(1e-3, 5.0, 70)])), _random(100, 4)
+    A, B = _matrix(np.concatenate([np.linspace(-3.0, -1e-3, 30), np.linspace(1e-3, 5.0, 70)])), random(100, 4)
     found = _solve(A, B, _single(A))
     X = np.linalg.solve(A, B)
     assert found.steps <= 5 and found.residual.max() < 1e-15
@@ -88,7 +85,7 @@ def test_columns_of_very_different_convergence_and_size() -> None:
     """A combination of three eigenvectors takes three steps, a random column many; each is solved to its own size."""
     A = _matrix(np.geomspace(1e-2, 1.0, 150))
     easy = np.linalg.eigh(A)[1][:, [3, 70, 149]].sum(axis=1)
-    B = np.column_stack([easy, 1e-12 * _random(150), 1e9 * _random(150, seed=8), np.zeros(150), easy])
+    B = np.column_stack([easy, 1e-12 * random(150), 1e9 * random(150, seed=8), np.zeros(150), easy])
     calls: list[int] = []
 
     def count(R: np.ndarray) -> np.ndarray:
@@ -113,14 +110,14 @@ def test_only_zero_columns() -> None:
 def test_right_hand_sides_share_what_they_find() -> None:
     """Six modes that the preconditioner misses are found together: fewer steps than one column needs."""
     A = _matrix(np.concatenate([np.geomspace(1e-8, 1e-5, 6), np.linspace(0.9, 1.1, 200)]))
-    one = _solve(A, _random(206, 1), lambda R: R.copy(order="F"))
-    many = _solve(A, _random(206, 12), lambda R: R.copy(order="F"))
+    one = _solve(A, random(206, 1), lambda R: R.copy(order="F"))
+    many = _solve(A, random(206, 12), lambda R: R.copy(order="F"))
     assert many.steps < 0.75 * one.steps and not many.stagnated
 
 
 def test_single_precision_factor_reaches_double_precision() -> None:
     for condition, most in ((1e2, 3), (1e6, 6)):
-        A, B = _matrix(np.geomspace(1.0 / condition, 1.0, 150)), _random(150, 3)
+        A, B = _matrix(np.geomspace(1.0 / condition, 1.0, 150)), random(150, 3)
         found = _solve(A, B, _single(A))
         assert found.residual.max() < 1e-13 and found.steps <= most
         X = np.linalg.solve(A, B)
@@ -129,7 +126,7 @@ def test_single_precision_factor_reaches_double_precision() -> None:
 
 def test_a_factor_in_single_precision_that_is_useless_still_serves() -> None:
     """Condition 1e9: single precision loses the lowest modes, the iteration finds them."""
-    A, B = _matrix(np.concatenate([np.geomspace(1e-9, 1e-7, 4), np.geomspace(1e-4, 1.0, 150)])), _random(154, 3)
+    A, B = _matrix(np.concatenate([np.geomspace(1e-9, 1e-7, 4), np.geomspace(1e-4, 1.0, 150)])), random(154, 3)
     found = _solve(A, B, _single(A))
     assert found.residual.max() < 1e-13 and not found.stagnated and found.steps <= 15
 
@@ -137,8 +134,8 @@ def test_a_factor_in_single_precision_that_is_useless_still_serves() -> None:
 @pytest.mark.parametrize("max_steps", [30, 1000])
 def test_stagnation_is_flagged(max_steps: int) -> None:
     values = np.geomspace(1e-7, 1.0, 400) * np.where(np.arange(400) % 2, 1.0, -1.0)
-    A, bad = _matrix(values), np.where(_random(400) > 0, 1.0, -1.0)[:, None]
-    found = _solve(A, _random(400, 2), lambda R: bad * R, max_steps=max_steps)
+    A, bad = _matrix(values), np.where(random(400) > 0, 1.0, -1.0)[:, None]
+    found = _solve(A, random(400, 2), lambda R: bad * R, max_steps=max_steps)
     assert found.stagnated and found.residual.max() > 1e-13
     assert found.steps <= min(max_steps, 300)
 
@@ -156,13 +153,13 @@ def test_values_that_are_not_finite_are_flagged() -> None:
 
 def test_residuals_are_true_after_many_steps() -> None:
     """The recurrence of an ill-conditioned problem drifts; with accuracy 0 only round-off stops a column."""
-    A, B = _matrix(np.geomspace(1e-4, 1.0, 120)), _random(120, 2)
+    A, B = _matrix(np.geomspace(1e-4, 1.0, 120)), random(120, 2)
     found = _solve(A, B, _jacobi(A), accuracy=0.0, max_steps=2000)
     assert found.residual.max() < 1e-14 and not found.stagnated
 
 
 def test_accuracy_stops_early() -> None:
-    A, B = _matrix(np.geomspace(1e-3, 1.0, 120)), _random(120, 2)
+    A, B = _matrix(np.geomspace(1e-3, 1.0, 120)), random(120, 2)
     rough, fine = _solve(A, B, _jacobi(A), accuracy=1e-3), _solve(A, B, _jacobi(A))
     assert rough.steps < fine.steps and not rough.stagnated
     X = np.linalg.solve(A, B)
@@ -171,7 +168,7 @@ def test_accuracy_stops_early() -> None:
 
 def test_a_residual_that_drifted_is_found_and_replaced() -> None:
     """One product with A that is wrong by 1e-4 misleads the recurrence, never the answer."""
-    A, B = _matrix(np.geomspace(1e-2, 1.0, 120)), _random(120, 3)
+    A, B = _matrix(np.geomspace(1e-2, 1.0, 120)), random(120, 3)
     calls: list[int] = []
 
     def wrong_once(X: np.ndarray) -> np.ndarray:
@@ -189,5 +186,5 @@ def test_round_off_ends_the_iteration() -> None:
     """With accuracy 0 one step of an exact preconditioner is enough, or two."""
     A = _matrix(np.geomspace(1e-2, 1.0, 120))
     inverse = np.linalg.inv(A)
-    found = _solve(A, _random(120, 3), lambda R: np.asfortranarray(inverse @ R), accuracy=0.0)
+    found = _solve(A, random(120, 3), lambda R: np.asfortranarray(inverse @ R), accuracy=0.0)
     assert found.steps <= 2 and not found.stagnated

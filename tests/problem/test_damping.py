@@ -12,7 +12,6 @@ from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError
-from morembs.interface import make_interface
 from morembs.jobs.job import load_job
 from morembs.jobs.run import damping_of
 from morembs.problem import Problem
@@ -22,7 +21,7 @@ from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.reference import reference_model
 from tests.jobs.test_bad_input import refused
 from tests.support.decks import folder
-from tests.support.meshes import box, steel, where
+from tests.support.meshes import beam, ends, where
 
 pytestmark = pytest.mark.filterwarnings("ignore:certify takes the band:DeprecationWarning")
 OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
@@ -32,15 +31,6 @@ TABLE = [[0.0, 0.01], [1200.0, 0.1], [6000.0, 1.0]]
 
 def table_ratio(hz):
     return np.where(hz < 1200.0, 0.01, np.where(hz < 6000.0, 0.1, 1.0))
-
-
-def beam(n=(8, 2, 2)):
-    return steel(box("hex8", n, (0.5, 0.05, 0.03)))
-
-
-def ends(model, coupling="average"):
-    planes = {"left": 0.0, "right": 0.5}
-    return [make_interface(model, name=k, nodes=where(model, 0, x), coupling=coupling) for k, x in planes.items()]
 
 
 def modal_matrix(M, values, phi, ratio):

@@ -15,16 +15,11 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.problem import Damping, Problem
 from morembs.reducers.krylov import Krylov
 from morembs.responses.loads import inertia_loads
-from tests.support.meshes import box, steel, where
+from tests.support.meshes import box, ends, steel, where
 
 
 def bar(n=(6, 1, 1)):
     return steel(box("hex20", n, (0.5, 0.05, 0.03)))
-
-
-def ends(model, coupling="average", **places):
-    return [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
-            for name, x in (places or {"left": 0.0, "right": 0.5}).items()]  # fmt: skip
 
 
 def with_dampers(model, ground=False):

@@ -16,18 +16,13 @@ from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Modal
-from tests.support.meshes import STEEL, box, steel, where
+from tests.support.meshes import STEEL, box, ends, steel, where
 
 COUPLINGS = ("rigid", "average", "direct")
 
 
 def bar(kind="hex20", n=(5, 1, 1)):
     return steel(box(kind, n, (0.5, 0.05, 0.03)))
-
-
-def ends(model, coupling):
-    return [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
-            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
 
 
 def dense(problem):

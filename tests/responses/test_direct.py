@@ -9,23 +9,13 @@ import scipy.sparse as sp
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError, SingularMatrixError
-from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface
 from morembs.responses.band import band_frequencies
 from morembs.responses.direct import direct_response, elastic_states
-from tests.support.meshes import box, steel, where
+from tests.support.meshes import beam, ends, where
 
 OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
-
-
-def beam(n=(8, 2, 2)):
-    return steel(box("hex8", n, (0.5, 0.05, 0.03)))
-
-
-def ends(model, coupling="average"):
-    planes = {"left": 0.0, "right": 0.5}
-    return [make_interface(model, name=k, nodes=where(model, 0, x), coupling=coupling) for k, x in planes.items()]
 
 
 def dampers(model, grounded):

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from morembs.interface import Interface, make_interface
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble, chunks
 from morembs.model.elements import TYPES
@@ -116,3 +117,14 @@ def where(model: FEModel, axis: int, value: float) -> np.ndarray:
     """Rows of nodes on a coordinate plane."""
     span = np.ptp(model.nodes.xyz, axis=0).max()
     return np.flatnonzero(np.abs(model.nodes.xyz[:, axis] - value) < 1e-9 * span)
+
+
+def beam(n: Sequence[int] = (8, 2, 2), kind: str = "hex8") -> FEModel:
+    """A steel beam, 0.5 m long, 50 mm wide and 30 mm high."""
+    return steel(box(kind, n, (0.5, 0.05, 0.03)))
+
+
+def ends(model: FEModel, coupling: str = "average", **places: float) -> list[Interface]:
+    """Interfaces on planes across x, name -> place; by default on the ends of a beam of 0.5 m."""
+    places = places or {"left": 0.0, "right": 0.5}
+    return [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling) for name, x in places.items()]
