@@ -142,15 +142,15 @@ def _weights(gear: Reduced, teeth: Sequence[int], rolls: Sequence[float]) -> tup
     A point is the mean of a strip as wide as an element: such elements do not resolve what is narrower, such as Hertz's
     pressure. Along the strip the shape functions of element edges hold.
     """
-    teeth = gear.sector
-    lines, step = teeth.flank.shape[2], 2 * (teeth.roll[1] - teeth.roll[0])
+    flanks = gear.sector
+    lines, step = flanks.flank.shape[2], 2 * (flanks.roll[1] - flanks.roll[0])
     strip = step * ((np.arange(STRIP) + 0.5) / STRIP - 0.5)
     rows = []
     for roll in rolls:
-        x = (np.clip(roll + strip, teeth.roll[0], teeth.roll[-1]) - teeth.roll[0]) / step
-        element = np.minimum(x.astype(int), (len(teeth.roll) - 1) // 2 - 1)
+        x = (np.clip(roll + strip, flanks.roll[0], flanks.roll[-1]) - flanks.roll[0]) / step
+        element = np.minimum(x.astype(int), (len(flanks.roll) - 1) // 2 - 1)
         x -= element
-        row = np.zeros(len(teeth.roll))
+        row = np.zeros(len(flanks.roll))
         for k, values in enumerate(((2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1))):
             np.add.at(row, 2 * element + k, values / STRIP)
         rows.append(row)
