@@ -42,10 +42,12 @@ from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
 from morembs.responses.cells import Bounds, first_edges, search
 from morembs.responses.krylov_space import KrylovSpace, root, static_response, symmetric
-from morembs.responses.measures import EPS, EVALUATION, Layout, Standard
-from morembs.responses.pencils import terms_of
+from morembs.responses.layout import Layout
+from morembs.responses.measures import Standard
+from morembs.responses.pencils import response_of
 from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
 from morembs.responses.reference import ReferenceSpace, reference_model, reference_space
+from morembs.responses.rounding import EPS, Rounding, with_left
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -60,18 +62,24 @@ LOOKED_AT = 24
 # A model with a damping matrix of its own is known to this.
 DAMPED = 1e-8
 CLOSE = 1e-12
+# Backward error of a small eigenproblem, in eps of its highest eigenvalue, over 1 - (1 / 1.25)^2.
+SMALL = 10.0
 
 
-def floor_of(problem: Problem, given: float | None) -> float:
-    """The ratio of critical damping that is assumed in a model and its bodies: ``given``, or what models need.
+def floor_of(problem: Problem, band_hz: Sequence[float], given: float | None = None) -> float:
+    """The ratio of critical damping that is assumed in a model and its bodies: ``given``, or what models need that
+    have no damping at some frequencies of the band.
 
     Raises:
         InputError: not a ratio.
     """
-    if given is None:
-        damping = problem.damping
-        return 0.0 if damping.is_viscous or damping.structural or problem.D is not None else FLOOR
-    return checked_floor(given)
+    if given is not None:
+        return checked_floor(given)
+    damping, (low, high) = problem.damping, (2 * np.pi * f for f in band_hz)
+    if damping.is_rayleigh or damping.structural or problem.D is not None:
+        return 0.0
+    jumps = damping.jumps
+    return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else FLOOR
 
 
 def checked_floor(given: float) -> float:
@@ -91,7 +99,8 @@ def checked_floor(given: float) -> float:
 class CertifiedReference:
     """Elastic part of the full model over ``band_hz``, forces and moments scaled by the radius of gyration.
 
-    ``values`` (n,) in (rad/s)2 and ``b`` (n, m) of its modes, whose stiffness is uncertain by ``unsure`` (n,);
+    ``values`` (n,) in (rad/s)2 and ``b`` (n, m) of its modes, whose stiffness is uncertain by ``unsure`` (n,), and
+    with couplings of the square root of its products, and whose b is by ``b_off`` (n, m);
     ``damping`` and ``D`` (n, n), if any, as in ``Reference``, with the ``floor``. ``vectors`` (Nc, k) and ``sigma``
     (k,) are those of the modes below ``cut``, all of which are there; ``edges`` (nc + 1,) in rad/s and ``off`` (nc,)
     limits of |H - H_ref| over the envelope. ``proven`` is False where ``off`` is an estimate.
@@ -105,6 +114,7 @@ class CertifiedReference:
     b: Floats
     D: Floats | None
     unsure: Floats
+    b_off: Floats
     vectors: Floats
     sigma: Floats
     cut: float
@@ -118,18 +128,22 @@ class CertifiedReference:
         stiffness, d = self.values * (1 + 1j * self.damping.structural), self.damping.of_modes(self.values)
         if self.D is not None:
             d = d + np.diag(self.D)
-        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b), self.unsure)
+        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
         if self.D is not None:
-            H = terms_of(
+            H = response_of(
                 np.eye(len(self.values)), self.D + np.diag(self.damping.of_modes(self.values)), np.diag(self.values),
                 self.b, self.b.T, layout, structural=self.damping.structural, highest=2 * np.pi * self.band_hz[1],
-            )  # fmt: skip
-        # What the small eigenproblem leaves of the couplings between modes below and above the cut.
-        floor = EVALUATION * EPS + EPS * float(self.values.max(initial=0.0)) / min(self.cut, np.inf)
+            ).terms  # fmt: skip
+        highest = abs(1 + 1j * (self.damping.structural + self.damping.beta * 2 * np.pi * self.band_hz[1]))
+        lost = np.sqrt(highest * self.unsure)
+        rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
+        # What the small eigenproblem leaves of the couplings between modes above the cut.
+        floor = SMALL * EPS * float(self.values.max(initial=0.0)) / self.cut
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b), layout=layout, floor=floor, edges=self.edges, off=self.off
-        )
+            H=H, modes=modes, sizes=layout.sizes(self.b), rounding=rounding, layout=layout, floor=floor,
+            edges=self.edges, off=self.off,
+        )  # fmt: skip
 
     def H(self, omega: Floats) -> Complexes:
         """(nf, m, m) scaled response at ``omega`` (nf,) in rad/s."""
@@ -138,10 +152,7 @@ class CertifiedReference:
 
     def uncertainty(self, omega: Floats) -> Floats:
         """(nf,) limits of |H - H_ref| at ``omega`` (nf,) of the band, round-off included, in m/N."""
-        standard = self.standard()
-        size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
-        off = (size**2 * self.unsure) @ standard.sizes[:, 0]
-        return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * (size @ standard.sizes[:, 0]))
+        return self._lost(omega)[0]
 
     def lost(self) -> tuple[float, float]:
         """What is not known of the response at the resonances of the band, as part of its envelope, at most, and the
@@ -149,10 +160,17 @@ class CertifiedReference:
         low, high = (2 * np.pi * f for f in self.band_hz)
         inside = _inside(np.sqrt(self.values), (low, high))
         omega = np.concatenate([[low, high], inside])
-        standard = self.standard()
-        size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
-        part = self.uncertainty(omega) / (size @ standard.sizes[:, 0])
+        off, e = self._lost(omega)
+        part = off / e
         return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
+
+    def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
+        """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
+        standard = self.standard()
+        size = standard.modes.moduli(omega)[0]
+        e = size @ standard.sizes[:, 0]
+        off = standard.rounding.at(size).size()[:, 0]
+        return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * e), e
 
     @property
     def undamped(self) -> bool:
@@ -176,7 +194,7 @@ def certified_reference(
         SolverError: the count of modes contradicts the reference, or it does not become good enough.
     """
     low, high = checked_band(band_hz)
-    floor = floor_of(problem, damping_floor)
+    floor = floor_of(problem, (low, high), damping_floor)
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
     found: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
@@ -212,6 +230,7 @@ class _Build:
             problem=problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=made.values,
             b=(made.B.T * problem.motion_scale[:, None]).T, D=D - np.diag(problem.damping.of_modes(made.values)),
             unsure=np.concatenate([problem.uncertainty(self.modes), made.values[below.sum() :] * EPS])[: len(below)],
+            b_off=np.zeros((len(made.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
             edges=np.array(self.band), off=np.array([max(made.error, DAMPED)]), proven=False,
         )  # fmt: skip
@@ -282,20 +301,41 @@ class _Build:
         multiply_into(U, turn, U, budget)
         U /= m_norms(U, M @ U)
         Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
-        values = np.concatenate([np.einsum("ij,ij->j", U, K @ U), values[k:]])
-        F = problem.motion_scale[:, None] * (problem.B.T @ space.V)
-        b = np.vstack([(problem.motion_scale[:, None] * (problem.B.T @ U)).T, (F @ Y[:, k:]).T])
+        KU = K @ U
+        coupled = np.hstack([dot(U, KU, budget), dot(space.V, KU, budget).T @ Y[:, k:]])
+        values = np.concatenate([np.diag(coupled), values[k:]])
+        scale = problem.motion_scale
+        b = np.vstack([(problem.B.T @ U).T, (problem.B.T @ space.V @ Y[:, k:]).T]) * scale
         known = Modes(eigenvalues=values[:k], vectors=U, verified_below=self.cut)
         unsure = np.concatenate([problem.uncertainty(known), space.uncertain(Y[:, k:])])
+        unsure = np.maximum(unsure, 4 * EPS * (values + self.band[1] ** 2))
+        b_off = self._off_rows(U, space, Y[:, k:], values, unsure)
+        rest = np.zeros((len(values), len(values)))
+        rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
+        np.fill_diagonal(rest, 0.0)
+        unsure = with_left(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2
         tau = space.residual(Y)
         sigma = values[:k] * np.linalg.norm(tau[:, :k], axis=0)
         start = self._start(space, Y, values, b)
         edges, off = self._off(values, b, tau, k, start)
         return CertifiedReference(
             problem=problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=values, b=b, D=None,
-            unsure=np.maximum(unsure, 4 * EPS * values), vectors=U, sigma=sigma, cut=self.cut, edges=edges, off=off,
+            unsure=unsure, b_off=b_off, vectors=U, sigma=sigma, cut=self.cut, edges=edges, off=off,
             proven=not self._straddled(values[:k], sigma),
         )  # fmt: skip
+
+    def _off_rows(self, U: Floats, space: KrylovSpace, Y: Floats, values: Floats, unsure: Floats) -> Floats:
+        """(n, m) how far the loads of the modes ``U`` and V ``Y`` may be off.
+
+        Sums of products, and what modes take up of the rigid motions Z: z'K u_p / lam_p of each.
+        """
+        problem, B = self.problem, abs(self.problem.B)
+        Z = problem.rigid
+        sums = np.vstack([(B.T @ np.abs(U)).T, ((B.T @ np.abs(space.V)) @ np.abs(Y)).T])
+        rigid = np.abs(problem.B.T @ Z)
+        turned = rigid @ np.sqrt(problem.rounding(Z))
+        off = EPS * (sums + rigid.sum(axis=1)) + (np.sqrt(unsure) / values)[:, None] * turned
+        return np.asarray(off * problem.motion_scale)
 
     def _start(self, space: KrylovSpace, Y: Floats, values: Floats, b: Floats) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
@@ -316,7 +356,7 @@ class _Build:
         size, slope = (b**2).sum(axis=1), self._slope(values)
         own = (tau**2).sum(axis=0)
         stiffness = values * (1 + 1j * self.damping.structural)
-        poles = Terms.second_order(stiffness, self.damping.of_modes(values), size[:, None], np.zeros(len(values)))
+        poles = Terms.second_order(stiffness, self.damping.of_modes(values), size[:, None])
         if not poles.z.imag.any() and ((poles.z.real >= low) & (poles.z.real <= high)).any():
             return np.array([low, high]), np.array([np.inf])
         share = 1.0 / np.where(values[:k] < self.cut, 1.0 / values[:k] - 1.0 / self.cut, 1.0)
@@ -337,7 +377,7 @@ class _Build:
         rest = float(2 * len(fits) * each[apart].sum())
         double = 2.0 if fits else 1.0
         rows = (tau.T[~apart, :, None] * b[~apart, None, :]).reshape(-1, len(tau) * b.shape[1])
-        T = Terms(z=poles.z[~apart], N=rows, unsure=np.zeros(len(rows)))
+        T = Terms(z=poles.z[~apart], N=rows)
         norms = np.linalg.norm(rows, axis=1)[:, None]
 
         def bounds(lo: Floats, hi: Floats) -> Bounds:
@@ -348,7 +388,7 @@ class _Build:
             middle, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
             outside = T.remainder(middle, half, norms, slope[~apart])[:, 0]
             whole = here.max(axis=1) + BULGE * spread + outside + start
-            ends = np.maximum(poles.distances(lo), poles.distances(hi)).prod(axis=2)
+            ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
             kappa = ((most[:k] ** 2 * own[:k]) / weakest(lo, hi)[:, :k]).sum(axis=1)
             gamma = 1.0 / np.maximum(1.0 - hi**2 / least, np.finfo(float).tiny)
             gain = np.where(gamma * kappa < 1, gamma / np.maximum(1 - gamma * kappa, CLOSE), np.inf)
