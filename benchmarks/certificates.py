@@ -1,6 +1,7 @@
 """Certificates of random bodies against dense solutions: values above a limit, sharpness, time.
 
     python benchmarks/certificates.py --count 100 --seed 1
+    python benchmarks/certificates.py --count 500 --start 500 --seed 1
     python benchmarks/certificates.py --seed 1 --only 17
 
 Trusses of 12 to 40 nodes, free and held, some with twins of nearly equal modes, with 1 to 9 inputs; Rayleigh,
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from morembs.certificate.certify import Certificate, certify
-from morembs.certificate.limits import body_terms
+from morembs.certificate.limits import body_response
 from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
@@ -31,11 +32,14 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Krylov, Modal
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import certified_reference
-from morembs.responses.measures import MEASURES, Layout
-from morembs.responses.rational import Terms
+from morembs.responses.layout import Layout
+from morembs.responses.measures import MEASURES
+from morembs.responses.rational import Terms, squares
 
 Floats = NDArray[np.float64]
 DENSE, BESIDE = 20_000, 25
+# Frequencies that are looked at together: what fits into a cache.
+AT_ONCE = 250
 DAMPINGS = ("rayleigh", "structural", "both", "modal", "none")
 
 
@@ -134,20 +138,20 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     values, phi = exact_modes(problem.K.toarray(), problem.M.toarray(), problem.rigid.shape[1])
     b = (problem.B.T @ phi).T * problem.motion_scale
     layout = Layout(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
-    body, rows = body_terms(reference, reduced, layout), layout.rows(b, b)
-    full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows, np.zeros(len(b)))
-    z = np.concatenate([one.z[np.isfinite(one.z)] for one in (full_terms, body)])
+    body, rows = body_response(reference, reduced, layout).terms, layout.rows(b, b)
+    full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows)
+    z = np.concatenate([one.z.ravel() for one in (full_terms, body)])
     beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
     w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(),
          2 * np.pi * np.array([one.at_hz for one in its.limits.values()])]  # fmt: skip
     omega = np.unique(np.concatenate(w))
     omega = omega[(omega >= 2 * np.pi * band[0]) & (omega <= 2 * np.pi * band[1])]
     E, H, e = np.zeros(len(omega)), np.zeros(len(omega)), np.zeros(len(omega))
-    for at in range(0, len(omega), 2000):
-        some = slice(at, at + 2000)
+    for at in range(0, len(omega), AT_ONCE):
+        some = slice(at, at + AT_ONCE)
         full = full_terms.at(omega[some])
-        E[some], H[some] = (np.linalg.norm(X, axis=1) for X in (full - body.at(omega[some]), full))
-        e[some] = 1 / full_terms.distances(omega[some]).prod(axis=2) @ (b**2).sum(axis=1)
+        E[some], H[some] = (np.sqrt(squares(X).sum(axis=1)) for X in (full - body.at(omega[some]), full))
+        e[some] = full_terms.moduli(omega[some])[0] @ (b**2).sum(axis=1)
     top = int(H.argmax())
     # The peak itself lies between the samples.
     around = omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)]
@@ -215,14 +219,24 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--only", type=int)
     options = parser.parse_args(arguments)
     found = []
-    for number in range(options.count) if options.only is None else [options.only]:
+    numbers = range(options.start, options.start + options.count) if options.only is None else [options.only]
+    for number in numbers:
         for one in trial(options.seed, number):
             found.append(one)
             if one.above or options.only is not None:
                 sys.stdout.write(f"{one.words}: {one.above} above, {one.effectivity}, {one.gap}, {one.upper}\n")
+        if options.only is None and (number + 1) % 50 == 0:
+            told(found)
+            sys.stdout.flush()
+    return told(found)
+
+
+def told(found: list[Verdict]) -> int:
+    """Print what certificates are like so far; the number of values above a limit."""
     for q, name in enumerate(MEASURES):
         clear = [one for one in found if one.clear[q]]
         if clear:

@@ -257,6 +257,13 @@ def switching(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def certificates(spec: Spec) -> Row:
+    """See certify.py."""
+    from certify import measure
+
+    return measure(spec, steel)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -271,7 +278,7 @@ def part(spec: Spec) -> Row:
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "job": write_job, "interpolation": interpolation, "frames": frames,
-    "switching": switching, "part": part,
+    "switching": switching, "certify": certificates, "part": part,
 }  # fmt: skip
 
 

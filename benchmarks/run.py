@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import budgets
+import certify
 import frames
 import jobs
 import krylov
@@ -29,7 +30,7 @@ from measure import HERE, Settings, required
 
 CASES = {
     **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
-    **startup.CASES,
+    **startup.CASES, **certify.CASES,
 }  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.certificate.limits import ErrorLimits, body_terms, checked_sharpness, error_limits, sampled
+from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
 from morembs.problem import Problem
@@ -18,7 +18,8 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.krylov_space import static_response
-from morembs.responses.measures import SHARPNESS, Layout, Limit, checked_measure
+from morembs.responses.layout import Layout
+from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -133,17 +134,19 @@ def _certificate(
     problem, omega = reference.problem, 2 * np.pi * hz
     layout = Layout(problem.B.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     with np.errstate(divide="ignore", invalid="ignore"):
-        H_r = body_terms(reference, reduced, layout).at(omega).reshape(H.shape)
+        body = body_response(reference, reduced, layout)
+        H_r = body.terms.at(omega).reshape(H.shape)
         norm = np.linalg.norm(H, axis=(1, 2))
         error = np.linalg.norm(H_r - H, axis=(1, 2)) / norm
         unsure = reference.uncertainty(omega) / norm
+        own = body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / norm
     poles = poles_of(reference, reduced)
     return Certificate(
         limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
         band_hz=reference.band_hz, measure=measure, damping_floor=reference.floor,
         kind=("proven" if reference.proven else "estimate") if bound else "sampled",
         frequencies_hz=hz, full=norm, reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error,
-        bound=error + unsure if bound else np.full(len(hz), np.inf), reference_error=unsure,
+        bound=error + unsure + own if bound else np.full(len(hz), np.inf), reference_error=unsure,
         block_error=_block_errors(problem, H_r - H, H), held_error=_held_errors(problem, H_r, H, omega),
         static_error=_static_error(problem, reduced),
         mode_frequencies_hz=poles.frequencies_hz, mode_enclosure_hz=poles.enclosure_hz,

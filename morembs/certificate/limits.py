@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
-from morembs.responses.measures import MEASURES, SHARPNESS, Layout, Limit, compare
-from morembs.responses.pencils import terms_of
+from morembs.responses.layout import Layout
+from morembs.responses.measures import MEASURES, SHARPNESS, Limit, compare
+from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
+from morembs.responses.rounding import Response
 
 Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
@@ -42,10 +44,10 @@ def checked_sharpness(sharpness: float) -> None:
         raise InputError(f"sharpness = {sharpness:g} was given; expected a factor from 1.01 to 2")
 
 
-def body_terms(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Terms:
+def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Response:
     """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
     scale = reference.problem.motion_scale
-    return terms_of(
+    return response_of(
         reduced.M, reduced.D, reduced.K, reduced.B * scale, scale[:, None] * reduced.C, layout,
         structural=reduced.structural + 2 * reference.floor, highest=2 * np.pi * reference.band_hz[1],
         rigid=reduced.rigid_count, symmetric=reduced.symmetric,
@@ -68,8 +70,8 @@ def error_limits(
         )
     low, high = (2 * np.pi * f for f in reference.band_hz)
     standard = reference.standard(reduced.symmetric)
-    body = body_terms(reference, reduced, standard.layout)
-    sharp = _undamped_pole(standard.H, body, low, high)
+    body = body_response(reference, reduced, standard.layout)
+    sharp = _undamped_pole(standard.H, body.terms, low, high)
     if sharp is not None:
         at_hz, n = sharp / (2 * np.pi), len(problem.coupling.columns)
         return ErrorLimits(
@@ -94,7 +96,6 @@ def error_limits(
 def _undamped_pole(H: Terms, body: Terms, low: float, high: float) -> float | None:
     """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
     z = np.concatenate([H.z.ravel(), body.z.ravel()])
-    z = z[np.isfinite(z)]
     on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]
     return float(on.min()) if len(on) else None
 

@@ -67,7 +67,8 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     seen = dot(shapes, reduced.V, problem.budget)
     partner, deviation, cross = _partners(reduced, seen, omega)
     mac, residue = np.zeros(inside), np.full(inside, np.nan)
-    _, X, L = modes_of(reduced.M, reduced.K, reduced.rigid_count, reduced.symmetric)
+    rigid = reduced.rigid_count
+    X, L = (modes[:, rigid:] for modes in modes_of(reduced.M, reduced.K, rigid, reduced.symmetric)[1:])
     scale = problem.motion_scale
     outputs, inputs = ((reduced.C * scale[:, None]) @ X).T, L.T @ (reduced.B * scale)
     excited = energy[:inside] > EXCITED * energy.sum()

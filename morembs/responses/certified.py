@@ -1,27 +1,8 @@
 """A reference model whose error is known: bounds of |H - H_ref| on every frequency of a band.
 
 The reference is the Galerkin projection on V, a block Krylov space of the flexibility G started at the loads, and the
-modes below lam_c that no load excites. With its Ritz values theta_p, vectors u_p, M-orthonormal, b_p = F'u_p and the
-residuals s_p = K u_p - theta_p M u_p, the residual of the response sum_p u_p b_p' / a_p is
-
-    r = r_0 + sum_p s_p b_p' (g + i w d_p) / (theta_p a_p),   a_p = c theta_p + g + i w d_p,
-
-r_0 = F - K V (V'K V)^-1 V'F,
-
-and U'r = 0. The Lanczos relation G M V = V T + W E' gives G s_p = -theta_p (I - P) W E'y_p, P the K-orthogonal
-projection on V, so that T(w), K^-1 r in an orthonormal basis, is a small rational matrix.
-
-Let k Ritz values lie below lam_c, and a Sturm count find k eigenvalues there. On the K-orthogonal complement of their
-vectors K >= lam^ M with (Haynsworth 1968)
-
-    1 / lam^ = 1 / lam_c + sum_{p<=k} (sigma_p^2 / theta_p^3) / (1 / theta_p - 1 / lam_c),   sigma_p = |s_p| in K^-1,
-
-and as U'r = 0 the Schur complement of the others gives, with gamma = 1 / (1 - w^2 / lam^),
-
-    |H - H_ref| <= gamma / (1 - gamma kappa) |T|^2,   kappa = sum_{p<=k} |g + i w d_p|^2 sigma_p^2 / (theta_p^2 |a_p|).
-
-It is quadratic as loads and motions are the same (Rozza, Huynh and Patera 2008), and assumes nothing of the accuracy
-of modes or solver. Modal damping acts on the modes of the reference: D = M U diag(d) U'M.
+modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: no
+accuracy of modes or solver is assumed. Modal damping acts on the modes of the reference: D = M U diag(d) U'M.
 """
 
 from __future__ import annotations
@@ -34,18 +15,20 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, m_norms, multiply, multiply_into, subtract
-from morembs.linalg.eigen import GAP, Modes
+from morembs.linalg.columns import dot, subtract
+from morembs.linalg.eigen import GAP
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
-from morembs.responses.cells import Bounds, first_edges, search
-from morembs.responses.krylov_space import KrylovSpace, root, static_response, symmetric
-from morembs.responses.measures import EPS, EVALUATION, Layout, Standard
-from morembs.responses.pencils import terms_of
-from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
+from morembs.responses.krylov_space import KrylovSpace, RitzModes, root, static_response
+from morembs.responses.layout import Layout
+from morembs.responses.measures import Standard
+from morembs.responses.pencils import response_of
+from morembs.responses.rational import Terms, squares
 from morembs.responses.reference import ReferenceSpace, reference_model, reference_space
+from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
+from morembs.responses.rounding import EPS, Rounding
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -59,19 +42,24 @@ MODAL = 1e-3
 LOOKED_AT = 24
 # A model with a damping matrix of its own is known to this.
 DAMPED = 1e-8
-CLOSE = 1e-12
+# Backward error of a small eigenproblem, in eps of its highest eigenvalue, over 1 - (1 / 1.25)^2.
+SMALL = 10.0
 
 
-def floor_of(problem: Problem, given: float | None) -> float:
-    """The ratio of critical damping that is assumed in a model and its bodies: ``given``, or what models need.
+def floor_of(problem: Problem, band_hz: Sequence[float], given: float | None = None) -> float:
+    """The ratio of critical damping that is assumed in a model and its bodies: ``given``, or what models need that
+    have no damping at some frequencies of the band.
 
     Raises:
         InputError: not a ratio.
     """
-    if given is None:
-        damping = problem.damping
-        return 0.0 if damping.is_viscous or damping.structural or problem.D is not None else FLOOR
-    return checked_floor(given)
+    if given is not None:
+        return checked_floor(given)
+    damping, (low, high) = problem.damping, (2 * np.pi * f for f in band_hz)
+    if damping.is_rayleigh or damping.structural or problem.D is not None:
+        return 0.0
+    jumps = damping.jumps
+    return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else FLOOR
 
 
 def checked_floor(given: float) -> float:
@@ -91,7 +79,8 @@ def checked_floor(given: float) -> float:
 class CertifiedReference:
     """Elastic part of the full model over ``band_hz``, forces and moments scaled by the radius of gyration.
 
-    ``values`` (n,) in (rad/s)2 and ``b`` (n, m) of its modes, whose stiffness is uncertain by ``unsure`` (n,);
+    ``values`` (n,) in (rad/s)2 and ``b`` (n, m) of its modes, whose stiffness is uncertain by ``unsure`` (n,), and
+    with couplings of the square root of its products, and whose b is by ``b_off`` (n, m);
     ``damping`` and ``D`` (n, n), if any, as in ``Reference``, with the ``floor``. ``vectors`` (Nc, k) and ``sigma``
     (k,) are those of the modes below ``cut``, all of which are there; ``edges`` (nc + 1,) in rad/s and ``off`` (nc,)
     limits of |H - H_ref| over the envelope. ``proven`` is False where ``off`` is an estimate.
@@ -105,6 +94,7 @@ class CertifiedReference:
     b: Floats
     D: Floats | None
     unsure: Floats
+    b_off: Floats
     vectors: Floats
     sigma: Floats
     cut: float
@@ -118,18 +108,22 @@ class CertifiedReference:
         stiffness, d = self.values * (1 + 1j * self.damping.structural), self.damping.of_modes(self.values)
         if self.D is not None:
             d = d + np.diag(self.D)
-        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b), self.unsure)
+        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
         if self.D is not None:
-            H = terms_of(
+            H = response_of(
                 np.eye(len(self.values)), self.D + np.diag(self.damping.of_modes(self.values)), np.diag(self.values),
                 self.b, self.b.T, layout, structural=self.damping.structural, highest=2 * np.pi * self.band_hz[1],
-            )  # fmt: skip
-        # What the small eigenproblem leaves of the couplings between modes below and above the cut.
-        floor = EVALUATION * EPS + EPS * float(self.values.max(initial=0.0)) / min(self.cut, np.inf)
+            ).terms  # fmt: skip
+        highest = abs(1 + 1j * (self.damping.structural + self.damping.beta * 2 * np.pi * self.band_hz[1]))
+        lost = np.sqrt(highest * self.unsure)
+        rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
+        # What the small eigenproblem leaves of the couplings between modes above the cut.
+        floor = SMALL * EPS * float(self.values.max(initial=0.0)) / self.cut
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b), layout=layout, floor=floor, edges=self.edges, off=self.off
-        )
+            H=H, modes=modes, sizes=layout.sizes(self.b), rounding=rounding, layout=layout, floor=floor,
+            edges=self.edges, off=self.off,
+        )  # fmt: skip
 
     def H(self, omega: Floats) -> Complexes:
         """(nf, m, m) scaled response at ``omega`` (nf,) in rad/s."""
@@ -138,10 +132,7 @@ class CertifiedReference:
 
     def uncertainty(self, omega: Floats) -> Floats:
         """(nf,) limits of |H - H_ref| at ``omega`` (nf,) of the band, round-off included, in m/N."""
-        standard = self.standard()
-        size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
-        off = (size**2 * self.unsure) @ standard.sizes[:, 0]
-        return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * (size @ standard.sizes[:, 0]))
+        return self._lost(omega)[0]
 
     def lost(self) -> tuple[float, float]:
         """What is not known of the response at the resonances of the band, as part of its envelope, at most, and the
@@ -149,10 +140,17 @@ class CertifiedReference:
         low, high = (2 * np.pi * f for f in self.band_hz)
         inside = _inside(np.sqrt(self.values), (low, high))
         omega = np.concatenate([[low, high], inside])
-        standard = self.standard()
-        size = 1.0 / np.maximum(standard.modes.distances(omega).prod(axis=2), np.finfo(float).tiny)
-        part = self.uncertainty(omega) / (size @ standard.sizes[:, 0])
+        off, e = self._lost(omega)
+        part = off / e
         return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
+
+    def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
+        """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
+        standard = self.standard()
+        size = standard.modes.moduli(omega)[0]
+        e = size @ standard.sizes[:, 0]
+        off = standard.rounding.at(size).size()[:, 0]
+        return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * e), e
 
     @property
     def undamped(self) -> bool:
@@ -176,7 +174,7 @@ def certified_reference(
         SolverError: the count of modes contradicts the reference, or it does not become good enough.
     """
     low, high = checked_band(band_hz)
-    floor = floor_of(problem, damping_floor)
+    floor = floor_of(problem, (low, high), damping_floor)
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
     found: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
@@ -212,6 +210,7 @@ class _Build:
             problem=problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=made.values,
             b=(made.B.T * problem.motion_scale[:, None]).T, D=D - np.diag(problem.damping.of_modes(made.values)),
             unsure=np.concatenate([problem.uncertainty(self.modes), made.values[below.sum() :] * EPS])[: len(below)],
+            b_off=np.zeros((len(made.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
             edges=np.array(self.band), off=np.array([max(made.error, DAMPED)]), proven=False,
         )  # fmt: skip
@@ -244,26 +243,16 @@ class _Build:
         cross = dot(lanczos.V[:, : lanczos.size], KW, problem.budget)
         gram = W.T @ KW - cross.T @ np.linalg.solve(S, cross)
         tau = root(gram) @ Y[lanczos.last]
-        worst = 0.0
-        for w in np.linspace(*self.band, LOOKED_AT):
-            a = values * (1 + 1j * self.damping.structural) + 1j * w * self.damping.of_modes(values) - w**2
-            e = ((b**2).sum(axis=1) / np.abs(a)).sum()
-            T = (tau * (self._numerator(values, w) / a)) @ b
-            worst = max(worst, float(squares(T).sum()) / (1 - w**2 / self.cut) / e)
-        return worst
-
-    def _numerator(self, values: Floats, w: Floats | float) -> Complexes:
-        """g + i w d_p (..., k) at ``w`` (...)."""
-        w = np.asarray(w)[..., None] if np.ndim(w) else w
-        return np.asarray(1j * w * self._slope(values) - w**2)
-
-    def _slope(self, values: Floats) -> Floats:
-        """Damping (k,) of the modes without what comes with the stiffness."""
-        return np.asarray(self.damping.of_modes(values) - self.damping.beta * values)
+        w = np.linspace(*self.band, LOOKED_AT)
+        g = numerator(w, slope(self.damping, values))
+        a = values * (1 + 1j * self.damping.structural + 1j * w[:, None] * self.damping.beta) + g
+        e = (1 / np.abs(a)) @ (b**2).sum(axis=1)
+        T = (tau * (g / a)[:, None, :]) @ b
+        return float((squares(T).sum(axis=(1, 2)) / (1 - w**2 / self.cut) / e).max())
 
     def _made(self, growth: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
-        problem, budget, K, M = self.problem, self.problem.budget, self.problem.K, self.problem.M
+        problem = self.problem
         space = KrylovSpace(problem, growth, self.modes)
         values, Y = sl.eigh(space.stiffness)
         k = int((values < self.cut).sum())
@@ -276,32 +265,24 @@ class _Build:
                 f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
-        U = multiply(space.V, Y[:, :k], budget)
-        # Couplings that the small eigenproblem leaves, in parts of the highest eigenvalue, would hide light damping.
-        turn = sl.eigh(symmetric(dot(U, K @ U, budget)), symmetric(dot(U, M @ U, budget)))[1]
-        multiply_into(U, turn, U, budget)
-        U /= m_norms(U, M @ U)
-        Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
-        values = np.concatenate([np.einsum("ij,ij->j", U, K @ U), values[k:]])
-        F = problem.motion_scale[:, None] * (problem.B.T @ space.V)
-        b = np.vstack([(problem.motion_scale[:, None] * (problem.B.T @ U)).T, (F @ Y[:, k:]).T])
-        known = Modes(eigenvalues=values[:k], vectors=U, verified_below=self.cut)
-        unsure = np.concatenate([problem.uncertainty(known), space.uncertain(Y[:, k:])])
-        tau = space.residual(Y)
-        sigma = values[:k] * np.linalg.norm(tau[:, :k], axis=0)
-        start = self._start(space, Y, values, b)
-        edges, off = self._off(values, b, tau, k, start)
+        made = space.modes(Y, values, k, self.band[1])
+        left = Residual(
+            values=made.values, b=made.b, tau=made.tau, start=self._start(space, made), k=k, cut=self.cut,
+            damping=self.damping,
+        )  # fmt: skip
+        edges, off = left.bounds(self.band, self.tolerance)
+        sigma = made.values[:k] * np.linalg.norm(made.tau[:, :k], axis=0)
         return CertifiedReference(
-            problem=problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=values, b=b, D=None,
-            unsure=np.maximum(unsure, 4 * EPS * values), vectors=U, sigma=sigma, cut=self.cut, edges=edges, off=off,
-            proven=not self._straddled(values[:k], sigma),
+            problem=self.problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=made.values,
+            b=made.b, D=None, unsure=made.unsure, b_off=made.b_off, vectors=made.vectors, sigma=sigma, cut=self.cut,
+            edges=edges, off=off, proven=not self._straddled(made.values[:k], sigma),
         )  # fmt: skip
 
-    def _start(self, space: KrylovSpace, Y: Floats, values: Floats, b: Floats) -> float:
+    def _start(self, space: KrylovSpace, made: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
         X = static_response(problem) * problem.motion_scale
-        subtract(space.V, Y @ (b / values[:, None]), X, problem.budget)
+        subtract(space.V, made.Y @ (made.b / made.values[:, None]), X, problem.budget)
         return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0)))
 
     def _straddled(self, values: Floats, sigma: Floats) -> bool:
@@ -309,59 +290,6 @@ class _Build:
         jumps = self.damping.jumps**2
         off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
         return bool((np.abs(values[:, None] - jumps) <= off[:, None]).any())
-
-    def _off(self, values: Floats, b: Floats, tau: Floats, k: int, start: float) -> tuple[Floats, Floats]:
-        """Edges of cells in rad/s, and limits of the error over the envelope on them."""
-        low, high = self.band
-        size, slope = (b**2).sum(axis=1), self._slope(values)
-        own = (tau**2).sum(axis=0)
-        stiffness = values * (1 + 1j * self.damping.structural)
-        poles = Terms.second_order(stiffness, self.damping.of_modes(values), size[:, None], np.zeros(len(values)))
-        if not poles.z.imag.any() and ((poles.z.real >= low) & (poles.z.real <= high)).any():
-            return np.array([low, high]), np.array([np.inf])
-        share = 1.0 / np.where(values[:k] < self.cut, 1.0 / values[:k] - 1.0 / self.cut, 1.0)
-        least = 1.0 / (1.0 / self.cut + float((own[:k] / values[:k] * share).sum()))
-        most = high**2 + high * slope
-
-        def weakest(lo: Floats, hi: Floats) -> Floats:
-            """(nc, n) least |a_p| on cells."""
-            away = np.maximum(np.abs(0.5 * (lo + hi)[:, None, None] - poles.z.real) - 0.5 * (hi - lo)[:, None, None], 0)
-            return np.asarray(np.hypot(away, poles.z.imag).prod(axis=2))
-
-        # Modes that are as good as exact count one by one: their share in T^2 over their own part of the envelope.
-        each = own * most**2 / weakest(np.array([low]), np.array([high]))[0]
-        order = [p for p in np.argsort(each) if p < k]
-        fits = [p for n, p in enumerate(order) if 2 * (n + 1) * each[order[: n + 1]].sum() <= 0.1 * self.tolerance]
-        apart = np.zeros(len(values), dtype=bool)
-        apart[fits] = True
-        rest = float(2 * len(fits) * each[apart].sum())
-        double = 2.0 if fits else 1.0
-        rows = (tau.T[~apart, :, None] * b[~apart, None, :]).reshape(-1, len(tau) * b.shape[1])
-        T = Terms(z=poles.z[~apart], N=rows, unsure=np.zeros(len(rows)))
-        norms = np.linalg.norm(rows, axis=1)[:, None]
-
-        def bounds(lo: Floats, hi: Floats) -> Bounds:
-            w = cell_points(lo, hi, POINTS)
-            p = on_grid((T.inverse(w) * self._numerator(values[~apart], w)) @ rows)
-            here = np.sqrt(squares(p).sum(axis=2))
-            spread = np.sqrt(squares(p - p[:, SEGMENTS // 2, None]).sum(axis=2)).max(axis=1)
-            middle, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
-            outside = T.remainder(middle, half, norms, slope[~apart])[:, 0]
-            whole = here.max(axis=1) + BULGE * spread + outside + start
-            ends = np.maximum(poles.distances(lo), poles.distances(hi)).prod(axis=2)
-            kappa = ((most[:k] ** 2 * own[:k]) / weakest(lo, hi)[:, :k]).sum(axis=1)
-            gamma = 1.0 / np.maximum(1.0 - hi**2 / least, np.finfo(float).tiny)
-            gain = np.where(gamma * kappa < 1, gamma / np.maximum(1 - gamma * kappa, CLOSE), np.inf)
-            off = gain * (double * whole**2 / (1.0 / ends @ size) + rest)
-            fine = half < 0.1 * T.nearest(middle)
-            return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
-
-        cells = search(
-            bounds, lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
-            first_edges(low, high, T.z.real.ravel()), lambda found, _: found.upper <= self.tolerance, quantities=1,
-            per_cell=4 * SEGMENTS * rows.shape[1] + 20 * len(values),
-        )  # fmt: skip
-        return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
 
 
 def _inside(omega: Floats, band: tuple[float, float]) -> Floats:

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.linalg.columns import dot, hstack, map_columns, orthonormal, project_out, subtract
+from morembs.linalg.columns import (
+    dot,
+    hstack,
+    m_norms,
+    map_columns,
+    multiply,
+    multiply_into,
+    orthonormal,
+    project_out,
+    subtract,
+)
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace
+from morembs.responses.rounding import EPS, with_left
 
 Floats = NDArray[np.float64]
-EPS = float(np.finfo(float).eps)
 # Modes of which the Krylov space misses more than this part join it.
 MISSED = 1e-6
 
@@ -43,6 +55,43 @@ class KrylovSpace:
             subtract(self.V, np.asarray(np.linalg.solve(self.stiffness, dot(self.V, K @ Z, budget))), Z, budget)
         self.root = root(Z.T @ (K @ Z))
 
+    def modes(self, Y: Floats, values: Floats, k: int, highest: float) -> RitzModes:
+        """Ritz vectors V ``Y`` (n, n) with ``values`` (n,), the first ``k`` of them for frequencies up to ``highest``
+        rad/s as sharp as round-off in K allows."""
+        problem, budget, K, M = self.problem, self.problem.budget, self.problem.K, self.problem.M
+        U = multiply(self.V, Y[:, :k], budget)
+        # Couplings that the small eigenproblem leaves, in parts of the highest eigenvalue, would hide light damping.
+        turn = sl.eigh(symmetric(dot(U, K @ U, budget)), symmetric(dot(U, M @ U, budget)))[1]
+        multiply_into(U, turn, U, budget)
+        U /= m_norms(U, M @ U)
+        Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
+        KU = K @ U
+        coupled = np.hstack([dot(U, KU, budget), dot(self.V, KU, budget).T @ Y[:, k:]])
+        values = np.concatenate([np.diag(coupled), values[k:]])
+        b = np.vstack([(problem.B.T @ U).T, (problem.B.T @ self.V @ Y[:, k:]).T]) * problem.motion_scale
+        unsure = np.concatenate([problem.rounding(U), self.uncertain(Y[:, k:])])
+        unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
+        rest = np.zeros((len(values), len(values)))
+        rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
+        np.fill_diagonal(rest, 0.0)
+        return RitzModes(
+            values=values, Y=Y, vectors=U, b=b, tau=self.residual(Y),
+            unsure=with_left(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
+            b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
+        )  # fmt: skip
+
+    def _rows(self, U: Floats, Y: Floats, turned: Floats) -> Floats:
+        """(n, m) how far the loads of the modes ``U`` and V ``Y`` may be off.
+
+        They are sums of products, and modes take up z'K u_p / lam_p of the rigid motions z.
+        """
+        problem = self.problem
+        rows = np.unique(problem.B.indices)
+        B, Z = abs(problem.B[rows]).T, np.abs(problem.B.T @ problem.rigid)
+        sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
+        off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.rounding(problem.rigid)))
+        return np.asarray(off * problem.motion_scale)
+
     def residual(self, Y: Floats) -> Floats:
         """(q, k) coordinates of G s_p / theta_p, but for the sign, for Ritz vectors V ``Y`` (n, k)."""
         return np.asarray(self.root @ Y[self.rows])
@@ -54,6 +103,21 @@ class KrylovSpace:
         width = budget.columns(len(self.V))
         parts = [dot(self.V, weights[:, None] * self.V[:, at : at + width], budget) for at in range(0, n, width)]
         return np.asarray(EPS * np.einsum("ij,ij->j", Y, np.hstack(parts) @ Y))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RitzModes:
+    """Of a space V (Nc, n): ``values`` (n,), coordinates ``Y`` (n, n) of the modes, their scaled loads ``b`` (n, m),
+    ``tau`` (q, n) as ``KrylovSpace.residual``, the ``vectors`` (Nc, k) of the first ones. The stiffness is off by
+    ``unsure`` (n,) at most, with couplings of the square root of its products, and b by ``b_off`` (n, m)."""
+
+    values: Floats
+    Y: Floats
+    vectors: Floats
+    b: Floats
+    tau: Floats
+    unsure: Floats
+    b_off: Floats
 
 
 def static_response(problem: Problem) -> Floats:

@@ -12,7 +12,6 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.responses.cells import Bounds, Cells, first_edges, search
+from morembs.responses.layout import Layout
 from morembs.responses.rational import (
     BULGE,
     DEGREE,
@@ -31,6 +31,7 @@ from morembs.responses.rational import (
     on_grid,
     squares,
 )  # fmt: skip
+from morembs.responses.rounding import Lost, Response, Rounding
 
 Floats = NDArray[np.float64]
 MEASURES = ("envelope", "peak", "pointwise")
@@ -39,9 +40,6 @@ SHARPNESS = 1.05
 LOCAL = 2.0
 # Part of its limit that interpolation may cost in a cell that is not halved any more.
 FINE = 0.4
-EPS = float(np.finfo(float).eps)
-# Round-off of the evaluation itself, as a multiple of eps times the envelope.
-EVALUATION = 10.0
 TINY = np.finfo(float).tiny
 
 
@@ -74,53 +72,16 @@ class Verdict:
     at: Floats
 
 
-class Layout:
-    """Entries of m x m matrices as rows (P, e), and the norms of the whole and of the blocks from their squares.
-
-    ``blocks`` are the columns of each interface; ``symmetric`` matrices are held by one triangle.
-    """
-
-    def __init__(self, m: int, blocks: Sequence[slice], symmetric: bool) -> None:
-        self.symmetric = symmetric
-        self.i, self.j = np.triu_indices(m) if symmetric else (i.ravel() for i in np.indices((m, m)))
-        self.weight = np.where((self.i != self.j) & symmetric, np.sqrt(2.0), 1.0)
-        owner = np.zeros(m, dtype=np.int64)
-        for number, block in enumerate(blocks):
-            owner[block] = number
-        n = len(blocks)
-        self.pairs = [(a, b) for a in range(n) for b in range(n) if not symmetric or a <= b] if n > 1 else []
-        self.blocks = blocks
-        masks = [np.ones(len(self.i))]
-        for a, b in self.pairs:
-            held = (owner[self.i] == a) & (owner[self.j] == b)
-            if symmetric:
-                held |= (owner[self.i] == b) & (owner[self.j] == a)
-            # Of blocks beside the diagonal one triangle holds either entry once, with the weight of both.
-            masks.append(held * (0.5 if symmetric and a != b else 1.0))
-        self.masks = np.stack(masks, axis=1)
-
-    def rows(self, left: NDArray[np.number], right: NDArray[np.number]) -> NDArray[np.number]:
-        """(P, e) of left_p right_p' for ``left`` and ``right`` (P, m)."""
-        return left[:, self.i] * right[:, self.j] * self.weight
-
-    def norms(self, X: NDArray[np.complex128]) -> Floats:
-        """(..., 1 + nb) Frobenius norms of the whole and of the blocks of entries ``X`` (..., e)."""
-        return np.asarray(np.sqrt(squares(np.asarray(X, dtype=complex)) @ self.masks))
-
-    def sizes(self, b: Floats) -> Floats:
-        """(P, 1 + nb) norms of the contributions b_p b_p' for ``b`` (P, m)."""
-        own = [np.linalg.norm(b[:, block], axis=1) for block in self.blocks]
-        return np.stack([(b**2).sum(axis=1), *(own[i] * own[j] for i, j in self.pairs)], axis=1)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Standard:
     """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertain(low, high)``
-    (nc,) times the envelope on cells (without round-off), the envelope's ``modes`` with ``sizes`` (k, 1 + nb)."""
+    (nc,) times the envelope on cells without round-off, the envelope's ``modes`` with ``sizes`` (k, 1 + nb) and their
+    ``rounding``, which is at least ``floor`` times the envelope."""
 
     H: Terms
     modes: Terms
     sizes: Floats
+    rounding: Rounding
     layout: Layout
     floor: float
     edges: Floats
@@ -137,21 +98,22 @@ class Standard:
 
 
 class Comparison:
-    """A body (``Terms`` in the entries of the layout of ``standard``) against its standard, cell by cell.
+    """A body in the entries of the layout of ``standard`` against its standard, cell by cell.
 
     Quantities: envelope, |E|, pointwise, |H|, and the envelopes of the blocks.
     """
 
-    def __init__(self, standard: Standard, body: Terms) -> None:
+    def __init__(self, standard: Standard, body: Response) -> None:
         self.standard, self.body = standard, body
-        self.X = standard.H.minus(body)
-        self.sizes_X, self.sizes_H = (standard.layout.norms(one.N) for one in (self.X, standard.H))
-        self.sizes_body = standard.layout.norms(body.N)
-        self.quantities = 3 + self.sizes_X.shape[1]
+        self.both = standard.H, body.terms
+        self.sizes = [standard.layout.norms(one.N) for one in self.both]
+        self.quantities = 3 + self.sizes[0].shape[1]
+        self.poles = np.concatenate([one.z.real.ravel() for one in self.both])
 
     def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
         """Whether cells are far enough from the poles to be worth a look."""
-        return np.asarray(0.5 * (high - low) < 0.7 * self.X.nearest(0.5 * (low + high)))
+        middle = 0.5 * (low + high)
+        return np.asarray(0.5 * (high - low) < 0.7 * np.minimum(*(one.nearest(middle) for one in self.both)))
 
     def bounds(self, low: Floats, high: Floats) -> Bounds:
         """Limits of the quantities on cells."""
@@ -159,10 +121,10 @@ class Comparison:
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         w = cell_points(low, high, POINTS)
         grid = cell_points(low, high, np.cos(GRID))
-        H = on_grid(standard.H.at(w))
-        rest_H = standard.H.remainder(middle, half, self.sizes_H[:, :1])
-        X = on_grid(self.X.at(w))
-        rest = self.X.remainder(middle, half, self.sizes_X)[:, None]
+        at_points = [one.at(w) for one in self.both]
+        H, X = on_grid(at_points[0]), on_grid(at_points[0] - at_points[1])
+        rests = [one.remainder(middle, half, size) for one, size in zip(self.both, self.sizes, strict=True)]
+        rest_H, rest = rests[0][:, :1], (rests[0] + rests[1])[:, None]
         size = layout.norms(X)
         most = np.maximum(size[:, 1:], size[:, :-1]) + BULGE * _spread(X, layout)[:, None] + rest
         e, e_least, e_most, floor, floor_most = self._envelope(grid)
@@ -210,35 +172,31 @@ class Comparison:
         # On each half of a segment by the way to its end.
         grown = [((1 + half / near[:, s]) * (1 + half / far[:, s]))[..., None] for s in (slice(1, None), slice(-1))]
         least = np.minimum(e[:, 1:] / grown[0], e[:, :-1] / grown[1])
-        floor = _moved(inverse, standard.modes.unsure) @ standard.sizes + standard.floor * e
-        shrunk = _shrunk(half, near, far)
-        most = np.maximum(e[:, 1:] * shrunk[0], e[:, :-1] * shrunk[1])
-        floor_most = np.maximum(floor[:, 1:] * shrunk[0] ** 2, floor[:, :-1] * shrunk[1] ** 2)
-        inverse, near, far = _inverse(self.body, grid)
-        own = (_moved(inverse, self.body.unsure) + EVALUATION * EPS * inverse) @ self.sizes_body
-        shrunk = _shrunk(half, near, far)
-        own_most = np.maximum(own[:, 1:] * shrunk[0] ** 2, own[:, :-1] * shrunk[1] ** 2)
+        lost, shrunk = standard.rounding.at(inverse), _shrunk(half, near, far)
+        most = np.maximum(e[:, 1:] * shrunk[0][..., None], e[:, :-1] * shrunk[1][..., None])
+        floor, floor_most = lost.size() + standard.floor * e, _most(lost, shrunk) + standard.floor * most
+        inverse, near, far = _inverse(self.body.terms, grid)
+        lost = self.body.rounding.at(inverse)
+        own, own_most = lost.size(), _most(lost, _shrunk(half, near, far))
         return e, least, most, floor + own, floor_most + own_most
 
 
 def _inverse(terms: Terms, grid: Floats) -> tuple[Floats, Floats, Floats]:
     """(nc, n, P) of 1 / |a_p|, the distance (nc, n) of the nearest root, and one below that of any second one."""
-    away = terms.distances(grid)
+    inverse, near = terms.moduli(grid)
     # Roots come in pairs of opposite real parts, and no frequency is negative.
-    near = away[..., np.isfinite(terms.z)].min(axis=2, initial=np.inf)
-    return 1.0 / np.maximum(away.prod(axis=3), TINY), near, np.maximum(near, grid)
+    return inverse, near, np.maximum(near, grid)
 
 
-def _moved(inverse: Floats, unsure: Floats) -> Floats:
-    """By how much 1 / |a_p| changes where a_p is off by ``unsure`` (P,)."""
-    with np.errstate(divide="ignore"):
-        return np.asarray(inverse * unsure / np.maximum(1.0 / inverse - unsure, 0.0))
+def _most(lost: Lost, shrunk: list[Floats]) -> Floats:
+    """(nc, n - 1, 1 + nb) the largest that is lost between the points of cells."""
+    return np.maximum(lost.part(slice(1, None)).size(shrunk[0]), lost.part(slice(-1)).size(shrunk[1]))
 
 
 def _shrunk(half: Floats, near: Floats, far: Floats) -> list[Floats]:
     """By how much 1 / |a_p| grows at most up to ``half`` a segment away from its ends."""
     with np.errstate(divide="ignore"):
-        return [1.0 / (np.maximum(1 - half / near[:, s], 0.0) * np.maximum(1 - half / far[:, s], 0.0))[..., None]
+        return [1.0 / (np.maximum(1 - half / near[:, s], 0.0) * np.maximum(1 - half / far[:, s], 0.0))
                 for s in (slice(1, None), slice(-1))]  # fmt: skip
 
 
@@ -252,15 +210,14 @@ def _spread(p: NDArray[np.complex128], layout: Layout | None) -> Floats:
 
 def _chords(p: NDArray[np.complex128]) -> Floats:
     """(nc, SEGMENTS) distances of zero from the straight lines between neighbours on the grid."""
-    a, b = p[:, :-1], p[:, 1:]
-    step = squares(b - a).sum(axis=2)
-    along = -((b - a).real * a.real + (b - a).imag * a.imag).sum(axis=2)
-    t = np.clip(along / np.maximum(step, TINY), 0.0, 1.0)
-    return np.asarray(np.sqrt(squares(a + t[..., None] * (b - a)).sum(axis=2)))
+    a, way = p[:, :-1], np.diff(p, axis=1)
+    along = -(way.real * a.real + way.imag * a.imag).sum(axis=2)
+    t = np.clip(along / np.maximum(squares(way).sum(axis=2), TINY), 0.0, 1.0)
+    return np.asarray(np.sqrt(squares(a + t[..., None] * way).sum(axis=2)))
 
 
 def compare(
-    standard: Standard, body: Terms, low: float, high: float, sharpness: float = SHARPNESS
+    standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS
 ) -> tuple[dict[str, Limit], Floats, Cells]:
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
@@ -273,7 +230,7 @@ def compare(
     factor[[1, 3]] = np.sqrt(sharpness)
     other = np.arange(comparison.quantities) >= len(MEASURES)
     cells = search(
-        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles),
         lambda found, lower: (found.upper <= factor * lower) & ((found.upper <= LOCAL * found.lower) | other),
         quantities=comparison.quantities,
         per_cell=_numbers(comparison),
@@ -295,7 +252,7 @@ def compare(
     return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
 
 
-def decide(standard: Standard, body: Terms, low: float, high: float, measure: str, tolerance: float) -> Verdict:
+def decide(standard: Standard, body: Response, low: float, high: float, measure: str, tolerance: float) -> Verdict:
     """Whether the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
     comparison = Comparison(standard, body)
     number = MEASURES.index(measure)
@@ -308,7 +265,7 @@ def decide(standard: Standard, body: Terms, low: float, high: float, measure: st
     else:
         allowed[number] = tolerance
     cells = search(
-        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.X.z.real.ravel()),
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles),
         lambda found, _: found.upper <= allowed, quantities=comparison.quantities, allowed=allowed,
         per_cell=_numbers(comparison),
     )  # fmt: skip
@@ -321,5 +278,5 @@ def decide(standard: Standard, body: Terms, low: float, high: float, measure: st
 
 def _numbers(comparison: Comparison) -> int:
     """Numbers that are held for one cell at once."""
-    entries, poles = comparison.X.N.shape[1], len(comparison.X.z)
+    entries, poles = len(comparison.standard.layout.i), len(comparison.poles)
     return int(SEGMENTS * (6 * entries + 6 * poles) + 20 * DEGREE * poles)

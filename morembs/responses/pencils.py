@@ -7,8 +7,9 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.linalg.eigen import graded_modes
-from morembs.responses.measures import EPS, Layout
+from morembs.responses.layout import Layout
 from morembs.responses.rational import Terms
+from morembs.responses.rounding import EPS, Response, Rounding, couplings, with_left
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -18,68 +19,81 @@ TINY = np.finfo(float).tiny
 
 
 def modes_of(M: Floats, K: Floats, rigid: int, symmetric: bool) -> tuple[Complexes, Complexes, Complexes]:
-    """Elastic eigenvalues (k,) of (K, M) (n, n), right and left vectors (n, k), left' M right = I.
-
-    ``rigid`` motions are left out: of a symmetric pencil the lowest modes, otherwise the first coordinates.
-    """
+    """Eigenvalues (n,) of (K, M) (n, n), right and left vectors (n, n), left' M right = I, the ``rigid`` motions first:
+    of a symmetric pencil the lowest modes, otherwise the first coordinates."""
     if symmetric:
-        X = graded_modes(K, M)[1][:, rigid:]
+        X = graded_modes(K, M)[1]
         # What a small eigenproblem leaves of the highest eigenvalue in all of them, quotients do not have.
-        weight = np.einsum("ij,ij->j", X, M @ X)
-        X = X / np.sqrt(weight)
+        X = X / np.sqrt(np.einsum("ij,ij->j", X, M @ X))
         return np.einsum("ij,ij->j", X, K @ X).astype(complex), X.astype(complex), X.astype(complex)
     values, left, right = sl.eig(K[rigid:, rigid:], M[rigid:, rigid:], left=True, right=True)
     order = np.argsort(values.real, kind="stable")
     values, left, right = values[order], left[:, order].conj(), right[:, order]
     weight = np.einsum("ij,ij->j", left, M[rigid:, rigid:] @ right)
     right = right / np.where(weight == 0, TINY, weight)
-    pad = np.zeros((rigid, len(values)))
-    return values, np.vstack([pad, right]), np.vstack([pad, left])
+    still = np.eye(rigid)
+    return np.append(np.zeros(rigid), values), sl.block_diag(still, right), sl.block_diag(still, left)
 
 
-def terms_of(
+def response_of(
     M: Floats, D: Floats, K: Floats, B: Floats, C: Floats, layout: Layout, *, structural: float, highest: float,
     rigid: int = 0, symmetric: bool = True,
-) -> Terms:  # fmt: skip
+) -> Response:  # fmt: skip
     """C ((1 + i structural) K + i w D - w^2 M)^-1 B without rigid motion: ``M``, ``D``, ``K`` (n, n), ``B`` (n, m),
     ``C`` (m, n), for frequencies up to ``highest`` rad/s.
 
     Where D couples modes the poles are those of the first-order form.
     """
     theta, X, L = modes_of(M, K, rigid, symmetric)
-    sizes = [np.abs(L).T, np.abs(X)]
-    unsure = 4 * EPS * _diagonal(sizes[0], np.abs(K) @ sizes[1])
-    unsure = unsure + 4 * EPS * np.abs(theta) * _diagonal(sizes[0], np.abs(M) @ sizes[1])
-    outputs, inputs = (C @ X).T, L.T @ B
+    off_c, off_b = (4 * EPS * np.abs(side).T @ np.abs(modes) for side, modes in ((C.T, X), (B, L)))
+    turned = _turned(M, K, theta, L, X, rigid), _turned(M.T, K.T, theta, X, L, rigid)
+    outputs, inputs = C @ X, B.T @ L
+    off_c, off_b = (off[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
+                    for off, rows, turn in ((off_c, outputs, turned[0]), (off_b, inputs, turned[1])))  # fmt: skip
+    outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
+    loss = abs(1 + 1j * structural)
+    s, t = couplings(loss * np.abs(K) + highest * np.abs(D) + highest**2 * np.abs(M), L, X)
     coupled = L.T @ D @ X
-    d = np.diag(coupled)
-    off = np.abs(coupled - np.diag(d)).sum(axis=1)
-    stiffness = theta * (1 + 1j * structural)
-    if (off <= UNCOUPLED * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
+    d, stiffness = np.diag(coupled), theta * (1 + 1j * structural)
+    left = loss * np.abs(L.T @ K @ X - np.diag(theta)) + highest**2 * np.abs(L.T @ M @ X - np.eye(len(theta)))
+    off = np.abs(coupled - np.diag(d))
+    if (off.sum(axis=1) <= UNCOUPLED * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
         N = layout.rows(outputs, inputs)
-        return Terms.second_order(stiffness, d, N.real if symmetric else N, unsure + highest * off)
-    return _first_order(stiffness, coupled, outputs, inputs, unsure, layout)
+        return Response(
+            terms=Terms.second_order(stiffness, d, N.real if symmetric else N),
+            rounding=Rounding.of(layout, outputs, inputs, *with_left(s, t, left + highest * off), off_c.T, off_b.T),
+        )  # fmt: skip
+    return _first_order(stiffness, coupled, outputs, inputs, with_left(s, t, left), (off_c.T, off_b.T), layout)
+
+
+def _turned(M: Floats, K: Floats, theta: Complexes, L: Complexes, X: Complexes, rigid: int) -> Floats:
+    """(r, k) by how much elastic modes ``X`` (n, r + k) turn towards the rigid motions before them, at most."""
+    Z, X = np.abs(L[:, :rigid].T), X[:, rigid:]
+    stiff, heavy = (np.abs(L[:, :rigid].T @ A @ X) + 4 * EPS * (Z @ np.abs(A) @ np.abs(X)) for A in (K, M))
+    return np.asarray(stiff / np.maximum(np.abs(theta[rigid:]), TINY) + heavy)
 
 
 def _first_order(
-    stiffness: Complexes, D: Complexes, outputs: Complexes, inputs: Complexes, unsure: Floats, layout: Layout
-) -> Terms:
-    """Poles of q'' + D q' + stiffness q = inputs, from the states (omega q, q')."""
+    stiffness: Complexes, D: Complexes, outputs: Complexes, inputs: Complexes, lost: tuple[Floats, Floats],
+    off: tuple[Floats, Floats], layout: Layout,
+) -> Response:  # fmt: skip
+    """Poles of q'' + D q' + stiffness q = inputs, from the states (omega q, q'); ``lost`` s and t of the modes, and
+    ``off`` of their rows."""
     omega = np.sqrt(stiffness)
     k = len(omega)
     A = np.block([[np.zeros((k, k)), np.diag(omega)], [-np.diag(omega), -D]])
-    mu, left, right = sl.eig(A, left=True, right=True)
-    left = left.conj()
-    weight = np.einsum("ij,ij->j", left, right)
-    right = right / np.where(weight == 0, TINY, weight)
-    top, bottom = np.abs(left), np.abs(right)
-    lost = 4 * EPS * _diagonal(top.T, np.abs(A) @ bottom)
-    # What is not known of the stiffness moves the poles.
-    lost += (top[k:] * bottom[:k] * (unsure / np.maximum(np.abs(omega), TINY))[:, None]).sum(axis=0)
-    N = layout.rows((right[:k] / omega[:, None]).T @ outputs, left[k:].T @ inputs)
-    return Terms.first_order(mu, N, lost)
-
-
-def _diagonal(left: Floats, right: Floats) -> Floats:
-    """Diagonal (k,) of ``left`` (k, n) times ``right`` (n, k)."""
-    return np.asarray(np.einsum("ji,ij->j", left, right))
+    mu, L, X = sl.eig(A, left=True, right=True)
+    L = L.conj()
+    weight = np.einsum("ij,ij->j", L, X)
+    X = X / np.where(weight == 0, TINY, weight)
+    top, bottom = X[:k] / omega[:, None], L[k:]
+    s, t = couplings(A, L, X)
+    # What is not known of the modes' stiffness couples the states too.
+    s, t = np.hypot(s, lost[0] @ np.abs(bottom)), np.hypot(t, lost[1] @ np.abs(top))
+    s, t = with_left(s, t, np.abs(L.T @ A @ X - np.diag(mu)) + np.abs(mu) * np.abs(L.T @ X - np.eye(2 * k)))
+    c, b = top.T @ outputs, bottom.T @ inputs
+    off_c, off_b = (np.abs(side).T @ (rows + 4 * EPS * np.abs(known))
+                    for side, rows, known in ((top, off[0], outputs), (bottom, off[1], inputs)))  # fmt: skip
+    return Response(
+        terms=Terms.first_order(mu, layout.rows(c, b)), rounding=Rounding.of(layout, c, b, s, t, off_c, off_b)
+    )

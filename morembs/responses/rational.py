@@ -15,6 +15,7 @@ polynomial q (Ehlich and Zeller 1964).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Self
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 DEGREE, SEGMENTS = 10, 60
+TINY = np.finfo(float).tiny
 # Bernstein ellipses that are tried.
 RHO = np.array([2.5, 3.0, 4.0, 6.0, 9.0, 14.0, 22.0, 40.0])
 
@@ -45,74 +47,60 @@ BULGE = (DEGREE * np.pi / SEGMENTS) ** 2 / 8 / np.cos(DEGREE * np.pi / SEGMENTS 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Terms:
-    """sum_p N_p / ((w - z_p1) (w - z_p2)): roots ``z`` (P, 2), infinite where there is only one, ``N`` (P, e) entries
-    of the residues, ``unsure`` (P,) how far the product of the roots may be off."""
+    """sum_p N_p / ((w - z_p1) (w - z_p2)): roots ``z`` (P, 2), or (P, 1) where there is but one, ``N`` (P, e) entries
+    of the residues."""
 
     z: Complexes
     N: NDArray[Any]
-    unsure: Floats
 
     @classmethod
-    def second_order(cls, s: NDArray[Any], d: NDArray[Any], N: NDArray[Any], unsure: Floats) -> Self:
+    def second_order(cls, s: NDArray[Any], d: NDArray[Any], N: NDArray[Any]) -> Self:
         """sum_p N_p / (s_p + i w d_p - w^2)."""
         s, d = np.asarray(s, dtype=complex), np.asarray(d, dtype=complex)
         root = np.sqrt(s - 0.25 * d * d)
         half = 0.5j * d
         # The larger one first: the other one follows without cancellation.
         first = np.where(np.abs(half + root) >= np.abs(half - root), half + root, half - root)
-        return cls(z=np.stack([first, -s / first], axis=1), N=-N, unsure=unsure)
+        return cls(z=np.stack([first, -s / first], axis=1), N=-N)
 
     @classmethod
-    def first_order(cls, mu: Complexes, N: NDArray[Any], unsure: Floats) -> Self:
+    def first_order(cls, mu: Complexes, N: NDArray[Any]) -> Self:
         """sum_p N_p / (i w - mu_p)."""
-        z = np.stack([-1j * mu, np.full(len(mu), np.inf)], axis=1)
-        return cls(z=z, N=-1j * N, unsure=unsure)
-
-    def minus(self, other: Terms) -> Terms:
-        """This function less ``other``."""
-        return Terms(
-            z=np.vstack([self.z, other.z]), N=np.vstack([self.N, -other.N]),
-            unsure=np.concatenate([self.unsure, other.unsure]),
-        )  # fmt: skip
+        return cls(z=-1j * mu[:, None], N=-1j * N)
 
     def inverse(self, w: Floats) -> Complexes:
         """(..., P) of 1 / ((w - z1) (w - z2)) at ``w`` (...)."""
-        one = w[..., None] - self.z[:, 0]
-        single = np.isinf(self.z[:, 1])
-        if single.all():
-            return np.asarray(1.0 / one)
-        return np.asarray(1.0 / (one * np.where(single, 1.0, w[..., None] - np.where(single, 0.0, self.z[:, 1]))))
+        return np.asarray(1.0 / reduce(np.multiply, [w[..., None] - z for z in self.z.T]))
 
     def at(self, w: Floats) -> Complexes:
         """(..., e) at ``w`` (...) in rad/s."""
         return product(self.inverse(w), self.N)
 
-    def distances(self, w: Floats) -> Floats:
-        """(..., P, 2) distances of ``w`` (...) from the roots, one from those that are not there."""
-        away = np.abs(w[..., None, None] - np.where(np.isinf(self.z), 0.0, self.z))
-        away[..., np.isinf(self.z)] = 1.0
-        return np.asarray(away)
+    def moduli(self, w: Floats) -> tuple[Floats, Floats]:
+        """(..., P) of 1 / |(w - z1) (w - z2)| at ``w`` (...), and the distance (...) of the nearest root."""
+        away = [(w[..., None] - z.real) ** 2 + z.imag**2 for z in self.z.T]
+        near = np.sqrt(reduce(np.minimum, [one.min(axis=-1, initial=np.inf) for one in away]))
+        return 1.0 / np.sqrt(np.maximum(reduce(np.multiply, away), TINY)), near
 
     def nearest(self, middle: Floats) -> Floats:
         """(nc,) distance of the nearest root from ``middle`` (nc,)."""
-        known = self.z[np.isfinite(self.z)]
-        return np.asarray(np.abs(middle[:, None] - known).min(axis=1, initial=np.inf))
+        return np.asarray(np.abs(middle[:, None] - self.z.ravel()).min(axis=1, initial=np.inf))
 
     def remainder(self, middle: Floats, half: Floats, sizes: Floats, slope: Floats | None = None) -> Floats:
         """(nc, q) bounds of |X - p| on cells, for the norms ``sizes`` (P, q) of the residues.
 
         With ``slope`` (P,) they are multiplied with numerators of at most |w|^2 + |w| slope_p.
         """
-        reach = np.abs(middle[:, None] - np.where(np.isinf(self.z), 0.0, self.z).ravel()).reshape(len(middle), -1, 2)
-        along = np.abs(middle[:, None, None] - self.z.real)
-        across = np.abs(self.z.imag)
+        along = [np.abs(middle[:, None] - z.real) for z in self.z.T]
+        across = np.abs(self.z.imag.T)
+        reach = [np.hypot(one, off) for one, off in zip(along, across, strict=True)]
         found = np.full((len(middle), sizes.shape[1]), np.inf)
         for rho in RHO:
-            A, B = (half[:, None, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
-            least = np.maximum(np.maximum(across - B, along - A), reach - A)
-            least[:, np.isinf(self.z)] = 1.0
-            free = (least > 0).all(axis=(1, 2))
-            inverse = 1.0 / np.where(free[:, None, None], least, 1.0).prod(axis=2)
+            A, B = (half[:, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
+            least = [np.maximum(np.maximum(off - B, one - A), whole - A)
+                     for one, off, whole in zip(along, across, reach, strict=True)]  # fmt: skip
+            free = reduce(np.minimum, least).min(axis=1, initial=np.inf) > 0
+            inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], one, 1.0) for one in least])
             if slope is not None:
                 far = np.abs(middle) + half * (rho + 1 / rho) / 2
                 inverse = inverse * (far[:, None] ** 2 + far[:, None] * slope)
@@ -121,9 +109,9 @@ class Terms:
         return found
 
 
-def product(a: Complexes, N: NDArray[Any]) -> Complexes:
-    """a N, in real arithmetic where N is real."""
-    if np.iscomplexobj(N):
+def product(a: NDArray[Any], N: NDArray[Any]) -> NDArray[Any]:
+    """a N, in real arithmetic where one of them is real."""
+    if np.iscomplexobj(N) or not np.iscomplexobj(a):
         return np.asarray(a @ N)
     return np.asarray(a.real @ N + 1j * (a.imag @ N))
 

@@ -262,12 +262,11 @@ class ReferenceSpace:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
         lanczos, M = self.lanczos, self.problem.M
         Q = lanczos.pending
-        for _ in range(2):
-            project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
-            gram = Q.T @ (M @ Q)
-            values, U = sl.eigh(0.5 * (gram + gram.T))
-            # What was orthonormal keeps its length, unless it was rigid motion or round-off.
-            Q = Q @ (U[:, values > 0.5] / np.sqrt(values[values > 0.5]))
+        project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
+        gram = Q.T @ (M @ Q)
+        values, U = sl.eigh(0.5 * (gram + gram.T))
+        # What was orthonormal keeps its length, unless it was rigid motion or round-off.
+        Q = Q @ (U[:, values > 0.5] / np.sqrt(values[values > 0.5]))
         lanczos.pending = Q[:, : self.room - lanczos.size]
 
     def _border(self) -> None:

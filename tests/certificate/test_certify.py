@@ -49,7 +49,7 @@ class Truth:
 
     def __init__(self, problem):
         self.problem, self.damping = problem, problem.damping
-        self.loss = problem.damping.structural + 2 * floor_of(problem, None)
+        self.loss = problem.damping.structural + 2 * floor_of(problem, [0.0, 1.0])
         size = problem.K.shape[0]
         keep = (lambda A: A.toarray().astype(Long)) if size <= DENSE else (lambda A: sp.csc_array(A).astype(Long))
         self.K, self.M = keep(problem.K), keep(problem.M)
@@ -113,6 +113,15 @@ def pencil(problem):
     values, vectors = sl.eigh(problem.K.toarray(), problem.M.toarray())
     r = problem.rigid.shape[1]
     return values[r:], vectors[:, r:]
+
+
+def envelope(problem, omega):
+    """(nf,) the sum of the sizes of all modal contributions."""
+    values, vectors = pencil(problem)
+    size = ((problem.B.T @ vectors) ** 2 * problem.motion_scale[:, None] ** 2).sum(axis=0)
+    loss = problem.damping.structural + 2 * floor_of(problem, [0.0, 1.0])
+    d = problem.damping.of_modes(values)
+    return (size / np.abs(values * (1 + 1j * loss) + 1j * omega[:, None] * d - omega[:, None] ** 2)).sum(axis=1)
 
 
 def round_off(problem, omega, values):
@@ -284,6 +293,7 @@ class Case:
 
     omega: Any
     full: Any
+    unknown: Any
     floor: Any
     found: dict[str, tuple[Certificate, Any] | Exception]
 
@@ -329,7 +339,8 @@ def _made(name, damping):
         scale = np.outer(problem.motion_scale, problem.motion_scale)
         for one_, its in zip(reduced.values(), certify(problem, list(reduced.values()), hz), strict=True):
             found[one_.name] = (its, errors_of(one_, omega, H, scale))
-        return Case(omega, norms(H), round_off(problem, omega, problem.elastic_modes(count=6).eigenvalues), found)
+        floor = round_off(problem, omega, problem.elastic_modes(count=6).eigenvalues)
+        return Case(omega, norms(H), REFERENCE * envelope(problem, omega) / norms(H), floor, found)
 
 
 def certified(name, damping, method):
@@ -357,7 +368,8 @@ def test_the_bound_holds_and_is_sharp(name, damping, method):
     known, its, error = certified(name, damping, method)
     floor = known.floor
     assert its.bound_kind == "bound"
-    seen = error > 100 * floor
+    # What is not known of the full response counts where a response is small beside its modes.
+    seen = error > 100 * floor + 20 * known.unknown
     cell = np.clip(np.searchsorted(its.cells_hz[:, 0], known.omega / (2 * np.pi), side="right") - 1, 0, None)
     limit = its.cell_limit[cell, 2]
     show(f"{name:14s} {damping:9s} {method:22s} error {error.max():.1e} limit {limit.max():.1e} "
@@ -365,6 +377,7 @@ def test_the_bound_holds_and_is_sharp(name, damping, method):
     # What is proven holds without any allowance.
     assert (error <= its.bound).all() and (error <= limit).all() and (its.error <= its.bound).all()
     assert (its.bound[seen] < 1.1 * error[seen]).all()
+    assert (its.reference_error <= known.unknown + 100 * floor).all()
     assert np.abs(its.full / known.full - 1).max() < 1e-7 + floor.max()
     assert (np.abs(its.error - error) <= 10 * REFERENCE + floor * (1 + error) ** 2).all()
     assert error.max() <= its.limits["pointwise"].upper

@@ -34,10 +34,10 @@ def ends(model, coupling="average"):
             for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
 
 
-@pytest.mark.parametrize("number", [0, 3, 6, 11])
-def test_random_bodies_against_dense_solutions(number):
-    """A short form of benchmarks/certificates.py."""
-    for one in campaign.trial(1, number):
+@pytest.mark.parametrize(("seed", "number"), [(1, 0), (1, 3), (1, 6), (1, 11), (9, 0)])
+def test_random_bodies_against_dense_solutions(seed, number):
+    """A short form of benchmarks/certificates.py; of soft free twins round-off turns modes towards rigid motion."""
+    for one in campaign.trial(seed, number):
         assert not one.above, one.words
         # A dense grid may miss the largest value, which the certificate then names.
         assert (one.effectivity[one.clear] >= 1).all() and (one.gap[one.clear] < 1.15).all(), one.words
@@ -134,7 +134,7 @@ def test_samples_and_ends_on_an_undamped_resonance(floor):
             (its,) = certify(problem, [body], band, points=41, damping_floor=floor)
             assert np.isfinite(its.error).all() and its.frequencies_hz[0] >= band[0]
             assert np.isfinite(its.limit.upper) == (floor is None)
-        for tolerance in (1e-1, 1e-2, 1e-4) if floor is None else ():
+        for tolerance in (1e-1, 1e-2, 1e-3, 1e-4) if floor is None else ():
             reduced = AutoReducer(band_hz=[0.0, 2 * first], tolerance=tolerance).reduce(problem)
             assert reduced.recipe["certified"] <= tolerance
 

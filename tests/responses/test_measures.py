@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from morembs.responses.measures import EPS, MEASURES, Layout, Standard, compare
+from morembs.responses.layout import Layout
+from morembs.responses.measures import MEASURES, Standard, compare
 from morembs.responses.rational import GRID, POINTS, Terms, cell_points, on_grid
+from morembs.responses.rounding import EPS, Response, Rounding
 
 
 def standard_and_body(seed, symmetric=True):
@@ -20,12 +22,15 @@ def standard_and_body(seed, symmetric=True):
 
     def terms(omega, left, right):
         lam = omega**2
-        return Terms.second_order(lam, 2 * zeta * omega, layout.rows(left, right), 4 * EPS * lam)
+        terms = Terms.second_order(lam, 2 * zeta * omega, layout.rows(left, right))
+        lost = np.sqrt(4 * EPS) * omega
+        return Response(terms=terms, rounding=Rounding.of(layout, left, right, lost, lost))
 
     H = terms(omega, b, b)
     standard = Standard(
-        H=H, modes=H, sizes=layout.sizes(b), layout=layout, floor=EPS, edges=np.array([0.0, 1e9]), off=np.zeros(1)
-    )
+        H=H.terms, modes=H.terms, sizes=layout.sizes(b), rounding=H.rounding, layout=layout, floor=EPS,
+        edges=np.array([0.0, 1e9]), off=np.zeros(1),
+    )  # fmt: skip
     near = omega[:keep] * (1 + 0.5 * off * rng.uniform(0, 1, keep))
     own = b[:keep] * (1 + off * rng.standard_normal((keep, m)))
     rest = np.linalg.qr(b[keep:] / omega[keep:, None])[1]
@@ -48,8 +53,8 @@ def test_no_value_of_the_band_lies_above_its_limit(seed, symmetric):
     assert np.array_equal(cells.edges[1:, 0], cells.edges[:-1, 1])
     w = np.unique(np.append(w, [2 * np.pi * one.at_hz for one in limits.values()]))
     own = np.clip(np.searchsorted(cells.edges[:, 0], w, side="right") - 1, 0, len(cells.edges) - 1)
-    E, H = standard.layout.norms(standard.H.at(w) - body.at(w)), standard.layout.norms(standard.H.at(w))[:, 0]
-    e = 1 / standard.modes.distances(w).prod(axis=2) @ standard.sizes
+    E, H = standard.layout.norms(standard.H.at(w) - body.terms.at(w)), standard.layout.norms(standard.H.at(w))[:, 0]
+    e = standard.modes.moduli(w)[0] @ standard.sizes
     for q, (name, true) in enumerate({"envelope": E[:, 0] / e[:, 0], "peak": E[:, 0] / H.max(),
                                       "pointwise": E[:, 0] / H}.items()):  # fmt: skip
         its = limits[name]
@@ -81,5 +86,5 @@ def test_the_interpolant_keeps_its_remainder():
     size = standard.layout.norms(H.N)[:, :1]
     bound = H.remainder(middle, half, size)[:, 0]
     # Frequencies themselves have round-off, which counts beside a pole.
-    noise = (1e-14 + 4 * EPS * middle / H.nearest(middle)) * (1 / H.distances(middle).prod(axis=2) @ size)[:, 0]
+    noise = (1e-14 + 4 * EPS * middle / H.nearest(middle)) * (H.moduli(middle)[0] @ size)[:, 0]
     assert np.isfinite(bound).any() and (off <= bound + noise).all()

@@ -1,0 +1,298 @@
+"""Families of bases in the modal coordinates of a reference model, each cut to its smallest certified order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.linalg.eigen import graded_modes
+from morembs.problem.damping import Damping
+from morembs.responses.certified import CertifiedReference
+from morembs.responses.measures import Limit, compare, decide
+from morembs.responses.pencils import response_of
+from morembs.responses.rational import product
+from morembs.responses.reference import Reference
+from morembs.responses.rounding import Response
+
+Floats = NDArray[np.float64]
+# Directions whose share of the leading one is below this are round-off.
+NOISE = 1e-13
+GREEDY_STEPS = 40
+# Times that a worst frequency joins the samples before columns are added one by one.
+EXCHANGES = 5
+# More columns than any basis has.
+MANY = 1_000_000
+# A response below this part of its envelope is a zero; a shift that is a resonance up to this part of it hits it.
+ZERO, HITS = 1e-3, 1e-6
+# Responses weighted with |H| to these powers: relative errors ask for -1, resonances lose by it.
+WEIGHTS = (-0.5, 0.0, -1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Small:
+    """A model in its modal coordinates: eigenvalues ``theta`` (n,), loads ``B`` (n, p), ``D`` (n, n) if ``damping``
+    does not say all."""
+
+    theta: Floats
+    B: Floats
+    D: Floats | None
+    damping: Damping
+
+    def states(self, omega: Floats) -> NDArray[Any]:
+        """(nf, n, p) at ``omega`` (nf,) in rad/s, real where there is no damping."""
+        stiffness = self.theta * (1 + 1j * self.damping.structural)
+        if self.D is not None:
+            B = self.B.astype(complex)
+            return np.array([np.linalg.solve(np.diag(stiffness - w**2) + 1j * w * self.D, B) for w in omega])
+        return np.asarray(self.B / self._dynamic(omega)[:, :, None])
+
+    def response(self, omega: Floats) -> NDArray[Any]:
+        """(nf, p, p) at ``omega`` (nf,) in rad/s."""
+        if self.D is not None:
+            return np.asarray(self.B.T @ self.states(omega))
+        p = self.B.shape[1]
+        rows = (self.B[:, :, None] * self.B[:, None, :]).reshape(-1, p * p)
+        return product(1.0 / self._dynamic(omega), rows).reshape(-1, p, p)
+
+    def _dynamic(self, omega: Floats) -> NDArray[Any]:
+        """(nf, n) dynamic stiffness."""
+        w = omega[:, None]
+        a = self.theta * (1 + 1j * self.damping.structural) + 1j * w * self.damping.of_modes(self.theta) - w**2
+        return a if a.imag.any() else a.real
+
+
+class FamilySearch:
+    """Families of bases (k, n) in the coordinates of a reference model, and their errors.
+
+    Samples guide and the certificate decides (exchange method): a basis that is cut at the samples is certified over
+    the band, and where it fails the worst frequency joins the samples.
+    """
+
+    def __init__(
+        self, certified: CertifiedReference, reference: Reference, omega: Floats, measure: str, tolerance: float,
+        static: bool,
+    ) -> None:  # fmt: skip
+        problem, damping = reference.problem, certified.damping
+        self.certified, self.standard = certified, certified.standard()
+        self.reference = reference = replace(reference, damping=damping)
+        self.omega, self.measure, self.tolerance = omega, measure, tolerance
+        scale = np.ones(reference.F.shape[1])
+        scale[: reference.inputs] = problem.motion_scale
+        # Inertia loads count as much as the interface loads, whatever their units.
+        energy = np.sqrt(np.einsum("ij,ij->j", reference.F * scale, reference.F * scale / reference.values[:, None]))
+        scale[reference.inputs :] *= energy[: reference.inputs].max() / energy[reference.inputs :]
+        self.F = reference.F * scale
+        # Inertia loads must not make the errors between interface motions look small, nor the other way round.
+        self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
+        self.whole = Small(theta=reference.values, B=self.F, D=reference.D, damping=damping)
+        self.looked: Floats = np.zeros(0)
+        self._look_at(omega)
+        self.size = self._norms(self.full)[:, -1]
+        self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
+        self.chosen: list[float] = []
+        self.greedy: Floats | None = None
+        self.reached: dict[str, int | None] = {}
+        self.worst = Limit(lower=np.inf, upper=np.inf, at_hz=np.nan)
+
+    def _look_at(self, omega: Floats) -> None:
+        """Samples at ``omega`` join those at which errors are taken."""
+        self.looked = np.unique(np.concatenate([self.looked, omega]))
+        self.full = self.whole.response(self.looked)
+        self.sizes = self._sizes(self.full)
+
+    def _sizes(self, full: NDArray[Any]) -> Floats:
+        """(nf, 1 or 2) what errors at the samples are relative to, by the measure."""
+        if self.measure == "pointwise":
+            return self._norms(full)
+        if self.measure == "peak":
+            return np.broadcast_to(self._norms(full).max(axis=0), (len(full), len(self.counted)))
+        reference, w = self.reference, self.looked[:, None]
+        a = reference.values * (1 + 1j * reference.damping.structural) - w**2 + 1j * w * reference.damping_of_modes()
+        each = np.stack([(self.F[:, :m] ** 2).sum(axis=1) for m in self.counted], axis=1)
+        return np.asarray(1 / np.maximum(np.abs(a), np.finfo(float).tiny) @ each)
+
+    def smallest(self, family: str, fewer: int) -> Floats | None:
+        """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
+        made: dict[str, Callable[[float, float], Floats]] = {
+            "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
+        }  # fmt: skip
+        found: Floats | None = None
+        self.reached[family] = None
+        for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
+            columns = made[family](self.tolerance, exponent)
+            order, C = self._certified(columns, min(fewer, MANY if found is None else found.shape[1]))
+            if order is not None:
+                known = self.reached[family]
+                self.reached[family] = order if known is None else min(known, order)
+            found = C if C is not None else found
+        return found
+
+    def _certified(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
+        """The first of ``columns``, as few as hold the tolerance: their number, at the samples at least, and the
+        certified basis where it has ``fewer``."""
+        for _ in range(EXCHANGES):
+            C, error = self._cut(columns)
+            if error > self.tolerance:
+                return None, None
+            if C.shape[1] >= fewer:
+                return C.shape[1], None
+            if self._decided(C):
+                return C.shape[1], C
+        for order in range(C.shape[1] + 1, min(columns.shape[1] + 1, fewer)):
+            if self._decided(columns[:, :order]):
+                return order, columns[:, :order]
+        return None, None
+
+    def _decided(self, C: Floats) -> bool:
+        """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
+        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
+        if not verdict.decided:
+            self._look_at(verdict.at)
+            return False
+        return True
+
+    def limit(self, C: Floats, theta: Floats) -> Limit:
+        """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
+        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        body = self._response(C, theta if len(theta) == C.shape[1] else None)
+        self.worst = compare(self.standard, body, low, high)[0][self.measure]
+        return self.worst
+
+    def _response(self, C: Floats, real: Floats | None = None) -> Response:
+        """The transfer matrix of the model on span(C)."""
+        reduced, layout = self._reduced(C, real)[0], self.standard.layout
+        b, theta = reduced.B[:, : self.reference.inputs], reduced.theta
+        D = np.diag(reduced.damping.of_modes(theta)) if reduced.D is None else reduced.D
+        return response_of(
+            np.eye(len(theta)), D, np.diag(theta), b, b.T, layout, structural=reduced.damping.structural,
+            highest=2 * np.pi * self.certified.band_hz[1],
+        )  # fmt: skip
+
+    def zero(self, hz: float) -> bool:
+        """Whether the response is as good as zero at ``hz``."""
+        w = 2 * np.pi * np.array([hz])
+        e = self.standard.modes.moduli(w)[0] @ self.standard.sizes[:, 0]
+        return bool(np.linalg.norm(self.standard.H.at(w)) < ZERO * e[0])
+
+    def _cut(self, columns: Floats) -> tuple[Floats, float]:
+        """The first of ``columns``, as few as hold the tolerance at the samples, and their error."""
+        few, many = self.fixed.shape[1], columns.shape[1]
+        error = self.error(columns)
+        if error > self.tolerance:
+            return columns, error
+        while few < many:
+            middle = (few + many) // 2
+            tried = self.error(columns[:, :middle])
+            if tried <= self.tolerance:
+                many, error = middle, tried
+            else:
+                few = middle + 1
+        return columns[:, :many], error
+
+    def error(self, C: Floats) -> float:
+        """Largest error at the samples."""
+        return float(self.errors(C).max())
+
+    def errors(self, C: Floats) -> Floats:
+        """Errors (nf,) at the samples by the measure."""
+        if not C.shape[1]:
+            return np.ones(len(self.looked))
+        off = self._reduced(C)[0].response(self.looked) - self.full
+        found = np.asarray((self._norms(off) / self.sizes).max(axis=1))
+        if found.max() < self.worst.upper:
+            j = int(found.argmax())
+            self.worst = Limit(lower=found[j], upper=found[j], at_hz=self.looked[j] / (2 * np.pi))
+        return found
+
+    def _norms(self, H: NDArray[np.complex128]) -> Floats:
+        """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
+        return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
+
+    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[Small, Floats]:
+        """The model on span(C), and its modes (k, n) in those of the reference; ``real`` (n,) replaces its
+        eigenvalues."""
+        reference = self.reference
+
+        def stiffness(Y: Floats) -> Floats:
+            return np.asarray((C @ Y).T @ (reference.values[:, None] * (C @ Y)))
+
+        theta, Y = graded_modes(stiffness(np.eye(C.shape[1])), projected=stiffness)
+        V = C @ Y
+        D = None if reference.D is None else V.T @ reference.D @ V
+        return Small(theta=theta if real is None else real, B=V.T @ self.F, D=D, damping=reference.damping), V
+
+    def _orthonormal(self, X: Floats) -> Floats:
+        """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
+        size = np.linalg.norm(X, axis=0)
+        U, s, _ = sl.svd(X[:, size > 0] / size[size > 0], full_matrices=False)
+        return np.asarray(U[:, s > NOISE * s[0]])
+
+    def _leading(self, snapshots: Floats) -> Floats:
+        """``fixed`` and behind it the principal vectors of the rest of the snapshots (k, j), in the energy norm."""
+        weight = np.sqrt(self.reference.values + self.omega.mean() ** 2)[:, None]
+        start = np.linalg.qr(weight * self.fixed)[0]
+        X = weight * snapshots
+        X = X - start @ (start.T @ X)
+        # Of wide snapshots the triangle has the left singular vectors too.
+        X = np.asarray(np.linalg.qr(X.T, mode="r")).T if X.shape[1] > 2 * len(X) else X
+        U, s, _ = sl.svd(X, full_matrices=False)
+        columns = np.hstack([start, U[:, s > NOISE * s[0]]]) / weight
+        # Nested spans: the first n columns of Q span the first n of these.
+        return np.asarray(np.linalg.qr(columns)[0])
+
+    def _weights(self, exponent: float) -> Floats:
+        """Quadrature weights (nf,) of the band, times |H| to the ``exponent``."""
+        return np.asarray(np.sqrt(np.gradient(self.omega)) * self.size**exponent)
+
+    def _gramian(self, _: float, exponent: float) -> Floats:
+        return self._leading(_parts(self.whole.states(self.omega), self._weights(exponent)))
+
+    def _krylov(self, tolerance: float, exponent: float) -> Floats:
+        """Greedy responses, compressed to their principal vectors."""
+        if self.greedy is None:
+            self.greedy = self._responses(tolerance)
+        return self._leading(self.greedy @ self._seen(self.greedy, exponent))
+
+    def _responses(self, tolerance: float) -> Floats:
+        """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
+        values, shifts = self.reference.values, [0.0]
+        for _ in range(GREEDY_STEPS):
+            blocks = [self.F / _apart(values, shift)[:, None] for shift in shifts]
+            C = self._orthonormal(np.hstack(blocks))
+            errors = self.errors(C)
+            # Beside a shift that is there already a new one would add next to nothing.
+            near = np.min(np.abs(self.looked[:, None] - np.array(shifts)) / self.looked[-1], axis=1) < 5e-3
+            if errors.max() <= tolerance or near.all():
+                break
+            shifts.append(float(self.looked[np.argmax(np.where(near, 0.0, errors))]))
+        self.chosen = shifts
+        return C
+
+    def _seen(self, C: Floats, exponent: float) -> Floats:
+        """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
+        reduced, V = self._reduced(C)
+        return np.asarray(C.T @ V @ _parts(reduced.states(self.omega), self._weights(exponent)))
+
+    def _modal(self, _: float, __: float) -> Floats:
+        """Static responses first, then modes in the order of their frequencies."""
+        static = self._orthonormal(self.F / self.reference.values[:, None])
+        return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
+
+
+def _apart(values: Floats, shift: float) -> Floats:
+    """``values`` - shift^2 (k,), for a shift half a percent higher where it hits a resonance."""
+    if (np.abs(np.sqrt(values) - shift) < HITS * shift).any():
+        shift *= 1.005
+    return np.asarray(values - shift**2)
+
+
+def _parts(states: NDArray[Any], weights: Floats) -> Floats:
+    """(k, j) of ``states`` (nf, k, p) times ``weights`` (nf,): real and, where there are any, imaginary parts."""
+    flat = (states * weights[:, None, None]).transpose(1, 0, 2).reshape(states.shape[1], -1)
+    return np.hstack([flat.real, flat.imag]) if np.iscomplexobj(flat) else flat

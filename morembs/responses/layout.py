@@ -1,0 +1,62 @@
+"""Entries of small transfer matrices as rows, and the norms of the whole and of the blocks between interfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.responses.rational import squares
+
+Floats = NDArray[np.float64]
+
+
+class Layout:
+    """Entries of m x m matrices as rows (P, e), and the norms of the whole and of the blocks from their squares.
+
+    ``blocks`` are the columns of each of the ni interfaces; ``symmetric`` matrices are held by one triangle. The nb
+    ``pairs`` of interfaces follow the whole; a single interface is the whole.
+    """
+
+    def __init__(self, m: int, blocks: Sequence[slice], symmetric: bool) -> None:
+        self.symmetric = symmetric
+        self.i, self.j = np.triu_indices(m) if symmetric else (i.ravel() for i in np.indices((m, m)))
+        self.weight = np.where((self.i != self.j) & symmetric, np.sqrt(2.0), 1.0)
+        owner = np.zeros(m, dtype=np.int64)
+        for number, block in enumerate(blocks):
+            owner[block] = number
+        n = len(blocks)
+        self.pairs = [(a, b) for a in range(n) for b in range(n) if not symmetric or a <= b] if n > 1 else []
+        self.blocks = blocks
+        masks = [np.ones(len(self.i))]
+        for a, b in self.pairs:
+            held = (owner[self.i] == a) & (owner[self.j] == b)
+            if symmetric:
+                held |= (owner[self.i] == b) & (owner[self.j] == a)
+            # Of blocks beside the diagonal one triangle holds either entry once, with the weight of both.
+            masks.append(held * (0.5 if symmetric and a != b else 1.0))
+        self.masks = np.stack(masks, axis=1)
+
+    def rows(self, left: NDArray[np.number], right: NDArray[np.number]) -> NDArray[np.number]:
+        """(P, e) of left_p right_p' for ``left`` and ``right`` (P, m)."""
+        return left[:, self.i] * right[:, self.j] * self.weight
+
+    def norms(self, X: NDArray[np.complex128]) -> Floats:
+        """(..., 1 + nb) Frobenius norms of the whole and of the blocks of entries ``X`` (..., e)."""
+        return np.asarray(np.sqrt(squares(np.asarray(X, dtype=complex)) @ self.masks))
+
+    def lengths(self, b: NDArray[np.number]) -> Floats:
+        """(P, 1 + ni) norms of the rows ``b`` (P, m) and of their parts at each interface."""
+        parts = [b, *(b[:, block] for block in self.blocks)]
+        return np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1)
+
+    def products(self, left: Floats, right: Floats) -> Floats:
+        """(..., 1 + nb) for the whole and the blocks of what ``lengths`` (..., 1 + ni) of both sides make."""
+        i, j = (np.array([0, *(1 + pair[side] for pair in self.pairs)]) for side in (0, 1))
+        return np.asarray(left[..., i] * right[..., j])
+
+    def sizes(self, b: Floats) -> Floats:
+        """(P, 1 + nb) norms of the contributions b_p b_p' for ``b`` (P, m)."""
+        own = self.lengths(b)
+        return self.products(own, own)

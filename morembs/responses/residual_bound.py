@@ -1,0 +1,132 @@
+"""How far the Galerkin response of a space is from that of the full model, on every frequency of a band.
+
+With its Ritz values theta_p, vectors u_p, M-orthonormal, b_p = F'u_p and the residuals s_p = K u_p - theta_p M u_p, the
+residual of the response sum_p u_p b_p' / a_p is
+
+    r = r_0 + sum_p s_p b_p' (g + i w d_p) / (theta_p a_p),   a_p = c theta_p + g + i w d_p,
+
+r_0 = F - K V (V'K V)^-1 V'F,
+
+and U'r = 0. The Lanczos relation G M V = V T + W E' gives G s_p = -theta_p (I - P) W E'y_p, P the K-orthogonal
+projection on V, so that T(w), K^-1 r in an orthonormal basis, is a small rational matrix.
+
+Let k Ritz values lie below lam_c, and a Sturm count find k eigenvalues there. On the K-orthogonal complement of their
+vectors K >= lam^ M with (Haynsworth 1968)
+
+    1 / lam^ = 1 / lam_c + sum_{p<=k} (sigma_p^2 / theta_p^3) / (1 / theta_p - 1 / lam_c),   sigma_p = |s_p| in K^-1,
+
+and as U'r = 0 the Schur complement of the others gives, with gamma = 1 / (1 - w^2 / lam^),
+
+    |H - H_ref| <= gamma / (1 - gamma kappa) |T|^2,   kappa = sum_{p<=k} |g + i w d_p|^2 sigma_p^2 / (theta_p^2 |a_p|).
+
+It is quadratic as loads and motions are the same (Rozza, Huynh and Patera 2008), and assumes nothing of the accuracy
+of modes or solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.problem.damping import Damping
+from morembs.responses.cells import Bounds, first_edges, search
+from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+CLOSE = 1e-12
+TINY = np.finfo(float).tiny
+# Part of the tolerance that modes may take which count one by one.
+APART = 0.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Residual:
+    """What a space with Ritz ``values`` (n,) and loads ``b`` (n, m) leaves of the response: coordinates ``tau`` (q, n)
+    of G s_p / theta_p, and ``start``, |r_0| in K^-1. The first ``k`` values lie below ``cut``, and no more modes."""
+
+    values: Floats
+    b: Floats
+    tau: Floats
+    start: float
+    k: int
+    cut: float
+    damping: Damping
+
+    @cached_property
+    def poles(self) -> Terms:
+        """The envelope as far as its residues go."""
+        stiffness, d = self.values * (1 + 1j * self.damping.structural), self.damping.of_modes(self.values)
+        return Terms.second_order(stiffness, d, (self.b**2).sum(axis=1, keepdims=True))
+
+    @cached_property
+    def slope(self) -> Floats:
+        """Damping d_p (n,) without what comes with the stiffness."""
+        return slope(self.damping, self.values)
+
+    @cached_property
+    def least(self) -> float:
+        """lam^, below which the complement has nothing."""
+        values, own = self.values[: self.k], (self.tau[:, : self.k] ** 2).sum(axis=0)
+        share = 1.0 / np.where(values < self.cut, 1.0 / values - 1.0 / self.cut, 1.0)
+        return 1.0 / (1.0 / self.cut + float((own / values * share).sum()))
+
+    def bounds(self, band: tuple[float, float], tolerance: float) -> tuple[Floats, Floats]:
+        """Edges (nc + 1,) of cells in rad/s, and limits (nc,) of the error over the envelope on them, to begin with
+        below ``tolerance``."""
+        low, high = band
+        poles, slope, k = self.poles, self.slope, self.k
+        if not poles.z.imag.any() and ((poles.z.real >= low) & (poles.z.real <= high)).any():
+            return np.array(band), np.array([np.inf])
+        size, own, most = -poles.N[:, 0], (self.tau**2).sum(axis=0), high**2 + high * slope
+        # Modes that are as good as exact count one by one: their share in T^2 over their own part of the envelope.
+        each = own * most**2 / self._weakest(np.array([low]), np.array([high]))[0]
+        order = [p for p in np.argsort(each) if p < k]
+        fits = [p for n, p in enumerate(order) if 2 * (n + 1) * each[order[: n + 1]].sum() <= APART * tolerance]
+        others = np.ones(len(size), dtype=bool)
+        others[fits] = False
+        rest, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
+        rows = (self.tau.T[others, :, None] * self.b[others, None, :]).reshape(-1, len(self.tau) * self.b.shape[1])
+        T, norms = Terms(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]
+
+        def bounds(lo: Floats, hi: Floats) -> Bounds:
+            w = cell_points(lo, hi, POINTS)
+            p = on_grid((T.inverse(w) * numerator(w, slope[others])) @ rows)
+            here = np.sqrt(squares(p).sum(axis=2))
+            spread = np.sqrt(squares(p - p[:, SEGMENTS // 2, None]).sum(axis=2)).max(axis=1)
+            middle, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
+            outside = T.remainder(middle, half, norms, slope[others])[:, 0]
+            whole = here.max(axis=1) + BULGE * spread + outside + self.start
+            ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
+            kappa = ((most[:k] ** 2 * own[:k]) / self._weakest(lo, hi)[:, :k]).sum(axis=1)
+            gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
+            gain = np.where(gamma * kappa < 1, gamma / np.maximum(1 - gamma * kappa, CLOSE), np.inf)
+            off = gain * (double * whole**2 / (1.0 / ends @ size) + rest)
+            fine = half < 0.1 * T.nearest(middle)
+            return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
+
+        cells = search(
+            bounds, lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
+            first_edges(low, high, T.z.real.ravel()), lambda found, _: found.upper <= tolerance, quantities=1,
+            per_cell=4 * SEGMENTS * rows.shape[1] + 20 * len(size),
+        )  # fmt: skip
+        return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
+
+    def _weakest(self, lo: Floats, hi: Floats) -> Floats:
+        """(nc, n) least |a_p| on cells."""
+        z = self.poles.z
+        away = np.maximum(np.abs(0.5 * (lo + hi)[:, None, None] - z.real) - 0.5 * (hi - lo)[:, None, None], 0.0)
+        return np.asarray(np.hypot(away, z.imag).prod(axis=2))
+
+
+def slope(damping: Damping, values: Floats) -> Floats:
+    """Damping d_p (n,) of modes with ``values`` (n,), without what comes with the stiffness."""
+    return np.asarray(damping.of_modes(values) - damping.beta * values)
+
+
+def numerator(w: Floats, slope: Floats) -> Complexes:
+    """g + i w d_p (..., n) at ``w`` (...)."""
+    return np.asarray(1j * w[..., None] * slope - w[..., None] ** 2)

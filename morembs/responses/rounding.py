@@ -1,0 +1,118 @@
+"""By how much round-off moves a sum over modes, at most.
+
+The delivered matrices are rounded, products with them are, and computed modes are coupled by what eigensolvers leave.
+In modal coordinates this is H = C (diag(a) + dA)^-1 B' with |dA_pq| <= s_p t_q; of a symmetric K rounded by eps of its
+entries s_p = t_p = (eps |u_p|'|K||u_p|)^(1/2), as |x|'|K||y| <= (x'w x)^(1/2) (y'w y)^(1/2) with the row sums w of |K|.
+By the series of Neumann, for the motions i and the loads j of a block,
+
+    |H_ij - sum_p c_p,i b_p,j' / a_p|
+        <= (sum_p |c_p,i| s_p / |a_p|) (sum_p t_p |b_p,j| / |a_p|) / (1 - sum_p s_p t_p / |a_p|).
+
+It is not enough to move every a_p by its own s_p t_p: between resonances couplings of modes count as much.
+
+The rows c_p and b_p are off as well. They are sums of products; and a rounded K does not leave rigid motions z free of
+forces: modes turn by z'K u_p / lam_p towards them, which moves the rows of soft modes by that part of the large rows of
+rigid motions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.responses.layout import Layout
+from morembs.responses.rational import Terms
+
+Floats = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
+# Round-off of the evaluation itself, as a multiple of eps times the envelope.
+EVALUATION = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rounding:
+    """Of P modes: ``left`` and ``right`` (P, 1 + ni) norms of their rows times s_p and t_p, ``own`` (P,) their product
+    s_p t_p, ``rows`` (P, 1 + nb) by how much the norms of c_p b_p' are off."""
+
+    left: Floats
+    right: Floats
+    own: Floats
+    rows: Floats
+    layout: Layout
+
+    @classmethod
+    def of(
+        cls, layout: Layout, c: NDArray[np.number], b: NDArray[np.number], s: Floats, t: Floats,
+        off_c: Floats | float = 0.0, off_b: Floats | float = 0.0,
+    ) -> Rounding:  # fmt: skip
+        """For rows ``c`` and ``b`` (P, m), known up to ``off_c`` and ``off_b`` (P, m), and s_p and t_p (P,)."""
+        long_c, long_b = layout.lengths(c), layout.lengths(b)
+        far_c, far_b = (long + layout.lengths(np.broadcast_to(off, c.shape))
+                        for long, off in ((long_c, off_c), (long_b, off_b)))  # fmt: skip
+        size = layout.products(long_c, long_b)
+        return cls(
+            left=far_c * s[:, None], right=far_b * t[:, None], own=s * t,
+            rows=layout.products(far_c, far_b) - size + EVALUATION * EPS * size, layout=layout,
+        )  # fmt: skip
+
+    def at(self, inverse: Floats) -> Lost:
+        """What is lost where 1 / |a_p| are ``inverse`` (..., P)."""
+        return Lost(
+            coupled=self.layout.products(inverse @ self.left, inverse @ self.right), own=inverse @ self.own,
+            rows=inverse @ self.rows,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """A transfer matrix as a sum over its poles, and by how much that may be off."""
+
+    terms: Terms
+    rounding: Rounding
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lost:
+    """The sums of the limit at some frequencies: ``coupled`` and ``rows`` (..., 1 + nb), ``own`` (...)."""
+
+    coupled: Floats
+    own: Floats
+    rows: Floats
+
+    def size(self, grown: Floats | float = 1.0) -> Floats:
+        """(..., 1 + nb) how far H and its blocks may be off, where all 1 / |a_p| are ``grown`` (...) times as large."""
+        grown = np.asarray(grown)[..., None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rest = np.maximum(1.0 - grown * self.own[..., None], 0.0)
+            found = np.where(rest > 0, grown**2 * self.coupled / rest, np.inf)
+        return np.asarray(found + grown * self.rows)
+
+    def part(self, some: slice) -> Lost:
+        """That at ``some`` of the points (nc, n) of cells."""
+        return Lost(coupled=self.coupled[:, some], own=self.own[:, some], rows=self.rows[:, some])
+
+
+def couplings(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number]) -> tuple[Floats, Floats]:
+    """s and t (k,) with |L_p'|'|A||X_q| eps <= s_p t_q, for vectors ``L`` and ``X`` (n, k) and any ``A`` (n, n).
+
+    Errors of sums of n products grow as the square root of n.
+    """
+    size = np.abs(A)
+    d = np.sqrt(np.diag(size))
+    d[d == 0] = 1.0
+    eps = max(4.0, np.sqrt(len(d))) * EPS
+    rows, columns = (eps * d * (one @ (1 / d)) for one in (size, size.T))
+    return np.sqrt(rows @ np.abs(L) ** 2), np.sqrt(columns @ np.abs(X) ** 2)
+
+
+def with_left(s: Floats, t: Floats, R: NDArray[np.number]) -> tuple[Floats, Floats]:
+    """s and t (k,) that also cover couplings ``R`` (k, k) which an eigensolver left.
+
+    Those as small as s_p t_q double them; what is larger counts by its row sums (Schur's test, with weights s).
+    """
+    above = np.maximum(np.abs(R) - np.outer(s, t), 0.0)
+    weight = np.maximum(s, np.finfo(float).tiny)
+    rows, columns = (weight * (part @ (1 / weight)) for part in (above, above.T))
+    return np.sqrt(2 * s**2 + rows), np.sqrt(2 * t**2 + columns)
