@@ -113,7 +113,9 @@ def _tables(path: Path) -> Prints:
             return
         value = np.asarray(item[()])
         if value.dtype.kind in "fc":
-            found[name] = [float(np.linalg.norm(np.nan_to_num(np.abs(value)))), float(value.size)]
+            # A model may be damaged until its size has no square in double.
+            with np.errstate(over="ignore"):
+                found[name] = [float(np.linalg.norm(np.nan_to_num(np.abs(value)))), float(value.size)]
         else:
             digest = hashlib.sha256(value.tobytes() if value.dtype != object else repr(value).encode()).digest()
             found[name] = [float(int.from_bytes(digest[:6], "big"))]

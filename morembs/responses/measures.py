@@ -237,9 +237,11 @@ def compare(
     )  # fmt: skip
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = cells.at / (2 * np.pi)
+    # The largest |H| is known from both sides; where its lower limit is 0, no error is known relative to it.
+    in_peaks = np.inf if lower[3] == 0 else 1 / lower[3]
     limits = {
         "envelope": Limit(lower=float(lower[0]), upper=float(upper[0]), at_hz=float(hz[0])),
-        "peak": Limit(lower=float(lower[1] / upper[3]), upper=float(upper[1] / lower[3]), at_hz=float(hz[1])),
+        "peak": Limit(lower=float(lower[1] / upper[3]), upper=float(upper[1] * in_peaks), at_hz=float(hz[1])),
         "pointwise": Limit(lower=float(lower[2]), upper=float(upper[2]), at_hz=float(hz[2])),
     }
     n = len(standard.layout.blocks)
@@ -248,7 +250,7 @@ def compare(
         blocks[i, j] = value
         if standard.layout.symmetric:
             blocks[j, i] = value
-    own = cells.upper[:, :3] / np.array([1.0, lower[3], 1.0])
+    own = cells.upper[:, :3] * np.array([1.0, in_peaks, 1.0])
     return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
 
 

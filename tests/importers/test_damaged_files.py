@@ -324,3 +324,11 @@ def test_tags_of_nodes_far_beyond_their_number(tmp_path, version, binary, old, n
     before, nodes, after = path.read_bytes().partition(b"$Nodes")
     path.write_bytes(before + nodes + after.replace(old, new, 1))
     assert "renumber them in gmsh" in refused(path, "--material", STEEL)
+
+
+def test_a_header_of_an_npz_array_that_does_not_end(tmp_path, model):
+    path = tmp_path / "part.npz"
+    np.savez(path, K=model.K.toarray(), M=model.M.toarray())
+    # The header is a dictionary of Python; NumPy's reader gives it to Python's tokenizer.
+    path.write_bytes(path.read_bytes().replace(b"'shape': (", b"'shape':((", 1))
+    assert "cannot be read as a NumPy archive" in refused(path)
