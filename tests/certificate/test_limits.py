@@ -12,7 +12,7 @@ from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.limits import error_limits
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.jobs.job import load_job
 from morembs.problem import Damping, Problem
@@ -224,8 +224,13 @@ def test_tolerances_that_no_body_keeps():
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances; give damping, or a"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
-        with pytest.raises(Exception, match=r"tolerance = 1e-14 .* lies below the round-off of this model, .* Hz"):
+        with pytest.raises(SolverError, match=r"tolerance = 1e-14 .* lies below the round-off of this model, .* Hz"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
+    tip = make_interface(model, name="tip", nodes=where(model, 0, 0.5)[:1], coupling="direct", components=[1])
+    with Problem(model, [tip], damping=Damping(structural=1e-7)) as problem:
+        said = r"tolerance = 0.003 cannot be reached pointwise: H has a zero at .* Hz; take measure = \"envelope\""
+        with pytest.raises(InputError, match=said):
+            AutoReducer(band_hz=[0.0, 3000.0], tolerance=3e-3, measure="pointwise").reduce(problem)
 
 
 def test_a_list_of_frequencies_is_taken_once_more():
