@@ -55,7 +55,7 @@ class Simscape(Exporter):
             "D": D,
             "interface_names": np.array(names, dtype=object)[:, None],
             "interface_origins": np.array([interface.point for interface in framed]),
-            "interfacequaternions": np.array([quaternion(interface.axes.T) for interface in framed]),
+            "interface_quaternions": np.array([quaternion(interface.axes.T) for interface in framed]),
             "fixed_interface_frequencies_hz": np.sqrt(np.maximum(modes, 0.0)) / (2 * np.pi),
             "mass": source.mass,
             "center_of_mass": source.center_of_mass,

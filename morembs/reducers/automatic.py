@@ -92,6 +92,8 @@ class AutoReducer(OfResponses):
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
         search = FamilySearch(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
+        if search.hopeless():
+            raise self._unreachable(search)
         found: dict[str, Floats] = {}
         orders: dict[str, object] = {}
         for family in KINDS:

@@ -154,6 +154,15 @@ class FamilySearch:
             return False
         return True
 
+    def hopeless(self) -> bool:
+        """Whether not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
+        if self.measure != "pointwise" or self._decided(np.eye(len(self.reference.values))):
+            return False
+        size = self.standard.layout.norms(self.standard.H.at(self.looked))[:, 0]
+        e = self.standard.modes.moduli(self.looked)[0] @ self.standard.sizes[:, 0]
+        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=float(self.looked[(size / e).argmin()]) / (2 * np.pi))
+        return True
+
     def limit(self, C: Floats, theta: Floats) -> Limit:
         """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
         low, high = (2 * np.pi * f for f in self.certified.band_hz)
