@@ -269,7 +269,7 @@ class FamilySearch:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(GREEDY_STEPS):
-            blocks = [self.F / _apart(values, shift)[:, None] for shift in shifts]
+            blocks = [self.F / apart(values, shift)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
@@ -291,7 +291,7 @@ class FamilySearch:
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
 
 
-def _apart(values: Floats, shift: float) -> Floats:
+def apart(values: Floats, shift: float) -> Floats:
     """``values`` - shift^2 (k,), for a shift half a percent higher where it hits a resonance."""
     if (np.abs(np.sqrt(values) - shift) < HITS * shift).any():
         shift *= 1.005

@@ -270,7 +270,7 @@ def flat(points: np.ndarray, cells: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (missing, "on a point that is not there"), (far(1e80), "is damaged, or its units are wrong"),
+        (missing, "on a point that is not there"), (far(1e80), "is damaged, or the units are wrong"),
         (far(np.nan), "not finite"), (flat, "degenerate"),
     ],
 )  # fmt: skip
