@@ -22,7 +22,7 @@ from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
 from morembs.responses.measures import Limit
-from tests.certificate.test_certify import Truth, norms
+from tests.certificate.test_certify import Truth, envelope, norms, response_of
 from tests.support.meshes import box, steel, where
 
 DAMPED = Damping(alpha=2.0, beta=4e-7)
@@ -223,6 +223,21 @@ def test_keys_of_a_job_that_are_wrong(tmp_path, line, message):
     )
     with pytest.raises(InputError, match=message):
         load_job(path)
+
+
+@pytest.mark.parametrize("damping", [DAMPED, Damping()])
+def test_a_band_far_below_the_first_mode_has_sharp_limits(damping):
+    """What the small eigenproblem leaves counts beside the stiffness of modes, not beside the end of the band."""
+    model, band = beam((3, 1, 1)), [0.0, 0.01]
+    with Problem(model, ends(model), damping=damping) as problem:
+        body = AutoReducer(band_hz=band, tolerance=1e-6).reduce(problem)
+        assert body.recipe["certified"] <= 1e-6
+        for reduced in (body, Modal(modes=3).reduce(problem)):
+            (its,) = certify(problem, [reduced], band)
+            H = Truth(problem)(2 * np.pi * np.array(band))
+            true = (norms(response_of(reduced, 2 * np.pi * np.array(band)) * np.outer(*[problem.motion_scale] * 2) - H)
+                    / envelope(problem, 2 * np.pi * np.array(band))).max()  # fmt: skip
+            assert true <= its.limit.upper + 1e-9 and its.limit.upper <= max(1.06 * its.limit.lower, 1e-8)
 
 
 def test_tolerances_that_no_body_keeps():
