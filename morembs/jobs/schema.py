@@ -10,6 +10,7 @@ from morembs.floating.preload import Preload
 from morembs.interface import COUPLINGS
 from morembs.problem.damping import Damping, modal_steps
 from morembs.reducers import REDUCERS
+from morembs.responses.band import checked_band
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 # Names become groups of the HDF5 file.
@@ -193,8 +194,7 @@ class CertifyTable(Table):
 
     @model_validator(mode="after")
     def _ascending(self) -> Self:
-        if not 0 <= self.band_hz[0] < self.band_hz[1] < 1e12:
-            raise ValueError(f"band_hz = {self.band_hz}: expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH")
+        checked_band(self.band_hz)
         return self
 
 

@@ -82,13 +82,15 @@ class FamilySearch:
         problem, damping = reference.problem, certified.damping
         self.certified, self.standard = certified, certified.standard()
         self.reference = reference = replace(reference, damping=damping)
-        self.omega, self.measure, self.tolerance = omega, measure, tolerance
+        self.measure, self.tolerance = measure, tolerance
         self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
         self.whole = Small(theta=reference.values, B=self.F, D=reference.D, damping=damping)
         self.looked: Floats = np.zeros(0)
         self._look_at(omega)
+        # In narrow bands some of ``omega`` are equal: those that are looked at are not.
+        self.omega = self.looked
         self.size = self._norms(self.full)[:, -1]
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []

@@ -124,8 +124,13 @@ class ExpansionPoint:
             except BudgetError:
                 raise
             except (SingularMatrixError, SolverError) as error:
-                if not complex(self.asked).imag:
+                if not self.asked:
                     raise
+                if not complex(self.asked).imag:
+                    raise SolverError(
+                        f"at the real shift {self.asked.real:.6g} 1/s nothing can be solved; take a larger one, or "
+                        f"0.0 among shifts_hz ({error})"
+                    ) from error
                 if self.moves == MOVES:
                     raise SolverError(
                         f"shift {frequency(self.asked):.6g} Hz and {MOVES} places above it, up to "

@@ -12,7 +12,8 @@ from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
 POINTS = 200
-MOST_HZ = 1e12
+# Upper ends of bands: squares of frequencies far below or above are no numbers.
+LEAST_HZ, MOST_HZ = 1e-9, 1e12
 # The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
 BEYOND = 1.25
 # Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
@@ -55,12 +56,12 @@ def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
     """The two ends of a band.
 
     Raises:
-        InputError: not two ascending frequencies.
+        InputError: not two ascending frequencies, or an upper one that no body has.
     """
-    if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ:
+    if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ or band_hz[1] < LEAST_HZ:
         raise InputError(
-            f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH < {MOST_HZ:g}, such "
-            "as [0, 500]"
+            f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], "
+            f"and HIGH from {LEAST_HZ:g} to {MOST_HZ:g}"
         )
     return float(band_hz[0]), float(band_hz[1])
 

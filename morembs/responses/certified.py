@@ -118,8 +118,10 @@ class CertifiedReference:
         highest = abs(1 + 1j * (self.damping.structural + self.damping.beta * 2 * np.pi * self.band_hz[1]))
         lost = np.sqrt(highest * self.unsure)
         rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
-        # What the small eigenproblem leaves of the couplings between modes above the cut.
-        floor = SMALL * EPS * float(self.values.max(initial=0.0)) / self.cut
+        # What the small eigenproblem leaves of the couplings between modes above the cut, of which the band may be far
+        # below the first.
+        above = self.values[self.values >= self.cut]
+        floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
             H=H, modes=modes, sizes=layout.sizes(self.b), rounding=rounding, layout=layout, floor=floor,
             edges=self.edges, off=self.off,

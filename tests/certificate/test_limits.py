@@ -22,7 +22,7 @@ from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
 from morembs.responses.measures import Limit
-from tests.certificate.test_certify import Truth, norms
+from tests.certificate.test_certify import Truth, envelope, norms, response_of
 from tests.support.meshes import box, steel, where
 
 DAMPED = Damping(alpha=2.0, beta=4e-7)
@@ -210,16 +210,34 @@ def test_options_that_are_none(options, message):
         ('measure = "max"', 'expected "envelope", "peak" or "pointwise"'),
         ("damping_floor = -0.1", "expected a part of critical damping from 0 to below 1, such as 0.01"),
         ("sharpness = 1.0", "expected a factor from 1.01 to 2"),
+        ("band_hz = [0, 1e-300]", r"band_hz = \[0.0, 1e-300\] was given; expected \[LOW, HIGH\] .* HIGH from 1e-09"),
+        ("band_hz = [10, 5]", r"band_hz = \[10.0, 5.0\] was given; expected \[LOW, HIGH\]"),
     ],
 )
 def test_keys_of_a_job_that_are_wrong(tmp_path, line, message):
     path = tmp_path / "job.toml"
+    band = "" if line.startswith("band_hz") else "band_hz = [0, 10]\n"
     path.write_text(
         '[model]\nmesh = "m.msh"\n[[material]]\nyoung = 1.0\npoisson = 0.3\ndensity = 1.0\n[[reduce]]\n'
-        f'method = "guyan"\n[output]\npath = "o.h5"\n[certify]\nband_hz = [0, 10]\n{line}\n'
+        f'method = "guyan"\n[output]\npath = "o.h5"\n[certify]\n{band}{line}\n'
     )
     with pytest.raises(InputError, match=message):
         load_job(path)
+
+
+@pytest.mark.parametrize("damping", [DAMPED, Damping()])
+def test_a_band_far_below_the_first_mode_has_sharp_limits(damping):
+    """What the small eigenproblem leaves counts beside the stiffness of modes, not beside the end of the band."""
+    model, band = beam((3, 1, 1)), [0.0, 0.01]
+    with Problem(model, ends(model), damping=damping) as problem:
+        body = AutoReducer(band_hz=band, tolerance=1e-6).reduce(problem)
+        assert body.recipe["certified"] <= 1e-6
+        for reduced in (body, Modal(modes=3).reduce(problem)):
+            (its,) = certify(problem, [reduced], band)
+            H = Truth(problem)(2 * np.pi * np.array(band))
+            true = (norms(response_of(reduced, 2 * np.pi * np.array(band)) * np.outer(*[problem.motion_scale] * 2) - H)
+                    / envelope(problem, 2 * np.pi * np.array(band))).max()  # fmt: skip
+            assert true <= its.limit.upper + 1e-9 and its.limit.upper <= max(1.06 * its.limit.lower, 1e-8)
 
 
 def test_tolerances_that_no_body_keeps():

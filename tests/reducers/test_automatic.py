@@ -283,3 +283,13 @@ def test_faults_in_a_job_are_named(small_meshes, tmp_path, old, new, message):
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=message):
         load_job(path)
+
+
+def test_a_band_so_narrow_that_samples_fall_together():
+    """Frequencies in Hz that differ by the last digit may be one in rad/s."""
+    band = [700.0, 700.0 * (1 + 1e-9)]
+    model, interfaces = ends("average", n=(3, 1, 1))
+    with Problem(model, interfaces, damping=DAMPINGS["rayleigh"]) as problem:
+        hz = band_frequencies(problem, band)
+        assert len(np.unique(2 * np.pi * hz)) < len(np.unique(hz))
+        assert AutoReducer(band_hz=band, tolerance=1e-3).reduce(problem).recipe["certified"] <= 1e-3

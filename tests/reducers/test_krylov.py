@@ -344,6 +344,8 @@ def test_options_that_make_no_sense_are_refused():
         ):  # fmt: skip
             with pytest.raises(InputError, match=words):
                 reducer.reduce(problem)
+        with pytest.raises(SolverError, match=r"real shift 1e-300 1/s .* larger one, or 0\.0 among shifts_hz"):
+            Krylov(shifts_hz=[], real_shifts=[1e-300]).reduce(problem)
     with Problem(bar()) as problem, pytest.raises(InputError, match="interface"):
         Krylov().reduce(problem)
 
