@@ -153,8 +153,11 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
         E[some], H[some] = (np.sqrt(squares(X).sum(axis=1)) for X in (full - body.at(omega[some]), full))
         e[some] = full_terms.moduli(omega[some])[0] @ (b**2).sum(axis=1)
     top = int(H.argmax())
-    # The peak itself lies between the samples.
+    # The peak itself lies between the samples, with others of near modes.
     around = omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)]
+    finer = np.linspace(*around, 2001)
+    top = int(np.linalg.norm(full_terms.at(finer), axis=1).argmax())
+    around = finer[max(top - 1, 0)], finer[min(top + 1, len(finer) - 1)]
     peak = -minimize_scalar(lambda x: -float(np.linalg.norm(full_terms.at(np.array([x])))), bounds=around,
                             method="bounded", options={"xatol": 1e-12 * around[1]}).fun  # fmt: skip
     true = np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)

@@ -73,6 +73,8 @@ def write_body(
     # Not at the top: what reads does without.
     from morembs.storage.writer import writing
 
+    if not isinstance(bodies, Sequence):
+        raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
     if not bodies:
         raise InputError("there is no body to write; give at least one")
     part = bodies[0].part

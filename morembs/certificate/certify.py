@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
+from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -103,6 +104,8 @@ def certify(
         InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model.
         SolverError: the full response cannot be computed.
     """
+    if isinstance(bodies, ReducedModel):
+        raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
     checked_measure(measure)
     checked_sharpness(sharpness)
     given = None

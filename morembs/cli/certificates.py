@@ -73,10 +73,17 @@ def _table(known: Sequence[Certified]) -> Any:
             certified.name, str(certified.order), *("-" if kind == "sampled" else _limit(limit[1]) for limit in limits),
             "-" if kind == "sampled" else f"{worst[2]:,.6g}",
             "-" if kind == "sampled" else _limit(np.max(values["block_limit"], initial=0.0)),
-            f"{float(values['static_error']):.1e}", f"{np.nanmax(values['mode_deviation'], initial=0.0):.1e}",
-            f"{np.nanmax(residue, initial=0.0):.1e}", f"{mac.min(initial=1.0):.4f}", kind,
+            f"{float(values['static_error']):.1e}", _largest(values["mode_deviation"]), _largest(residue),
+            f"{mac.min():.4f}" if len(mac) else "-", kind,
         )  # fmt: skip
     return table
+
+
+def _largest(deviations: Any) -> str:
+    """Of the modes in the band; a dash where there is none to compare."""
+    known = np.asarray(deviations, dtype=float)
+    known = known[np.isfinite(known)]
+    return f"{known.max():.1e}" if len(known) else "-"
 
 
 def _limit(value: float) -> str:

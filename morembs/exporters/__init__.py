@@ -111,7 +111,10 @@ def choose_body(bodies: StoredBodies, name: str | None, place: Path) -> StoredBo
     if name is None:
         if len(bodies.bodies) != 1:
             known = ", ".join(bodies.bodies) or "none"
-            raise InputError(f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export")
+            first = next(iter(bodies.bodies), "NAME")
+            raise InputError(
+                f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export, as by --body {first}"
+            )
         return next(iter(bodies.bodies.values()))
     if name not in bodies.bodies:
         raise InputError(f"{place} has no body {name!r}; {nearest(name, bodies.bodies)}")

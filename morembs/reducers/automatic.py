@@ -88,7 +88,9 @@ class AutoReducer(OfResponses):
                 inertia_loads=inertia, progress=progress,
             )  # fmt: skip
             self._refuse_lost(certified)
-            reference = reference_model(problem, omega, tolerance=fine, inertia_loads=inertia, progress=progress)
+            reference = reference_model(
+                problem, omega, tolerance=fine, inertia_loads=inertia, damping=certified.damping, progress=progress
+            )
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
         search = FamilySearch(certified, reference, omega, self.measure, self.tolerance, self.static_exact)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ class FamilySearch:
     ) -> None:  # fmt: skip
         problem, damping = reference.problem, certified.damping
         self.certified, self.standard = certified, certified.standard()
-        self.reference = reference = replace(reference, damping=damping)
+        self.reference = reference
         self.measure, self.tolerance = measure, tolerance
         self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.

@@ -105,7 +105,7 @@ class Reference:
 
 def reference_model(
     problem: Problem, omega: Floats, *, tolerance: float = 1e-8, inertia_loads: bool = False,
-    progress: Progress = SILENT,
+    damping: Damping | None = None, progress: Progress = SILENT,
 ) -> Reference:  # fmt: skip
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
@@ -115,6 +115,7 @@ def reference_model(
 
     Args:
         inertia_loads: also follow the inertia loads of the moving frame, as ``loads.inertia_loads`` gives them.
+        damping: taken instead of that of the problem, where the model has no damping matrix of its own.
 
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
@@ -125,7 +126,7 @@ def reference_model(
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
         return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
-    return reference_space(problem, inertia_loads).until(omega, tolerance, progress)
+    return reference_space(problem, inertia_loads).until(omega, tolerance, progress, damping or problem.damping)
 
 
 def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
@@ -174,8 +175,8 @@ class ReferenceSpace:
         self.lanczos.expand()
         self._border()
 
-    def until(self, omega: Floats, tolerance: float, progress: Progress) -> Reference:
-        """The space, grown until the error is below ``tolerance`` at ``omega``."""
+    def until(self, omega: Floats, tolerance: float, progress: Progress, damping: Damping) -> Reference:
+        """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``."""
         lanczos = self.lanczos
         while True:
             values, Y = sl.eigh(self.stiffness)
@@ -184,11 +185,11 @@ class ReferenceSpace:
             # G F = V g, so F seen by the modes is V' K V g.
             F = Y.T @ (self.stiffness @ g)
             made = Reference(
-                values=values, D=None, damping=self.problem.damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
+                values=values, D=None, damping=damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
                 error=np.inf, problem=self.problem,
             )  # fmt: skip
             error, jumps = self._error(made, g, omega, tolerance), 0.0
-            if self.problem.damping.is_modal:
+            if damping.is_modal:
                 # Every mode has a damping of its own, of which the residual on this space knows nothing.
                 error, jumps = max(error, self._change(made, g, omega)), self._jumps(made, omega)
             worst = max(error, jumps)
@@ -267,13 +268,13 @@ class ReferenceSpace:
         With G M V y = V T y + W E'y, an eigenvalue of G M lies within |T y - y / theta| + |W E'y| of 1 / theta (in the
         norm of M; Weinstein 1934). Relative to the largest entry of H at each frequency.
         """
-        lanczos, values, Y, jumps = self.lanczos, made.values, made.Y, self.problem.damping.jumps
+        lanczos, values, Y, jumps = self.lanczos, made.values, made.Y, made.damping.jumps
         if not len(jumps):
             return 0.0
         T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
         outside = np.einsum("ij,ik,kj->j", last, lanczos.rest, last)
         off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
-        stiffness = values * (1 + 1j * self.problem.damping.structural)
+        stiffness = values * (1 + 1j * made.damping.structural)
         H = np.abs(made.F.T @ made.states(1j * omega)).max(axis=(1, 2))
         change = np.zeros(len(omega))
         for jump in jumps:
@@ -281,7 +282,7 @@ class ReferenceSpace:
             if not unsure.any():
                 continue
             omega_k, F = np.sqrt(values[unsure]), np.abs(made.F[unsure])
-            ratios = self.problem.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
+            ratios = made.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
             one, other = (
                 1 / (stiffness[unsure] - omega[:, None] ** 2 + 2j * ratio * omega[:, None] * omega_k)
                 for ratio in ratios

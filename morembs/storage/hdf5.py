@@ -53,6 +53,8 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
             yield file
     except MorembsError:
         raise
+    except BlockingIOError as error:
+        raise InputError(f"{path} is open for writing in another program; close it there, then read it") from error
     except DAMAGE as error:
         raise InputError(f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}") from error
 

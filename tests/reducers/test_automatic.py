@@ -14,12 +14,14 @@ from morembs.certificate.certify import certify
 from morembs.cli import app
 from morembs.cli.report import print_result, result_json
 from morembs.errors import InputError, MorembsError
+from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer
 from morembs.responses.band import band_frequencies
 from tests.certificate.test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
+from tests.support.meshes import steel
 
 BAND = {"beam average": [50.0, 3000.0], "square beam": [100.0, 5000.0], "angle": [0.0, 9000.0]}
 
@@ -86,6 +88,14 @@ def test_no_snapshots_make_a_much_smaller_basis(damping, weighting):
         error = norms(galerkin(problem, V, omega, scale) - H) / norms(H)
         show(f"{damping} {weighting}: auto {body.order - 6}, {fewer} snapshots' vectors: error {error.max():.1e}")
         assert error.max() > tolerance
+
+
+def test_samples_on_undamped_resonances_of_twins(small_meshes):
+    """The reference has the damping that is assumed: without it no space is good enough on a resonance."""
+    model = steel(read_mesh(small_meshes / "beam.msh"))
+    with Problem(model, pair(model, "rigid")) as problem:
+        body = AutoReducer(band_hz=[0.0, 5000.0], tolerance=1e-4).reduce(problem)
+    assert body.recipe["damping_floor"] == 0.01 and body.recipe["reference_order"] < 120
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "average"])
