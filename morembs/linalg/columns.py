@@ -24,7 +24,7 @@ DEPENDENT = 1e-10
 NOISE = 1e-14
 # Arrays that may lie in files are read in pieces: of columns, or of rows across all columns.
 _COLUMNS = 64
-_ROWS = 1 << 16
+_ROWS = 1 << 13
 
 
 def m_norms(W: Values, MW: Values) -> Floats:

@@ -69,7 +69,9 @@ class KrylovSpace:
         KU = K @ U
         coupled = np.hstack([dot(U, KU, budget), dot(self.V, KU, budget).T @ Y[:, k:]])
         values = np.concatenate([np.diag(coupled), values[k:]])
-        b = np.vstack([(problem.B.T @ U).T, (problem.B.T @ self.V @ Y[:, k:]).T]) * problem.motion_scale
+        # Few rows of V, which may lie in a file.
+        rows = np.unique(problem.B.indices)
+        b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ self.V[rows] @ Y[:, k:]).T]) * problem.motion_scale
         unsure = np.concatenate([problem.rounding(U), self.uncertain(Y[:, k:])])
         unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
         rest = np.zeros((len(values), len(values)))
