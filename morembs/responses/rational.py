@@ -111,8 +111,10 @@ class Terms:
 
 def product(a: NDArray[Any], N: NDArray[Any]) -> NDArray[Any]:
     """a N, in real arithmetic where one of them is real."""
-    if np.iscomplexobj(N) or not np.iscomplexobj(a):
+    if np.iscomplexobj(N) == np.iscomplexobj(a):
         return np.asarray(a @ N)
+    if np.iscomplexobj(N):
+        return np.asarray(a @ N.real + 1j * (a @ N.imag))
     return np.asarray(a.real @ N + 1j * (a.imag @ N))
 
 

@@ -32,6 +32,7 @@ from morembs.progress import SILENT, Progress
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import why_no_response
 from morembs.responses.loads import unit_loads
+from morembs.responses.rational import product
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -322,8 +323,3 @@ class ReferenceSpace:
         if worst > tolerance and lanczos.pending.shape[1]:
             return worst
         return max(worst, max(at(w) for w in omega))
-
-
-def product(A: Floats, X: NDArray[Any]) -> NDArray[Any]:
-    """A X of a real ``A`` (m, k) in real arithmetic."""
-    return A @ X.real + 1j * (A @ X.imag) if np.iscomplexobj(X) else np.asarray(A @ X)
