@@ -169,7 +169,8 @@ class FamilySearch:
         """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
         low, high = (2 * np.pi * f for f in self.certified.band_hz)
         body = self._response(C, theta if len(theta) == C.shape[1] else None)
-        self.worst = compare(self.standard, body, low, high)[0][self.measure]
+        asked = self.measure, self.tolerance
+        self.worst = compare(self.standard, body, low, high, asked=asked)[0][self.measure]
         return self.worst
 
     def _response(self, C: Floats, real: Floats | None = None) -> Response:

@@ -15,7 +15,7 @@ FIRST, MOST = 32, 30_000
 # Narrowest cell, as part of the upper end of the band.
 NARROWEST = 1e-14
 # Numbers that are handled at once.
-AT_ONCE = 400_000
+AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

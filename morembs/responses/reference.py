@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, multiply, orthonormal, project_out, projected
+from morembs.linalg.columns import dot, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import Problem
@@ -44,6 +44,8 @@ FIRST_ORDER = 250
 # Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
 JUMPS = 1e-6
 JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
+# Parts of a block: what is taken out changes nothing up to SAME, and leaves round-off of its own above FEW.
+SAME, FEW = 1e-14, 1e-3
 # A frequency beside a jump, as part of it.
 SIDE = 1e-9
 
@@ -236,12 +238,19 @@ class ReferenceSpace:
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
-        lanczos, M = self.lanczos, self.problem.M
-        Q = lanczos.pending
-        project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
+        lanczos, M, budget = self.lanczos, self.problem.M, self.problem.budget
+        Q, MQ = lanczos.pending, lanczos.M_pending
+        known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
+        for _ in range(2):
+            out = float(np.abs(take_out(known, Q, MQ, budget)).max(initial=0.0))
+            if out > SAME:
+                MQ = M @ Q
+            if out < FEW:
+                break
         # What was orthonormal keeps its length, unless it was rigid motion or round-off.
-        Q = orthonormal(Q, M, np.ones(Q.shape[1]), least=np.sqrt(0.5))
-        lanczos.pending = Q[:, : self.room - lanczos.size]
+        Q, MQ = orthonormal_pair(Q, M, np.ones(Q.shape[1]), Q.T @ MQ, MW=MQ, least=np.sqrt(0.5))
+        fits = self.room - lanczos.size
+        lanczos.pending, lanczos.M_pending = Q[:, :fits], MQ[:, :fits]
 
     def _border(self) -> None:
         """V' K V with the newest block of V."""
