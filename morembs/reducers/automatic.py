@@ -29,11 +29,10 @@ from morembs.reducers.family_search import MANY, FamilySearch
 from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.measures import checked_measure
-from morembs.responses.reference import reference_model
 
 Floats = NDArray[np.float64]
-# The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
-BETTER, FINE, FINEST = 1e-3, 1e-10, 1e-14
+# The reference is better than the tolerance by this factor.
+BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # A tolerance is not kept below this times the round-off of the model.
 LOST_PARTS = 3.0
@@ -81,19 +80,15 @@ class AutoReducer(OfResponses):
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
-        fine = max(min(BETTER * self.tolerance, FINE), FINEST)
         try:
             certified = certified_reference(
                 problem, self.band_hz, tolerance=min(BETTER * self.tolerance, TOLERANCE), damping_floor=floor,
                 inertia_loads=inertia, progress=progress,
             )  # fmt: skip
             self._refuse_lost(certified)
-            reference = reference_model(
-                problem, omega, tolerance=fine, inertia_loads=inertia, damping=certified.damping, progress=progress
-            )
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
-        search = FamilySearch(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
+        search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.hopeless():
             raise self._unreachable(search)
         found: dict[str, Floats] = {}
@@ -108,12 +103,12 @@ class AutoReducer(OfResponses):
         if not found:
             raise self._unreachable(search)
         ((best, C),) = found.items()
-        notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
+        notes = {"family": best, "orders": orders, "reference_order": len(certified.values),
                  "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
             notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
-        basis = elastic_basis(problem, reference.vectors(C), KINDS[best], notes)
+        basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
             raise self._unreachable(search)

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, multiply, orthonormal_pair, projected, take_out
+from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import Problem
@@ -31,7 +31,7 @@ from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import why_no_response
-from morembs.responses.loads import unit_loads
+from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.rational import product
 
 Floats = NDArray[np.float64]
@@ -162,18 +162,21 @@ class ReferenceSpace:
         self.problem, self.inertia = problem, inertia
         F = unit_loads(problem, inertia)
         self.inputs = problem.B.shape[1]
-        start = problem.elastic.flexibility(F)
+        start = static_response(problem)
+        if inertia:
+            others = problem.elastic.flexibility(F[:, self.inputs :])
+            start = hstack(start, others, budget=problem.budget)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
             raise InputError("an interface degree of freedom does not deform the body; check the interfaces")
-        start /= self.scale
+        start = start / self.scale
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
         self.lanczos = BlockLanczos(
             problem.elastic.flexibility, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
         )
         # G F = V g in the first block of V.
-        self.loads = self.lanczos.pending.T @ (M @ start)
+        self.loads = self.lanczos.M_pending.T @ start
         self.stiffness: Floats = np.zeros((0, 0))
         self.lanczos.expand()
         self._border()
