@@ -141,8 +141,9 @@ def split(
     V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
 ) -> tuple[Values, Values]:
     """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
-    before = m_norms(W, M @ W)
-    coefficients = project_out(V, W, M, budget=budget)
+    MW = M @ W
+    before = m_norms(W, MW)
+    coefficients = project_out(V, W, M, MW, budget)
     Q = orthonormal(W, M, before, passes=passes)
     # Scaling up what was small scaled up its part along V too.
     project_out(V, Q, M, budget=budget)
