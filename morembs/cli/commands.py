@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
 from morembs.cli.messages import console, print_json, printing, warn
 from morembs.cli.models import app as models
@@ -138,6 +139,7 @@ def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[in
     return clashes(loaded)
 
 
+app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(models)
 
