@@ -133,6 +133,10 @@ SCENARIOS: dict[str, Scenario] = {
         _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "reduce",
         "a.toml", "b.toml", "c.toml",
     ),
+    "beside": _verb(
+        _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "batch",
+        "a.toml", "b.toml", "c.toml",
+    ),
     "out-of-core": _verb(_spilled, ("big.h5",), "reduce", "big.toml", "-q"),
     "gmp": Scenario(_nothing, _offline(1), ("member.h5",), "kept.h5", library=True),
     "gmp-crew": Scenario(_nothing, _offline(2), ("member.h5",), "kept.h5", library=True),

@@ -13,10 +13,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
 from morembs.cli.messages import console, print_json, printing, warn
 from morembs.cli.models import app as models
-from morembs.cli.terminal import EPILOG, AsJson, Done, Jobs, Quiet, each_job, messages
+from morembs.cli.terminal import (
+    EPILOG,
+    AsJson,
+    Attached,
+    Changes,
+    Done,
+    Jobs,
+    Quiet,
+    each_job,
+    leave_with_input,
+    messages,
+)
 from morembs.errors import InputError, MorembsError
 from morembs.progress import Progress
 from morembs.version import VERSION
@@ -31,15 +43,19 @@ app = typer.Typer(
 
 
 @app.command(epilog=EPILOG)
-def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
+def reduce(
+    jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
+) -> None:
     """Reduce the models of job files and write their bodies."""
     from morembs.cli.report import print_result, result_json
     from morembs.jobs.job import load_job
     from morembs.jobs.run import run_job
 
+    if attached:
+        leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        job = load_job(path)
+        job = load_job(path, changes or ())
         told: list[str] = []
 
         def tell(sentence: str) -> None:
@@ -49,7 +65,7 @@ def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
         result = run_job(job, progress, tell)
         return result_json(result), lambda: print_result(console(), result, told)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
 
 
 @app.command(epilog=EPILOG)
@@ -93,21 +109,25 @@ def compare(
 
 
 @app.command(epilog=EPILOG)
-def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
+def check(
+    jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
+) -> None:
     """Check job files and forecast size and memory; factorises nothing, writes nothing."""
     from morembs.cli.report import print_forecast
     from morembs.jobs.check import check_job
     from morembs.jobs.job import load_job
 
+    if attached:
+        leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        forecast = check_job(load_job(path), progress)
+        forecast = check_job(load_job(path, changes or ()), progress)
         return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
 
 
-def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
+def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[int, str]:
     """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
     from morembs.jobs.inputs import clashes
     from morembs.jobs.job import load_job
@@ -115,10 +135,11 @@ def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
-            loaded[number] = load_job(path)
+            loaded[number] = load_job(path, changes)
     return clashes(loaded)
 
 
+app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(models)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
@@ -33,10 +35,26 @@ EPILOG = (
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
+]
+Attached = Annotated[bool, typer.Option(hidden=True, help="End when standard input does.")]
 
 # Plain values for JSON, and what prints them for people.
 Done = tuple[dict[str, Any], Callable[[], None]]
 Work = Callable[[Path, Progress], Done]
+
+
+def leave_with_input() -> None:
+    """End this process, as SIGTERM does, when its standard input ends: with the process that holds the other end."""
+
+    def wait() -> None:
+        with suppress(OSError, ValueError):
+            while os.read(0, 4096):
+                pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    Thread(target=wait, daemon=True).start()
 
 
 class LineProgress:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
+from morembs.storage.contents import Content, files_read
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -57,7 +58,7 @@ class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
     ``peak_memory_bytes`` is the peak resident memory of the process during the job, ``factor`` the cost of the one
     factorisation and ``choice`` says why this solver made it; ``warnings`` are sentences about the model and the
-    bodies."""
+    bodies; ``inputs`` what was in each file that the model was read from."""
 
     job: Job
     nodes: int
@@ -71,6 +72,7 @@ class JobResult:
     response: FrequencyResponse | None = None
     shapes: Shapes | None = None
     warnings: tuple[str, ...] = ()
+    inputs: Mapping[str, Content] = field(default_factory=dict)
 
     @property
     def solver(self) -> str:
@@ -105,7 +107,8 @@ def _run(
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model = _read(job, solver, materials, budget, start, watch)
+    with files_read() as inputs:
+        model = _read(job, solver, materials, budget, start, watch)
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -138,7 +141,7 @@ def _run(
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
     with watch.stage("write"):
-        provenance = _provenance(job, factor, watch)
+        provenance = _provenance(job, inputs, factor, watch)
         write_body(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
             warnings=(*of_model, *delivered), progress=progress,
@@ -152,6 +155,7 @@ def _run(
         job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
         factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages),
         peak_memory_bytes=watch.peak_memory_bytes, response=response, shapes=shapes, warnings=warnings,
+        inputs=inputs,
     )  # fmt: skip
 
 
@@ -250,9 +254,13 @@ def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     return {**asked, "dofs": model.size, "source": model.source}
 
 
-def _provenance(job: Job, factor: FactorStats, watch: Stopwatch) -> dict[str, object]:
+def _provenance(
+    job: Job, inputs: Mapping[str, Content], factor: FactorStats, watch: Stopwatch
+) -> dict[str, object]:
     return {
         "job": job.text,
+        "changes": list(job.changes) or None,
+        "inputs": [{"file": name, "sha256": content.sha256} for name, content in inputs.items()],
         "solver": factor.backend,
         "factor": asdict(factor),
         "seconds": {stage.name: stage.seconds for stage in watch.stages},
