@@ -87,7 +87,9 @@ def error_limits(
     hz[0, 0], hz[-1, 1] = reference.band_hz
     loose = [name for name, one in limits.items() if 2 * sharpness * one.lower < one.upper < np.inf]
     notes: tuple[str, ...] = ()
-    if loose:
+    if not cells.whole:
+        notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)
+    elif loose:
         lost, at_hz = reference.lost()
         notes = (f"{', '.join(loose)}: limited by round-off of the full response, {lost:.1e} at {at_hz:,.6g} Hz",)
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)

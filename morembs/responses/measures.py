@@ -12,7 +12,7 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,7 +261,7 @@ def compare(
         if standard.layout.symmetric:
             blocks[j, i] = value
     own = cells.upper[:, :3] * np.array([1.0, in_peaks, 1.0])
-    return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
+    return limits, blocks, replace(cells, upper=own)
 
 
 def decide(standard: Standard, body: Response, low: float, high: float, measure: str, tolerance: float) -> Verdict:
