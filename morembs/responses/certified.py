@@ -28,7 +28,7 @@ from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms, squares
-from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space
+from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
 from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
 
@@ -244,7 +244,7 @@ class _Build:
 
     def grown(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""
-        growth = reference_space(self.problem, self.inertia)
+        growth, seen = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
         enough = 0.1 * self.tolerance * (MODAL if self.damping.is_modal else 1.0)
         while True:
@@ -255,7 +255,9 @@ class _Build:
                 if made.off.max() <= self.tolerance or made.undamped:
                     return made
                 error = float(made.off.max())
-            if not growth.grow(error):
+            seen.append(error)
+            # Where round-off hides the rest, limits say how much.
+            if stands_still(seen) or not growth.grow(error):
                 return self._made(growth)
 
     def _guess(self, growth: ReferenceSpace) -> float:
