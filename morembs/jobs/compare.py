@@ -20,7 +20,6 @@ from morembs.responses.measures import MEASURES
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 SHOWN_MODES = 4
-POINTWISE = MEASURES.index("pointwise")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,8 +28,9 @@ class FrequencyResponse:
 
     ``full`` (nf,) Frobenius norm of H in m/N at ``frequencies_hz`` (nf,); for each body ``reduced`` (nf,)
     its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` (2, n) steps of
-    frequencies in Hz and of the upper limit of that between them, where there is one. Rotations and
-    moments are scaled with the radius of gyration ``length`` in m, so that all entries have one unit.
+    frequencies in Hz and of the upper limit of the error between them by ``measure``, where there is one, ``tolerance``
+    the limit that was asked for. Rotations and moments are scaled with the radius of gyration ``length`` in m, so that
+    all entries have one unit.
     """
 
     frequencies_hz: Floats
@@ -38,6 +38,8 @@ class FrequencyResponse:
     reduced: Mapping[str, Floats]
     error: Mapping[str, Floats]
     bound: Mapping[str, Floats] = field(default_factory=dict)
+    measure: str = "pointwise"
+    tolerance: Mapping[str, float] = field(default_factory=dict)
     length: float
 
 
@@ -84,16 +86,20 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
         frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
-        bound={
-            name: _steps(certificate) for name, certificate in known.items()
-            if np.isfinite(certificate.cell_limit[:, POINTWISE]).any()
+        bound={name: _steps(certificate) for name, certificate in known.items() if len(certificate.cells_hz)},
+        measure=first.measure,
+        # Of a tolerance in another measure a line would tell nothing.
+        tolerance={
+            body.name: float(str(body.recipe["tolerance"])) for body in bodies
+            if body.name in known and body.recipe.get("measure") == first.measure and "tolerance" in body.recipe
         },
     )  # fmt: skip
 
 
 def _steps(certificate: Certificate) -> Floats:
-    """(2, 2 nc) ends of the cells and their limits of the error relative to H."""
-    return np.stack([certificate.cells_hz.ravel(), np.repeat(certificate.cell_limit[:, POINTWISE], 2)])
+    """(2, 2 nc) ends of the cells and their limits by the measure of the certificate."""
+    limit = certificate.cell_limit[:, MEASURES.index(certificate.measure)]
+    return np.stack([certificate.cells_hz.ravel(), np.repeat(limit, 2)])
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:

@@ -36,6 +36,8 @@ BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # A tolerance is not kept below this times the round-off of the model.
 LOST_PARTS = 3.0
+# A band that ends so many times above the highest mode of a model loses its digits by that.
+ABOVE = 2.0
 # No larger one is advised.
 RAISED = 0.5
 
@@ -119,7 +121,7 @@ class AutoReducer(OfResponses):
 
         Raises:
             InputError: an undamped resonance.
-            SolverError: a tolerance below round-off.
+            SolverError: a tolerance below round-off, or a band far above all modes.
         """
         if not np.isfinite(certified.off).all():
             raise InputError(
@@ -128,6 +130,13 @@ class AutoReducer(OfResponses):
             )
         lost, at_hz = certified.lost()
         least = LOST_PARTS * lost
+        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
+        if self.tolerance < least and self.band_hz[1] > ABOVE * highest_hz:
+            raise SolverError(
+                f"the band ends at {self.band_hz[1]:,.6g} Hz, and the highest mode of this model lies at "
+                f"{highest_hz:,.6g} Hz; beside squares of such frequencies its stiffness is round-off; lower the upper "
+                "end of the band"
+            )
         if self.tolerance < least:
             # Above it by what two digits may take off.
             raising = f"raise the tolerance to {1.05 * least:.1e} or more, or " if least < RAISED else ""
