@@ -182,6 +182,12 @@ def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
 
     Those of LAPACK are known to eps of the highest eigenvalue, which hides what certificates of soft models tell.
     """
+    theta, phi = long_modes(K, M, rigid)
+    return theta.astype(float), phi.astype(float)
+
+
+def long_modes(K: Floats, M: Floats, rigid: int) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:
+    """``exact_modes`` in extended precision."""
     phi = sl.eigh(K, M)[1]
     long = [A.astype(np.longdouble) for A in (K, M, phi)]
     for _ in range(2):
@@ -193,7 +199,7 @@ def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
         C = np.where(apart, (A - G * theta) / np.where(apart, gap, 1), 0)
         long[2] = long[2] @ (np.eye(len(C)) + C + np.diag((1 - np.diag(G)) / 2))
     theta = (long[2] * (long[0] @ long[2])).sum(axis=0) / (long[2] * (long[1] @ long[2])).sum(axis=0)
-    return theta[rigid:].astype(float), long[2][:, rigid:].astype(float)
+    return theta[rigid:], long[2][:, rigid:]
 
 
 def lost_beside(its: Certificate, upper: Floats) -> NDArray[np.bool_]:
