@@ -269,14 +269,17 @@ def main(arguments: list[str]) -> int:
 def told(found: list[Verdict]) -> int:
     """Print what certificates are like so far; the number of values above a limit."""
     for q, name in enumerate(MEASURES):
-        clear = [one for one in found if one.clear[q]]
+        clear = [one for one in found if one.clear[q] and np.isfinite(one.upper[q])]
         if clear:
             shown = [np.quantile([getattr(one, what)[q] for one in clear], (0.5, 0.95, 1)).round(3).tolist()
                      for what in ("effectivity", "gap")]  # fmt: skip
             sys.stdout.write(f"{name}: upper over dense {shown[0]}, over lower {shown[1]} ({len(clear)} bodies)\n")
     seconds = np.quantile([one.seconds for one in found], (0.5, 1)).round(2).tolist()
-    above = sum(one.above for one in found)
-    sys.stdout.write(f"{len(found)} certificates, {above} values above a limit, {seconds} s (median, largest)\n")
+    above, endless = sum(one.above for one in found), sum(not np.isfinite(one.upper).all() for one in found)
+    sys.stdout.write(
+        f"{len(found)} certificates, {above} values above a limit, {endless} with a measure that has none, {seconds} s "
+        "(median, largest)\n"
+    )
     return above
 
 

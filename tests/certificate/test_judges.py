@@ -66,35 +66,34 @@ def test_the_peak_lies_between_level_sets_of_the_error(seed):
         assert limit.upper < 1.06 * limit.lower
 
 
-@pytest.mark.parametrize("measure", ["envelope", "peak", "pointwise"])
-def test_a_tolerance_holds_at_antiresonances(measure):
+def test_a_tolerance_holds_at_antiresonances():
     """One motion of one node: a method that looks at samples alone was off by 1.3e-2 where it promised 1e-2."""
     model = steel(read_mesh(SMALL / "beam.msh", parse_units("mm-t-s")))
     tip = where(model, 0, float(model.nodes.xyz[:, 0].max()))[:1]
     face = make_interface(model, name="tip", nodes=tip, coupling="direct", components=[1])
     # A ratio of 1e-3 at 1 kHz.
-    damping = Damping(alpha=2 * np.pi, beta=1e-3 / (2 * np.pi * 1e3))
+    damping, band = Damping(alpha=2 * np.pi, beta=1e-3 / (2 * np.pi * 1e3)), [0.0, 3000.0]
     with Problem(model, [face], damping=damping) as problem:
-        band = [0.0, 3000.0]
-        body = AutoReducer(band_hz=band, tolerance=0.01, measure=measure).reduce(problem)
-        (its,) = certify(problem, [body], band, measure=measure)
-        assert its.limit.upper <= 0.01
-        assert body.recipe["certified"] == pytest.approx(its.limit.upper, rel=0.05)
         values, phi = sl.eigh(problem.K.toarray(), problem.M.toarray())
         values, phi = values[problem.rigid.shape[1] :], phi[:, problem.rigid.shape[1] :]
         b = phi.T @ problem.B.toarray()[:, 0]
         omega = np.sqrt(values[values < (2 * np.pi * band[1]) ** 2])
         beside = np.outer(np.linspace(0.98, 1.02, 25), omega).ravel()
-        w = np.concatenate([2 * np.pi * np.linspace(*band, 4000), beside, [2 * np.pi * its.limit.at_hz]])[:, None]
-        w = w[w[:, 0] <= 2 * np.pi * band[1]]
-        each = b**2 / (values + 1j * w * damping.of_modes(values) - w**2)
-        r = body.rigid_count
-        theta, Y = sl.eigh(body.K[r:, r:], body.M[r:, r:])
-        own = ((Y.T @ body.B[r:, 0]) ** 2 / (theta + 1j * w * damping.of_modes(theta) - w**2)).sum(axis=1)
-        H = each.sum(axis=1)
-        size = {"envelope": np.abs(each).sum(axis=1), "peak": np.abs(H).max(), "pointwise": np.abs(H)}[measure]
-        worst = (np.abs(H - own) / size).max()
-        assert its.limit.lower * 0.99 <= worst <= its.limit.upper
+        for measure in ("envelope", "peak", "pointwise"):
+            body = AutoReducer(band_hz=band, tolerance=0.01, measure=measure).reduce(problem)
+            (its,) = certify(problem, [body], band, measure=measure)
+            assert its.limit.upper <= 0.01
+            assert body.recipe["certified"] == pytest.approx(its.limit.upper, rel=0.05)
+            w = np.concatenate([2 * np.pi * np.linspace(*band, 4000), beside, [2 * np.pi * its.limit.at_hz]])[:, None]
+            w = w[w[:, 0] <= 2 * np.pi * band[1]]
+            each = b**2 / (values + 1j * w * damping.of_modes(values) - w**2)
+            r = body.rigid_count
+            theta, Y = sl.eigh(body.K[r:, r:], body.M[r:, r:])
+            own = ((Y.T @ body.B[r:, 0]) ** 2 / (theta + 1j * w * damping.of_modes(theta) - w**2)).sum(axis=1)
+            H = each.sum(axis=1)
+            size = {"envelope": np.abs(each).sum(axis=1), "peak": np.abs(H).max(), "pointwise": np.abs(H)}[measure]
+            worst = (np.abs(H - own) / size).max()
+            assert its.limit.lower * 0.99 <= worst <= its.limit.upper, measure
 
 
 @pytest.mark.parametrize("number", range(6))

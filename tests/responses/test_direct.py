@@ -69,7 +69,7 @@ def test_dampers_are_followed_by_the_direct_and_the_reference_response(grounded,
 
 
 def test_bodies_of_a_model_with_dampers_are_certified_by_an_estimate():
-    model = beam((20, 2, 2))
+    model = beam((16, 2, 2))
     with Problem(replace(model, D=sp.csr_array(dampers(model, False) + 2e-6 * model.K)), ends(model)) as problem:
         reducers = FreeInterface(modes=8), AutoReducer(band_hz=[0, 2500], tolerance=1e-3)
         bodies = [reducer.reduce(problem) for reducer in reducers]
