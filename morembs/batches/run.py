@@ -193,7 +193,7 @@ class _Batch:
         if "error" in document or end.code:
             self._fail(part, str(document.get("error", end.message)), end.code, end.seconds)
             return
-        facts = {key: value for key, value in document.items() if key != "inputs"}
+        facts = _kept(document)
         inputs = {Path(name): Content.from_plain(values) for name, values in document["inputs"].items()}
         try:
             outputs = {path: Content.of(path) for path in part.outputs}
@@ -213,6 +213,20 @@ class _Batch:
         record = Record(name=part.name, job=str(part.path), output=output, **values)
         self._records[part.number] = record
         self._listener.ended(part, len(self._parts), record)
+
+
+def _kept(document: Mapping[str, Any]) -> dict[str, Any]:
+    """What is remembered of a finished job: the curves of certificates are in the body file."""
+    kept = {key: value for key, value in document.items() if key not in ("inputs", "bodies", "output")}
+    kept["bodies"] = {
+        name: {**body, "certificate": _limits(body["certificate"])} for name, body in document["bodies"].items()
+    }
+    return kept
+
+
+def _limits(certificate: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    keys = ("measure", "limits", "band_hz", "damping_floor", "bound_kind", "static_error")
+    return None if certificate is None else {key: certificate[key] for key in keys}
 
 
 def _seconds(forecast: Mapping[str, Any]) -> float:
