@@ -55,11 +55,12 @@ def batch(
             entries = [
                 Entry(
                     name=record.name, job=record.job, state=record.state, message=record.message, output=record.output,
-                    seconds=record.seconds or None, peak_memory_bytes=record.facts.get("job_peak_memory_bytes"),
+                    seconds=record.seconds or sum(record.facts.get("seconds", {}).values()) or None,
+                    peak_memory_bytes=record.facts.get("job_peak_memory_bytes"),
                 )
                 for record in records
             ]  # fmt: skip
-            write_report(report, entries, f"batch of {', '.join(map(str, jobs))}")
+            write_report(report, entries, ", ".join(job.resolve().name for job in jobs))
         with printing([record.output for record in records if record.state == "done"]):
             if as_json:
                 print_json([asdict(record) for record in records])

@@ -167,7 +167,7 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
 def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> None:
     """The size of the transfer functions above, the relative error of the reduced ones below."""
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
-    figure.subplots_adjust(left=0.085, right=0.975, top=0.92, bottom=0.115, hspace=0.09)
+    figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.115, hspace=0.09)
     hz = response.frequencies_hz
     upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=2.4, label="full model")
     for number, name in enumerate(response.reduced):
