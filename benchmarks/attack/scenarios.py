@@ -144,4 +144,6 @@ SCENARIOS: dict[str, Scenario] = {
     "gmp-crew": Scenario(_nothing, _offline(2), ("member.h5",), "kept.h5", library=True),
 }  # fmt: skip
 # Parts of all trials; the other kinds share what is left.
-SHARES = {"out-of-core": 0.1, "batch": 0.1, "gmp": 0.07, "gmp-crew": 0.03, "draw": 0.05, "compare": 0.05}
+SHARES = {
+    "out-of-core": 0.1, "batch": 0.1, "gmp": 0.07, "gmp-crew": 0.03, "draw": 0.05, "compare": 0.05, "beside": 0.02,
+}  # fmt: skip
