@@ -40,7 +40,7 @@ def _loaded() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_killed_runs_leave_nothing_half_done(tmp_path: Path, kind: str) -> None:
     # A batch is three runs.
-    count = 1 if kind in ("batch", "beside") else 2
+    count = 1 if kind == "batch" else 2
     outcomes = list(kill.attacks(tmp_path, count=count, seed=1, kinds=[kind]))
     assert len(outcomes) == count
     assert [(one.trial, one.failures) for one in outcomes if one.failures] == []
