@@ -23,7 +23,7 @@ from morembs.model.material import isotropic, orthotropic
 from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
-from morembs.responses.krylov_space import static_response
+from morembs.responses.loads import static_response
 from morembs.storage.writer import Writer
 from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, heavy, steel, where

@@ -12,9 +12,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from rich.console import Console
 
 from morembs import read_body
 from morembs.body.stress_shapes import read_recovery
+from morembs.cli.certificates import Certified, print_certificates
 from morembs.errors import InputError
 from morembs.gmp.stored import read_members, write_members
 from morembs.importers.model_file import read_model
@@ -51,6 +53,20 @@ def test_what_the_body_files_hold(unpacked: Path) -> None:
     assert rail.has_switching and rail.has_recovery and rail.certificate and rail.ranking
     assert rail.floating is not None and rail.floating.stiffening is not None and rail.floating.kind == "tangent"
     assert not np.array_equal(both.input_matrix.T, both.output_matrix)
+
+
+def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They were errors at samples, and are told as such beside those that hold at every frequency."""
+    one = read_body(unpacked / "symmetric.h5")
+    for body in one.bodies.values():
+        values = body.certificate
+        assert values is not None and "version" not in values and "limits" not in values
+        assert values["bound_kind"] == "bound" and (values["error"] <= values["bound"]).all()
+        print_certificates(Console(width=200), [Certified(name=body.name, order=8, values=values)], [])
+        assert (
+            f"{body.name}: certificate at samples: error at most {values['error'].max():.1e}, bound "
+            f"{values['bound'].max():.1e} at 2 frequencies from 10 to 2,000 Hz"
+        ) in capsys.readouterr().out
 
 
 def test_a_model_file(unpacked: Path) -> None:
