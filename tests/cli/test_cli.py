@@ -148,12 +148,12 @@ def test_picture_shows_the_flat_side() -> None:
 
 def test_info(tmp_path: Path) -> None:
     done = run("reduce", str(folder(tmp_path)))
-    found = run("info", done["output"])
+    info = run("info", done["output"])
     for key in ("dofs", "frequencies_hz", "full_frequencies_hz", "mass", "center_of_mass", "inertia", "output"):
-        assert found[key] == done[key]
+        assert info[key] == done[key]
     for key in ("order", "frequencies_hz", "mode_kind", "rigid_count"):
-        assert found["bodies"]["cb"][key] == done["bodies"]["cb"][key]
-    assert found["interfaces"]["left"]["nodes"] == 9
+        assert info["bodies"]["cb"][key] == done["bodies"]["cb"][key]
+    assert info["interfaces"]["left"]["nodes"] == 9
     result = RUNNER.invoke(cli.app, ["info", done["output"]])
     assert result.exit_code == 0 and "interface left: rigid, 9 nodes" in result.stdout
 
@@ -171,32 +171,32 @@ def test_check_forecasts_without_factorising(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(Analysis, "factorize", refuse)
     job = folder(tmp_path)
-    found = run("check", str(job))
-    assert (found["nodes"], found["elements"], found["dofs"]) == (63, 24, 189)
-    assert found["coupled_dofs"] == 189 - 2 * 27 + 2 * 6
-    assert found["rigid_modes"] == 6
+    forecast = run("check", str(job))
+    assert (forecast["nodes"], forecast["elements"], forecast["dofs"]) == (63, 24, 189)
+    assert forecast["coupled_dofs"] == 189 - 2 * 27 + 2 * 6
+    assert forecast["rigid_modes"] == 6
     assert not (tmp_path / "part.h5").exists()
     steel = morembs.isotropic(set="all", young=210e9, poisson=0.3, density=7850)
     K = morembs.assemble(read_mesh(tmp_path / "part.inp"), [steel]).K
-    assert found["stiffness_nonzeros"] == K.nnz
+    assert forecast["stiffness_nonzeros"] == K.nnz
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     result = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert result.exit_code == 1 and "RuntimeError: a factorisation was made" in result.stderr
     monkeypatch.undo()
     # The symbolic analysis counts what the factorisation then stores.
     model = morembs.assemble(read_mesh(tmp_path / "part.inp", morembs.units.parse_units("mm-t-s")), [steel])
-    assert found["solver"] in morembs.available_solvers() and "fastest" in found["choice"]
-    assert model.K.nnz == found["stiffness_nonzeros"]
+    assert forecast["solver"] in morembs.available_solvers() and "fastest" in forecast["choice"]
+    assert model.K.nnz == forecast["stiffness_nonzeros"]
     factor = run("reduce", str(job))["factor"]
-    assert found["factor_entries"] == pytest.approx(factor["factor_entries"], rel=0.2)
-    assert found["factor_flops"] == pytest.approx(factor["flops"], rel=0.25)
+    assert forecast["factor_entries"] == pytest.approx(factor["factor_entries"], rel=0.2)
+    assert forecast["factor_flops"] == pytest.approx(factor["flops"], rel=0.25)
 
 
 def test_rigid_interface_joins_parts(tmp_path: Path) -> None:
     """Two cubes that touch along an edge are one sound body once a rigid frame holds both sides of it."""
     frame = {"interface": 'name = "joint"\nnodes = "box:10,10,0,30,30,20"', "interface2": None}
-    found = run("check", str(folder(tmp_path, frame, deck(HINGED))))
-    assert found["rigid_modes"] == 6
+    checked = run("check", str(folder(tmp_path, frame, deck(HINGED))))
+    assert checked["rigid_modes"] == 6
 
 
 def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
@@ -208,9 +208,9 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
     for verb in ("check", "reduce"):
         done = subprocess.run([sys.executable, "-m", "morembs", verb, job], capture_output=True, text=True)
         assert done.returncode == 2 and said(done.stderr).count("\n") == 1, done.stderr
-        found = re.search(r"below what this program itself needs.*give at least (\d+) MB", done.stderr)
-        assert found, done.stderr
-        needed = max(needed, int(found[1]))
+        advice = re.search(r"below what this program itself needs.*give at least (\d+) MB", done.stderr)
+        assert advice, done.stderr
+        needed = max(needed, int(advice[1]))
     folder(tmp_path, {"solver": f'memory = "{needed} MB"', "output": output})
     command = [sys.executable, "-m", "morembs", "reduce", job, "--json"]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -219,9 +219,9 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
 
 
 def test_solvers() -> None:
-    found = run("solvers")
-    assert list(found) == list(morembs.available_solvers())
-    assert found["superlu"] == {"available": True, "reason": ""}
+    solvers = run("solvers")
+    assert list(solvers) == list(morembs.available_solvers())
+    assert solvers["superlu"] == {"available": True, "reason": ""}
     assert "superlu: available" in RUNNER.invoke(cli.app, ["solvers"]).stdout
 
 
@@ -233,9 +233,9 @@ def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
     result = RUNNER.invoke(cli.app, ["reduce", *jobs, "--json"])
     assert result.exit_code == 2
     assert said(result.stderr).startswith(f"error: {jobs[0]}: ") and said(result.stderr).count("\n") == 1
-    found = json.loads(result.stdout)
-    assert [set(one) == {"job", "error"} for one in found] == [True, False, False]
-    assert [one["job"] for one in found] == jobs
+    results = json.loads(result.stdout)
+    assert [set(job_result) == {"job", "error"} for job_result in results] == [True, False, False]
+    assert [job_result["job"] for job_result in results] == jobs
     assert all((tmp_path / name / "part.h5").is_file() for name in "bc")
 
 
@@ -307,12 +307,12 @@ def test_long_work_goes_on_being_told() -> None:
 
 def test_a_thread_looks_at_the_clock() -> None:
     """What the work does not tell, and for no longer than the work."""
-    clock, told = Clock(), threading.Event()
-    lines = terminal.LineProgress(lambda _: told.set(), clock)
+    clock, heard = Clock(), threading.Event()
+    lines = terminal.LineProgress(lambda _: heard.set(), clock)
     with lines.shown() as progress:
         progress.stage("factorise")
         clock.now = 100.0
-        assert told.wait()
+        assert heard.wait()
         assert len(progress_threads()) == 1
     assert not progress_threads()
 

@@ -208,8 +208,8 @@ def test_a_program_that_calls_the_command_line_goes_on() -> None:
     """After bad input and after a signal, with its own handlers, and ends with its own exit code."""
     done = ended(EMBEDDING)
     assert done.returncode == 0, (done.stdout, done.stderr)
-    said = done.stdout.splitlines()
-    assert said[:2] == ["2 True", "143"] and said[3:] == ["0", "my own handler", "went on"], said
+    lines = done.stdout.splitlines()
+    assert lines[:2] == ["2 True", "143"] and lines[3:] == ["0", "my own handler", "went on"], lines
 
 
 @pytest.fixture
@@ -301,7 +301,7 @@ def test_faults_tell_where_their_traceback_is(
     assert type(error).__name__ in first and str(report) in first and "authors" in first and "missing.toml" in second
     text = report.read_text()
     assert "Traceback" in text and "in fail" in text and "Python 3" in text
-    assert [set(one) for one in json.loads(result.stdout)] == [{"job", "error"}] * 2
+    assert [set(entry) for entry in json.loads(result.stdout)] == [{"job", "error"}] * 2
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
     result = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert result.exit_code == 1 and "Traceback" in result.stderr and "traceback above" in result.stderr
@@ -311,8 +311,8 @@ def test_faults_tell_where_their_traceback_is(
 def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str) -> None:
     """One output, spelled in other ways or through a link; a picture that is another's body; an output that is
     another's mesh. What is in nobody's way is done."""
-    one = folder(tmp_path)
-    text = one.read_text()
+    job = folder(tmp_path)
+    text = job.read_text()
     (tmp_path / "sub").mkdir()
     (tmp_path / "link.h5").symlink_to(tmp_path / "part.h5")
     monkeypatch.chdir(tmp_path)
@@ -320,20 +320,21 @@ def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest
     for output in ('"sub/../part.h5"', f'"{tmp_path}/part.h5"', '"link.h5"', '"b.h5"\npicture = "part.h5"'):
         if "picture" in output:
             text = text.replace('"part.h5"', '"part.png"')
-            one.write_text(text)
+            job.write_text(text)
             output = '"b.h5"\npicture = "part.png"'
             text = text.replace('"part.png"', '"part.h5"')
         (tmp_path / "other.toml").write_text(text.replace('"part.h5"', output))
         result = RUNNER.invoke(cli.app, [verb, "other.toml", "free.toml", "job.toml", "--json"])
         assert result.exit_code == 2, output
-        found = json.loads(result.stdout)
-        assert "is [output] path of job.toml too" in found[0]["error"] and "error" not in found[1]
-        assert "of other.toml too" in found[2]["error"]
+        results = json.loads(result.stdout)
+        assert "is [output] path of job.toml too" in results[0]["error"] and "error" not in results[1]
+        assert "of other.toml too" in results[2]["error"]
         assert not (tmp_path / "part.h5").exists() and not (tmp_path / "b.h5").exists()
-    one.write_text(text)
+    job.write_text(text)
     (tmp_path / "other.toml").write_text(text.replace('"part.h5"', '"job.toml"').replace("part.inp", "other.inp"))
     result = RUNNER.invoke(cli.app, [verb, "job.toml", "other.toml", "--json"])
-    found = json.loads(result.stdout)
-    assert result.exit_code == 2 and "error" not in found[0] and "is the job file of job.toml too" in found[1]["error"]
+    results = json.loads(result.stdout)
+    assert result.exit_code == 2 and "error" not in results[0]
+    assert "is the job file of job.toml too" in results[1]["error"]
     result = RUNNER.invoke(cli.app, [verb, "job.toml", "job.toml"])
     assert result.exit_code == 2 and result.stderr.count("of job.toml too") == 2
