@@ -49,7 +49,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.syspath_prepend(str(there))
     yield there
     for table in TABLES:
-        for name in [one for one in table if one not in table.own]:
+        for name in [item for item in table if item not in table.own]:
             del table[name]
         table.reload()
     sys.modules.pop("my_package", None)
@@ -116,7 +116,7 @@ def test_a_package_that_cannot_be_used_is_named_once(
         with pytest.raises(InputError, match=words) as caught:
             load_job(job)
         assert "the package 'my-package' offers 'static-responses'" in str(caught.value)
-    assert len([one for one in recwarn.list if "my-package" in str(one.message)]) == 2
+    assert len([warning for warning in recwarn.list if "my-package" in str(warning.message)]) == 2
     assert list(REDUCERS) == list(REDUCERS.own)
 
 
@@ -135,7 +135,7 @@ def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
         body = elastic_body(problem, CraigBampton(modes=2).reduce(problem), make_part(problem))
     path = write_body(tmp_path / "bar.h5", [body])
     assert read_body(path).interfaces["left"].kind.name == "centre"
-    monkeypatch.setattr(sys, "path", [one for one in sys.path if one != str(place)])
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(place)])
     del COUPLINGS["centre"]
     look_again()
     done = CliRunner().invoke(app, ["info", str(path)])

@@ -30,7 +30,7 @@ from morembs.jobs.job import load_job
 from morembs.jobs.picture import viewed_axes
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
-from tests.support.commands import said
+from tests.support.commands import without_progress
 from tests.support.decks import BEAM, HINGED, deck, folder
 from tests.support.progress import Heard
 
@@ -43,7 +43,7 @@ def run(*arguments: str) -> Any:
     """The JSON document of a command that succeeds."""
     result = RUNNER.invoke(cli.app, [*arguments, "--json"])
     assert result.exit_code == 0, (result.stderr, result.exception)
-    assert said(result.stderr) == ""
+    assert without_progress(result.stderr) == ""
     return json.loads(result.stdout)
 
 
@@ -162,7 +162,7 @@ def test_info_of_another_file(tmp_path: Path) -> None:
     (tmp_path / "x.h5").write_bytes(b"no")
     for name in ("x.h5", "y.h5"):
         result = RUNNER.invoke(cli.app, ["info", str(tmp_path / name)])
-        assert result.exit_code == 2 and said(result.stderr).count("\n") == 1 and name in result.stderr
+        assert result.exit_code == 2 and without_progress(result.stderr).count("\n") == 1 and name in result.stderr
 
 
 def test_check_forecasts_without_factorising(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +207,7 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
     needed = 0
     for verb in ("check", "reduce"):
         done = subprocess.run([sys.executable, "-m", "morembs", verb, job], capture_output=True, text=True)
-        assert done.returncode == 2 and said(done.stderr).count("\n") == 1, done.stderr
+        assert done.returncode == 2 and without_progress(done.stderr).count("\n") == 1, done.stderr
         advice = re.search(r"below what this program itself needs.*give at least (\d+) MB", done.stderr)
         assert advice, done.stderr
         needed = max(needed, int(advice[1]))
@@ -232,7 +232,7 @@ def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
     jobs = [str(tmp_path / name / "job.toml") for name in "abc"]
     result = RUNNER.invoke(cli.app, ["reduce", *jobs, "--json"])
     assert result.exit_code == 2
-    assert said(result.stderr).startswith(f"error: {jobs[0]}: ") and said(result.stderr).count("\n") == 1
+    assert without_progress(result.stderr).startswith(f"error: {jobs[0]}: ") and without_progress(result.stderr).count("\n") == 1
     results = json.loads(result.stdout)
     assert [set(job_result) == {"job", "error"} for job_result in results] == [True, False, False]
     assert [job_result["job"] for job_result in results] == jobs
@@ -246,7 +246,7 @@ def test_memory_that_did_not_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("morembs.jobs.run.run_job", fail)
     result = RUNNER.invoke(cli.app, ["reduce", str(folder(tmp_path))])
     assert result.exit_code == 2
-    assert "memory" in result.stderr and said(result.stderr).count("\n") == 1
+    assert "memory" in result.stderr and without_progress(result.stderr).count("\n") == 1
 
 
 def test_usage() -> None:

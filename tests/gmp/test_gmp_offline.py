@@ -276,7 +276,7 @@ def test_a_failure_is_the_same_for_any_number_of_processes():
 KILLED = """
 import os, signal, sys
 sys.path.insert(0, {root!r})
-from tests.gmp.test_gmp_offline import made
+from tests.gmp.test_gmp_offline import tabulated
 
 class Fatal:
     def stage(self, name): pass
@@ -284,7 +284,7 @@ class Fatal:
         if text == "equilibria: 9":
             os.kill(os.getpid(), signal.SIGKILL)
 
-made(tolerance=1e-5, checkpoint={path!r}, progress=Fatal())
+tabulated(tolerance=1e-5, checkpoint={path!r}, progress=Fatal())
 """
 
 

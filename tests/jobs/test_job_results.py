@@ -63,9 +63,9 @@ SI = {"units": "m-kg-s", "young": 2.1e11, "density": 7850.0, "tip": "set:TIP", "
 
 def test_two_runs_give_the_same_bytes(small_meshes, tmp_path):
     a, b = (reduce(tmp_path, name, mesh=small_meshes / "beam.msh", **SI) for name in ("one", "two"))
-    with h5py.File(a) as one, h5py.File(b) as two:
-        mine, other = everything(one), everything(two)
-    assert len(mine) > 40 and mine == other
+    with h5py.File(a) as file_a, h5py.File(b) as file_b:
+        first, second = everything(file_a), everything(file_b)
+    assert len(first) > 40 and first == second
 
 
 def test_millimetres_and_metres_give_the_same_body(small_meshes, tmp_path):
@@ -141,8 +141,8 @@ def test_a_job_out_of_core_gives_the_same_body(tmp_path):
         with budget_of(job, solver) as budget:
             assert budget.empty(3).base is None or text == OUT_OF_CORE
             assert budget.files == (text == OUT_OF_CORE)
-    mine, other = (result.bodies[0].reduced.K for result in results)
-    assert np.abs(mine - other).max() < 1e-9 * np.abs(mine).max()
+    first, second = (result.bodies[0].reduced.K for result in results)
+    assert np.abs(first - second).max() < 1e-9 * np.abs(first).max()
 
 
 def test_out_of_core_needs_a_solver_that_can(tmp_path):
