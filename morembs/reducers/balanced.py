@@ -270,9 +270,9 @@ def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progres
     return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(reference, Zp, Zv), reference=reference, notes=notes)
 
 
-def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
+def _modal_products(reference: Reference, Zp: Floats, Zv: Floats) -> Products:
     # The pairing of positions and velocities takes structural damping at its equivalent at each resonance.
-    D = made.damping_at_resonance()[:, None]
+    D = reference.damping_at_resonance()[:, None]
     return Products.of(Zp.T @ Zp, Zp.T @ Zv, Zv.T @ Zv, Zp.T @ (D * Zp), Zp.T @ (D * Zv))
 
 

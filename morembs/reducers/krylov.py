@@ -211,8 +211,8 @@ class _LoadSpace:
     ) -> None:
         self.problem, self.name, self.size = problem, name, 0
         columns = problem.coupling.columns
-        chosen = [one for one in columns if interfaces is None or one in interfaces]
-        rows = np.concatenate([np.arange(problem.B.shape[1])[columns[one]] for one in chosen] or [np.zeros(0, int)])
+        chosen = [columns[interface] for interface in columns if interfaces is None or interface in interfaces]
+        rows = np.concatenate([np.arange(problem.B.shape[1])[part] for part in chosen] or [np.zeros(0, int)])
         if interfaces is None:
             rows = np.arange(problem.B.shape[1])
         F = problem.B[:, rows].toarray() * problem.motion_scale[rows]

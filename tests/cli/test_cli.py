@@ -232,7 +232,8 @@ def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
     jobs = [str(tmp_path / name / "job.toml") for name in "abc"]
     result = RUNNER.invoke(cli.app, ["reduce", *jobs, "--json"])
     assert result.exit_code == 2
-    assert without_progress(result.stderr).startswith(f"error: {jobs[0]}: ") and without_progress(result.stderr).count("\n") == 1
+    errors = without_progress(result.stderr)
+    assert errors.startswith(f"error: {jobs[0]}: ") and errors.count("\n") == 1
     results = json.loads(result.stdout)
     assert [set(job_result) == {"job", "error"} for job_result in results] == [True, False, False]
     assert [job_result["job"] for job_result in results] == jobs
