@@ -5,7 +5,9 @@ import errno
 import io
 import os
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +28,7 @@ from morembs.reducers import CraigBampton, Modal, ReducedModel
 from morembs.storage.safefile import SafeFile, check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
+from tests.support.processes import apart, python
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = ROOT / "docs" / "schema.md"
@@ -296,36 +299,31 @@ def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, 
 
 def test_full_disk_at_any_place(tmp_path):
     """Under file-size limits from nothing to one byte less than needed; then once more without."""
-    resource = pytest.importorskip("resource")
-    assert resource
-    code = """
-import resource, signal
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-size = write_body("size.h5", [Made(500, 30)], provenance=PROVENANCE).stat().st_size
-Path("size.h5").unlink()
-Path("body.h5").write_bytes(b"old")
-free = resource.getrlimit(resource.RLIMIT_FSIZE)
-for limit in [*range(0, size, size // 40), size - 1]:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
-    try:
-        write_body("body.h5", [Made(500, 30)], provenance=PROVENANCE)
-    except OutputError as error:
-        message = str(error)
-    else:
-        raise SystemExit(f"no error with {limit} of {size} bytes")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, free)
-    if open_in_hdf5() or os.listdir() != ["body.h5"] or Path("body.h5").read_bytes() != b"old":
-        raise SystemExit(f"{limit}: {open_in_hdf5()} {os.listdir()}")
-    if "basis" in message:
-        print(message)
-write_body("body.h5", [Made(500, 30)])
-raise SystemExit(0 if read_body("body.h5").bodies["made"].basis().shape == (1500, 30) else "bad")
-"""
-    done = child(code, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "body.h5 could not be written (at: bodies/made/basis): File too large" in done.stdout
-    assert "is unchanged; free space there" in done.stdout and not done.stderr
+
+    def work():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        size = write_body("size.h5", [Made(500, 30)], provenance=PROVENANCE).stat().st_size
+        Path("size.h5").unlink()
+        Path("body.h5").write_bytes(b"old")
+        free, before = resource.getrlimit(resource.RLIMIT_FSIZE), open_in_hdf5()
+        for limit in [*range(0, size, size // 40), size - 1]:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
+            try:
+                with pytest.raises(OutputError) as refused:
+                    write_body("body.h5", [Made(500, 30)], provenance=PROVENANCE)
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, free)
+            assert open_in_hdf5() == before and os.listdir() == ["body.h5"], limit
+            assert Path("body.h5").read_bytes() == b"old"
+            if "basis" in str(refused.value):
+                sys.stdout.write(f"{refused.value}\n")
+        write_body("body.h5", [Made(500, 30)])
+        assert read_body("body.h5").bodies["made"].basis().shape == (1500, 30)
+
+    done = apart(work, tmp_path)
+    assert done.code == 0 and not done.errors, done.errors
+    assert "body.h5 could not be written (at: bodies/made/basis): File too large" in done.output
+    assert "is unchanged; free space there" in done.output
 
 
 def test_basis_is_streamed(tmp_path):
@@ -570,11 +568,8 @@ def test_python_on_the_schema_page_runs(stored, tmp_path):
     for code in codes:
         if "vtk" in code:
             pytest.importorskip("vtk")
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
-        )
-        assert done.returncode == 0 and done.stdout, done.stderr
+        done = python(code, tmp_path)
+        assert done.code == 0 and done.output, done.errors
 
 
 @needs_octave

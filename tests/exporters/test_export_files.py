@@ -3,7 +3,8 @@
 import itertools
 import os
 import re
-import subprocess
+import resource
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Modal, StaticModesSwitching
 from morembs.storage.safefile import replacing_all
 from tests.support.meshes import box, steel, where
+from tests.support.processes import apart
 
 ROOT = Path(__file__).parents[2]
 
@@ -169,30 +171,26 @@ def test_a_full_disk_leaves_the_old_set_or_nothing(files, tmp_path, before):
         old[to] = contents(tmp_path / to)
         path = str(tmp_path / to / f"x{exporter.suffix}")
         tasks += [(to, path, limit) for limit in sorted({0, 1, sizes[-1] // 2, *around} - {sizes[-1]})]
-    code = f"""
-import resource, signal
-from morembs.errors import OutputError
-from morembs.exporters import export_body
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-free = resource.getrlimit(resource.RLIMIT_FSIZE)
-for to, path, limit in {tasks}:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
-    try:
-        export_body({str(files["b"])!r}, to, path=path)
-    except OutputError as error:
-        message = str(error)
-    else:
-        message = f"no error of {{to}} with {{limit}} bytes"
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, free)
-    print(message)
-"""
-    ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert ran.returncode == 0 and not ran.stderr, ran.stderr
-    lines = ran.stdout.splitlines()
+
+    def work():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        free, lines = resource.getrlimit(resource.RLIMIT_FSIZE), []
+        for to, path, limit in tasks:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
+            try:
+                export_body(files["b"], to, path=path)
+            except OutputError as error:
+                message = str(error)
+            else:
+                message = f"no error of {to} with {limit} bytes"
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, free)
+            lines.append(message)
+        sys.stdout.write("\n".join(lines))
+
+    ran = apart(work, tmp_path)
+    assert ran.code == 0 and not ran.errors, ran.errors
+    lines = ran.output.splitlines()
     assert len(lines) == len(tasks)
     for (to, _, limit), line in zip(tasks, lines, strict=True):
         assert "File too large" in line and "free space" in line, (to, limit, line)

@@ -18,6 +18,7 @@ from morembs.nonlinear.continuation import follow_equilibrium
 from tests.gmp.test_gmp import LENGTH, Softening, rod
 from tests.gmp.test_solid_member import LENGTH as SOLID
 from tests.gmp.test_solid_member import SIDE, E, prism
+from tests.support.processes import apart
 from tests.support.progress import Heard
 
 ROOT = Path(__file__).parents[2]
@@ -273,26 +274,21 @@ def test_a_failure_is_the_same_for_any_number_of_processes():
     assert words[0] == words[1]
 
 
-KILLED = """
-import os, signal, sys
-sys.path.insert(0, {root!r})
-from tests.gmp.test_gmp_offline import tabulated
-
 class Fatal:
-    def stage(self, name): pass
+    """Progress that ends the process after nine equilibria."""
+
+    def stage(self, name):
+        pass
+
     def update(self, text):
         if text == "equilibria: 9":
             os.kill(os.getpid(), signal.SIGKILL)
 
-tabulated(tolerance=1e-5, checkpoint={path!r}, progress=Fatal())
-"""
-
 
 def test_a_run_that_was_killed_goes_on_and_gives_the_same(tmp_path):
     path = tmp_path / "rod.h5"
-    code = KILLED.format(root=str(ROOT), path=str(path))
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    ended = apart(lambda: tabulated(tolerance=1e-5, checkpoint=path, progress=Fatal()), tmp_path)
+    assert ended.code == -signal.SIGKILL, ended.errors
     with h5py.File(path) as file:
         kept = len(file["keys"])
     # The first is written at once, the others as often as that takes little beside finding them.

@@ -2,7 +2,7 @@
 
 import dataclasses
 import resource
-import subprocess
+import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,6 +35,7 @@ from morembs.reducers import CraigBampton, Modal
 from morembs.storage.writer import Writer
 from tests.support.machine import has_memory
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.processes import apart
 
 ROOT = Path(__file__).parents[2]
 
@@ -531,16 +532,15 @@ def test_a_full_disk_is_one_message_and_the_old_file_stays(bar, tmp_path):
     out.write_text("old")
     long = Trajectory(times=np.arange(400.0), coordinates=np.zeros((400, bar.cb.order)))
     save(tmp_path / "t.npz", long)
-    code = (
-        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "from morembs.recovery.recover import recover\nfrom morembs.errors import OutputError\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
-        f"try:\n    recover({str(bar.path)!r}, 't.npz', 'out.vtkhdf', body='cb')\n"
-        "except OutputError as error:\n    print(error)\n"
-    )
-    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600,
-                          env={"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"})  # fmt: skip
-    assert done.returncode == 0 and not done.stderr
-    assert "File too large" in done.stdout and "step" in done.stdout and "unchanged" in done.stdout
+
+    def work():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+        with pytest.raises(OutputError) as refused:
+            recover(bar.path, "t.npz", "out.vtkhdf", body="cb")
+        sys.stdout.write(str(refused.value))
+
+    done = apart(work, tmp_path)
+    assert done.code == 0 and not done.errors
+    assert "File too large" in done.output and "step" in done.output and "unchanged" in done.output
     assert out.read_text() == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["out.vtkhdf", "t.npz"]

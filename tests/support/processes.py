@@ -21,3 +21,8 @@ def apart(work: Callable[[], object], folder: Path, logs: Path | None = None) ->
 def morembs(*arguments: object, folder: Path, logs: Path | None = None) -> Ended:
     """How the command ``morembs`` ends."""
     return apart(program([str(argument) for argument in arguments]), folder, logs)
+
+
+def python(code: str, folder: Path) -> Ended:
+    """How a program ends that is nothing but ``code``."""
+    return apart(lambda: exec(compile(code, "<program>", "exec"), {"__name__": "__main__"}), folder)
