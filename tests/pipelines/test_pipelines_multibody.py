@@ -1,7 +1,6 @@
 """Pipelines and studies with two simulators: both agree, and with beam theory."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.polynomial import Legendre
 
 from morembs.exporters.exudyn_system import exudyn_missing
 from morembs.recovery.recover import recover
+from tests.support.processes import python
 
 ROOT = Path(__file__).parents[2]
 PIPELINES = ROOT / "pipelines"
@@ -133,17 +133,18 @@ def test_examples_of_the_documentation(tmp_path, point):
     code = "".join(blocks[: 2 if exudyn_missing() else 3])
     code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
     code = code.replace('coupling="rigid")', f'coupling="rigid", point={point} if name == "TIP" else None)')
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
-    *tip, energy = map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.stdout.splitlines()[0]))
+    done = python(code, tmp_path)
+    assert done.code == 0, done.errors
+    *tip, energy = map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.output.splitlines()[0]))
     # A rod of 0.5 m that fell for 0.3 s, and bent little; its energy is what it was at the start: none.
     assert np.hypot(tip[0], tip[2]) == pytest.approx(np.hypot(point[0], point[2] - 0.015), abs=2e-3)
     assert -0.52 < tip[2] < -0.3
     assert abs(energy) < 1e-3
     if not exudyn_missing():
-        other = list(map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.stdout.splitlines()[-1])))
+        other = list(map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.output.splitlines()[-1])))
         assert np.abs(np.array(tip) - other).max() < 5e-4
     motion = recover(tmp_path / "beam.h5", tmp_path / "motion.npz", tmp_path / "again.vtkhdf")
-    assert motion.steps == 301 and f"{motion.peak[0] / 1e6:.3f} MPa at node {motion.peak[1]}" in done.stdout
+    assert motion.steps == 301 and f"{motion.peak[0] / 1e6:.3f} MPa at node {motion.peak[1]}" in done.output
     if not exudyn_missing():
         series = [vtk_points(tmp_path / name) for name in ("again.vtkhdf", "exudyn.vtkhdf")]
         assert np.abs(series[0] - series[1]).max() < 5e-4
