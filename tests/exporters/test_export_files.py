@@ -166,7 +166,7 @@ def test_a_full_disk_leaves_the_old_set_or_nothing(files, tmp_path, before):
     tasks, old = [], {}
     for to, exporter in EXPORTERS.items():
         sizes = sorted(path.stat().st_size for path in exported(files["b"], to, tmp_path / f"{to}-sizes").paths)
-        around = {size + d for size in sizes for d in (-1, 0)} if len(sizes) > 1 else {sizes[0] - 1}
+        around = {size + d for size in sizes for d in (-1, 0)} if before and len(sizes) > 1 else {sizes[-1] - 1}
         exported(files["a"], to, tmp_path / to) if before else (tmp_path / to).mkdir()
         old[to] = contents(tmp_path / to)
         path = str(tmp_path / to / f"x{exporter.suffix}")
