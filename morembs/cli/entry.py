@@ -89,6 +89,9 @@ def _work(arguments: Sequence[str]) -> None:
 
         show(plain[1], as_json="--json" in arguments)
     else:
+        import typer.main
+
         from morembs.cli.commands import app
 
-        app()
+        # Called itself it would take the place of ``sys.excepthook``, which knows of signals.
+        typer.main.get_command(app)()
