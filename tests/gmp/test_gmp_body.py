@@ -109,6 +109,9 @@ def test_a_free_spinning_member_keeps_its_momenta_and_its_energy(member):
     system = System()
     system.add(body)
     run = simulate(system, end=0.1, step=2e-4, rho=1.0)
+    for name, angle in (("start", 0.2), ("end", -0.25)):
+        across = turned @ [-np.sin(angle), np.cos(angle), 0.0]
+        assert run.axes(body.marker(name))[0][:, 1] == pytest.approx(across, abs=1e-12), name
     momenta = []
     for q, v in zip(run.configuration(body), run.speeds(body), strict=True):
         at = member.at(q)
