@@ -80,6 +80,15 @@ def needs_few_candidates(text):
     assert number(r"from all of the model by (\S+) of it", text) < 1e-8
 
 
+def needs_two_modes_along_the_motion(text):
+    locked = number(r"locked at the end of the motion: (\S+) and", text)
+    assert locked == pytest.approx(3.06, rel=5e-3)
+    full, deflection = map(float, re.search(r"(\S+) Hz after the motion, largest deflection (\S+) m", text).groups())
+    error, reduced = map(float, re.search(r"^ +2  no +\S+ +(\S+) +(\S+)", text, re.MULTILINE).groups())
+    assert full == pytest.approx(locked, rel=1e-2) and reduced == pytest.approx(locked, rel=1e-2)
+    assert error < 0.02 and deflection > 0.05
+
+
 PROMISES = {
     "falling_beam": touches_when_it_must,
     "flexible_pendulum": follows_the_full_model,
@@ -90,6 +99,7 @@ PROMISES = {
     "studies.gear_teeth": needs_few_candidates,
     "studies.moving_load": has_the_moment_with_static_modes_alone,
     "studies.rotating_beam": has_the_coefficient_of_southwell,
+    "studies.two_link_manipulator": needs_two_modes_along_the_motion,
 }
 
 
