@@ -27,9 +27,7 @@ MOST_SPREAD = 50_000_000
 
 def dof_table(model: FEModel) -> Ints:
     """Dof (n, 6) of each node and component, -1 where there is none."""
-    table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
-    table[model.dofs.node, model.dofs.component] = np.arange(model.size)
-    return table
+    return model.dofs.table(len(model.nodes))
 
 
 def dependent_dofs(

@@ -18,10 +18,11 @@ from morembs.importers.named import matrices_by_name, square_csr
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes
+from morembs.model.fe_model import SCALAR
 
 Ints = NDArray[np.int64]
-# Rows of the two scalar kinds of dof that have no component of their own.
-_SCALAR = 0
+# The component of rows of scalar points.
+_SCALAR_POINT = 0
 # Names that Nastran gives the matrices of a superelement, and those by which it takes them.
 _USUAL = {
     "K": ("KAAX", "KAA", "K2GG", "K2PP"), "M": ("MAAX", "MAA", "M2GG", "M2PP"), "D": ("BAAX", "BAA", "B2GG", "B2PP")
@@ -50,7 +51,7 @@ def import_dmig(
     """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
 
     Raises:
-        InputError: not such a file, no matrix of a name, or scalar points.
+        InputError: not such a file, or no matrix of a name.
     """
     path = Path(path)
     text = BulkText(path, outside=allow_includes_outside)
@@ -58,10 +59,8 @@ def import_dmig(
     labels = np.unique(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
-    if (labels[:, 1] == _SCALAR).any():
-        raise InputError(f"{path.name} has rows of scalar points, which have no place in space; leave them out")
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
-    nodes, dofs = labelled(labels[:, 0], labels[:, 1] - 1)
+    nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, SCALAR, labels[:, 1] - 1))
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)

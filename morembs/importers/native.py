@@ -129,7 +129,7 @@ MODEL = Table((
     Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
     Row("node_sets", _SETS),
     Row("dofs/node", "whole", "dofs", "row of /nodes, from 0, of each row of the matrices"),
-    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them"),
+    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars"),
     Row("elements", _ELEMENTS, when="if"),
     Row("element_sets", _SETS, when="if", doc="as `node_sets`; elements are counted through all blocks"),
     Row("materials", _MATERIALS, when="if"),

@@ -21,7 +21,7 @@ from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.fe_model import refuse_far
+from morembs.model.fe_model import SCALAR, refuse_far
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
@@ -135,12 +135,12 @@ def _refuse_names(names: Sequence[str], source: str) -> None:
 def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
     """K, M and D in N/m, kg and Ns/m; rows and columns of rotations are per rad.
 
-    A dof in rad has the force Nm: with w = 1 for displacements and w = m per unit of length for rotations an entry
-    is scaled by w_i w_j times the factor of displacements.
+    A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which are taken for such) and w = m per
+    unit of length for rotations an entry is scaled by w_i w_j times the factor of displacements.
     """
     factors = (units.stiffness, units.mass, units.mass / units.time)
-    weight = np.where(dofs.component > 2, units.length, 1.0)
-    plain = units.length == 1.0 or not (dofs.component > 2).any()
+    weight = np.where(dofs.turning, units.length, 1.0)
+    plain = units.length == 1.0 or not dofs.turning.any()
     scaled = []
     for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
         if matrix is None or (plain and factor == 1.0):
@@ -197,6 +197,7 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
             "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that mass "
             "properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",
         )  # fmt: skip
+    nodes = _with_places_of_scalars(nodes, dofs)
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
     refuse_far(nodes, source)
@@ -212,6 +213,18 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
     return nodes, dofs, notes
 
 
+def _with_places_of_scalars(nodes: Nodes, dofs: DofMap | None) -> Nodes:
+    """Nodes that hold scalars alone are put amid the others, where they change no extent."""
+    if dofs is None or len(dofs) == 0 or dofs.component.max() < SCALAR:
+        return nodes
+    placed = np.zeros(len(nodes), dtype=bool)
+    placed[dofs.node[dofs.component < SCALAR]] = True
+    bare = ~placed & ~np.isfinite(nodes.xyz).all(axis=1)
+    xyz = nodes.xyz.copy()
+    xyz[bare] = nodes.xyz[placed].mean(axis=0) if placed.any() else 0.0
+    return replace(nodes, xyz=xyz)
+
+
 def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
     """Refuse a map that does not fit.
 
@@ -222,11 +235,10 @@ def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
         raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
         raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
-    if size and not (dofs.component.min() >= 0 and dofs.component.max() < 6):
+    if size and not (dofs.component.min() >= 0 and dofs.component.max() <= SCALAR):
         raise InputError(f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; "
-                         "expected 0 to 5")  # fmt: skip
-    codes = np.sort(6 * dofs.node + dofs.component)
-    twice = codes[1:][codes[1:] == codes[:-1]]
+                         "expected 0 to 6")  # fmt: skip
+    twice = dofs.twice()
     if len(twice):
         node = nodes.ids[twice[0] // 6]
         raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")

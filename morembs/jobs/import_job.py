@@ -22,6 +22,7 @@ from morembs.importers.model_file import write_model
 from morembs.importers.named import square_csr
 from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.model import DofMap, FEModel, Nodes
+from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material, isotropic
 from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import check_writable
@@ -225,6 +226,10 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
         raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:
+        # Scalars are at nodes of no mesh, such as the scalar points of Nastran.
+        bare = np.setdiff1d(imported.nodes.ids[dofs.node[dofs.component == SCALAR]], nodes.ids)
+        ids, xyz = np.append(nodes.ids, bare), np.vstack([nodes.xyz, np.full((len(bare), 3), np.nan)])
+        nodes = Nodes(ids=ids, xyz=xyz, sets=nodes.sets)
         row = rows_of_labels(nodes, imported.nodes.ids, imported.source)
         dofs = DofMap(node=row[dofs.node], component=dofs.component)
     whole = Nodes(ids=nodes.ids, xyz=nodes.xyz, sets=nodes.sets)
