@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.model import DofMap, Mesh, Nodes, frozen
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
@@ -33,10 +33,10 @@ class PointMass:
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
 
 
-Tied = TypeVar("Tied", RigidElement, AverageElement, PointMass)
+Tied = TypeVar("Tied", RigidElement, AverageElement, Equations, PointMass)
 
 
-def nodes_of(elements: Iterable[RigidElement | AverageElement | PointMass]) -> Ints:
+def nodes_of(elements: Iterable[RigidElement | AverageElement | Equations | PointMass]) -> Ints:
     """Rows of the nodes that ``elements`` are on, ascending."""
     rows: list[Ints] = [np.empty(0, dtype=np.int64)]
     for element in elements:
@@ -44,6 +44,8 @@ def nodes_of(elements: Iterable[RigidElement | AverageElement | PointMass]) -> I
             rows.append(np.append(element.slaves, element.master))
         elif isinstance(element, AverageElement):
             rows.append(np.append(element.nodes, element.reference))
+        elif isinstance(element, Equations):
+            rows += [element.nodes, element.term_nodes]
         else:
             rows.append(np.array([element.node]))
     return np.unique(np.concatenate(rows)).astype(np.int64)
@@ -58,6 +60,8 @@ def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
             change = {"master": int(row[element.master]), "slaves": row[element.slaves]}
         elif isinstance(element, AverageElement):
             change = {"reference": int(row[element.reference]), "nodes": row[element.nodes]}
+        elif isinstance(element, Equations):
+            change = {"nodes": row[element.nodes], "term_nodes": row[element.term_nodes]}
         else:
             change = {"node": int(row[element.node])}
         return replace(element, **change)
@@ -86,6 +90,7 @@ class Imported:
     materials: tuple[Material, ...] = ()
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
+    equations: tuple[Equations, ...] = ()
     masses: tuple[PointMass, ...] = ()
     surfaces: Mapping[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import PointMass
 from morembs.model import DofMap, FEModel, skew
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.units import Units
 
 Floats = NDArray[np.float64]
@@ -44,24 +44,30 @@ def mass_about_node(mass: PointMass) -> Floats:
     return M
 
 
-def with_dofs(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> FEModel:
-    """The model with the dofs that masters, references and dependent nodes outside elements need."""
+def with_dofs(
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], equations: Sequence[Equations]
+) -> FEModel:
+    """The model with the dofs that masters, references, dependent nodes outside elements and equations need."""
     table = dof_table(model)
+    width = table.shape[1]
     bare = np.asarray((table < 0).all(axis=1))
     needed: list[Ints] = [np.empty(0, dtype=np.int64)]
     six = np.arange(6)
     for element in rigid:
-        needed.append(6 * element.master + six)
+        needed.append(width * element.master + six)
         alone = element.slaves[bare[element.slaves]]
-        needed.append((6 * alone[:, None] + np.array(element.components, dtype=np.int64)).ravel())
+        needed.append((width * alone[:, None] + np.array(element.components, dtype=np.int64)).ravel())
     for distributing in average:
-        needed.append(6 * distributing.reference + np.array(distributing.components, dtype=np.int64))
+        needed.append(width * distributing.reference + np.array(distributing.components, dtype=np.int64))
+    for given in equations:
+        needed += [width * given.nodes + given.components, width * given.term_nodes + given.term_components]
     codes = np.unique(np.concatenate(needed))
     new = codes[table.ravel()[codes] < 0]
     if not len(new):
         return model
     dofs = DofMap(
-        node=np.concatenate([model.dofs.node, new // 6]), component=np.concatenate([model.dofs.component, new % 6])
+        node=np.concatenate([model.dofs.node, new // width]),
+        component=np.concatenate([model.dofs.component, new % width]),
     )
     K, M, D = (_grown(A, len(new)) for A in (model.K, model.M, model.D))
     return replace(model, dofs=dofs, K=K, M=M, D=D)
@@ -105,9 +111,10 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
 
 
 def refuse_loose(
-    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], masses: Sequence[PointMass]
-) -> None:
-    """Refuse point masses on nodes that neither have stiffness nor take part in a coupling.
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], equations: Sequence[Equations],
+    masses: Sequence[PointMass],
+) -> None:  # fmt: skip
+    """Refuse point masses on nodes that neither have stiffness nor take part in a coupling or an equation.
 
     Raises:
         InputError: as said.
@@ -118,6 +125,8 @@ def refuse_loose(
         held[element.slaves] = held[element.master] = True
     for mean in average:
         held[mean.reference] = True
+    for given in equations:
+        held[given.nodes] = held[given.term_nodes] = True
     for mass in masses:
         if not held[mass.node]:
             raise InputError(

@@ -1,7 +1,8 @@
 """What an importer read becomes a finite-element model in SI units.
 
-A mesh is assembled; point masses are added; rigid elements (RBE2) and average elements (RBE3) make dofs dependent,
-which are eliminated where the model is coupled to its interfaces, and named couplings that an interface can take over.
+A mesh is assembled; point masses are added; rigid elements (RBE2), average elements (RBE3) and equations (MPC) make
+dofs dependent, which are eliminated where the model is coupled to its interfaces. The elements are named couplings that
+an interface can take over.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
+from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR, refuse_far
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
@@ -49,7 +51,7 @@ def model_of(
     """
     units = units or Units()
     imported = _completed(imported)
-    touched = nodes_of([*imported.rigid, *imported.average, *imported.masses])
+    touched = nodes_of([*imported.rigid, *imported.average, *imported.equations, *imported.masses])
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
@@ -58,15 +60,17 @@ def model_of(
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
     rigid, average = on_rows(imported.rigid, base.row), on_rows(imported.average, base.row)
+    equations = equations_in_si(on_rows(imported.equations, base.row), units)
     masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
-    model = with_dofs(model, rigid, average)
-    refuse_loose(model, rigid, average, masses)
+    model = with_dofs(model, rigid, average, equations)
+    refuse_loose(model, rigid, average, equations, masses)
     model = with_masses(model, masses)
     return FEModel(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
-        dependent=dependent_dofs(model, rigid, average), notes=(*imported.notes, *base.notes),
+        equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
+        notes=(*imported.notes, *base.notes),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
 
@@ -332,6 +336,24 @@ def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
             f"{source} names node {missing[0]}, which does not exist; check that the files belong together"
         )
     return np.asarray(order[at], dtype=np.int64)
+
+
+def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equations, ...]:
+    """Equations between displacements in m and rotations in rad."""
+    if units.length == 1.0:
+        return tuple(equations)
+
+    def scaled(given: Equations) -> Equations:
+        size = np.where(_turns(given.components), 1.0, units.length)[given.equation]
+        return replace(
+            given, coefficients=given.coefficients * size / np.where(_turns(given.term_components), 1.0, units.length)
+        )
+
+    return tuple(map(scaled, equations))
+
+
+def _turns(component: Ints) -> NDArray[np.bool_]:
+    return (component > 2) & (component < 6)
 
 
 def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
-from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
+from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.model.material import Material
 
 if TYPE_CHECKING:
@@ -163,9 +163,10 @@ class FEModel:
     arrays of any form and dense arrays are taken too. ``mesh`` is None for models that came as matrices,
     ``materials`` are those that its elements were assembled with.
 
-    ``rigid`` and ``average`` elements make dofs ``dependent`` on others; the matrices cover these too, until the model
-    is coupled to its interfaces. Masters and references are nodes with dofs of their own. ``notes`` say what the
-    import found, ``warnings`` in what the model differs from its source; they go with it into every body.
+    ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
+    cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
+    own. ``notes`` say what the import found, ``warnings`` in what the model differs from its source; they go with it
+    into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
@@ -181,6 +182,7 @@ class FEModel:
     source: str = ""
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
+    equations: tuple[Equations, ...] = ()
     dependent: DependentDofs | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
