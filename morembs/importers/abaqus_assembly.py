@@ -44,7 +44,8 @@ class Placed:
 class Assembly:
     """All nodes (n, 3) and elements of a deck, and what its names mean.
 
-    Elements are numbered block by block, point elements behind the solids.
+    Elements are numbered block by block, point elements behind the solids, ``others`` (type, labels, rows of nodes)
+    behind these.
     """
 
     def __init__(self, deck: Deck) -> None:
@@ -113,9 +114,13 @@ class Assembly:
         point_labels = [
             np.array([n for scope in placed.contents for n, *_ in scope.points], dtype=np.int64) for placed in scopes
         ]
+        other_labels = [
+            np.concatenate([_NONE, *(rows[:, 0] for scope in placed.contents for _, rows in scope.others)])
+            for placed in scopes
+        ]
         own = [
-            np.concatenate([*(rows[:, 0] for rows in by_type.values()), extra])
-            for by_type, extra in zip(per_scope, point_labels, strict=True)
+            np.concatenate([*(rows[:, 0] for rows in by_type.values()), points, rest])
+            for by_type, points, rest in zip(per_scope, point_labels, other_labels, strict=True)
         ]
         for placed, labels in zip(scopes, own, strict=True):
             order = np.argsort(labels, kind="stable")
@@ -151,10 +156,23 @@ class Assembly:
         self.points: list[tuple[Placed, int, str, int]] = []
         for j, placed in enumerate(scopes):
             items = [item for scope in placed.contents for item in scope.points]
-            number[j][filled[j] :] = np.arange(count, count + len(items))
+            number[j][filled[j] : filled[j] + len(items)] = np.arange(count, count + len(items))
+            filled[j] += len(items)
             count += len(items)
             self.points += [(placed, self.one_node(placed, ref), code, n + shifts[j]) for n, ref, code in items]
+        self.others: list[tuple[str, Ints, Ints]] = []
+        for j, placed in enumerate(scopes):
+            for scope in placed.contents:
+                for code, rows in scope.others:
+                    self.others.append((code, rows[:, 0] + shifts[j], self.rows_of(placed, rows[:, 1:], "elements name")))
+            number[j][filled[j] :] = np.arange(count, count + len(other_labels[j]))
+            count += len(other_labels[j])
             placed.element_rows = number[j][np.argsort(own[j], kind="stable")]
+
+    def element_labels(self) -> Ints:
+        """Labels of all elements by their numbers."""
+        points = np.array([element for *_, element in self.points], dtype=np.int64)
+        return np.concatenate([_NONE, *(b.ids for b in self.blocks), points, *(ids for _, ids, _ in self.others)])
 
     def _in_order(self, kind: str, nodes: Ints, ids: Ints) -> Ints:
         """Nodes in VTK order; surfaces, too, go by it. Programs differ in the order of the 7 inner nodes of hex27, so
@@ -183,7 +201,7 @@ class Assembly:
             raise InputError(f"{self.deck}: {who} the node {labels[wrong][0]}{_of(placed)}, which is not defined")
         return placed.rows[at]
 
-    def _split(self, placed: Placed, text: str) -> tuple[Placed, str]:
+    def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
         """The scope that a reference "INSTANCE.NAME" means and what it names there."""
         first, dot, rest = text.partition(".")
         if dot and placed is self.top and first.upper() in self.placed:
@@ -199,7 +217,7 @@ class Assembly:
 
     def nodes_of(self, placed: Placed, text: str) -> Ints:
         """Rows of the nodes that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self.rows_of(scope, np.array([value]), "a line names")
@@ -207,7 +225,7 @@ class Assembly:
 
     def elements_of(self, placed: Placed, text: str) -> Ints:
         """Numbers of the elements that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self._found("element", scope, np.array([value]), text)
@@ -254,7 +272,7 @@ class Assembly:
                 )
             pieces.append(rows[low:high][on])
         for other in part.names:
-            target, rest = self._split(scope, other)
+            target, rest = self.split(scope, other)
             value = label(rest)
             if value is not None:
                 pieces.append(self._found(kind, target, np.array([value]), name))
@@ -292,7 +310,7 @@ class Assembly:
 
     def final_name(self, kind: str, placed: Placed, text: str) -> str:
         """Name that the set ``text`` of a scope has in the end."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         for name, (where, own) in self.named(kind).items():
             if where is scope and own.upper() == rest.upper():
                 return name

@@ -132,7 +132,8 @@ class Constraints:
         group = group.ravel()
         return faces[np.isin(group[len(free) :], group[: len(free)])]
 
-    def _surface(self, placed: Placed, name: str, card: Card) -> tuple[Ints, Floats]:
+    def surface(self, placed: Placed, name: str, card: Card) -> tuple[Ints, Floats]:
+        """Rows of the nodes of a surface, and their weights."""
         first, _, rest = name.partition(".")
         scope = self.assembly.placed.get(first.upper()) if placed is self.assembly.top else None
         key = (id(scope), rest.upper()) if scope else (id(placed), name.upper())
@@ -147,7 +148,7 @@ class Constraints:
                 for card, rows, kind, kind_rows in scope.constraints:
                     rows = [row for row in rows if row]
                     if card.keyword == "COUPLING":
-                        self._coupling(placed, card, kind, [row for row in kind_rows if row])
+                        self.coupling(placed, card, kind, [row for row in kind_rows if row])
                     elif card.keyword == "KINEMATIC COUPLING":
                         self._kinematic_coupling(placed, card, rows)
                     elif card.keyword == "RIGID BODY":
@@ -155,12 +156,13 @@ class Constraints:
                     else:
                         self._mpc(placed, card, rows)
 
-    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+    def coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+        """*COUPLING with what it is: *KINEMATIC or *DISTRIBUTING."""
         name = card.options.get("CONSTRAINT NAME", "")
         if kind is None:
             raise InputError(f"{card} {name!r} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        nodes, weights = self._surface(placed, card.need("SURFACE"), card)
+        nodes, weights = self.surface(placed, card.need("SURFACE"), card)
         components = _components(rows, kind)
         if card.options.get("ORIENTATION") and components not in (_ALL, (0, 1, 2)):
             raise InputError(f"{card} {name!r} ties some directions of an *ORIENTATION; expected all, or global axes")

@@ -93,13 +93,17 @@ class NamedSet:
 
 @dataclass
 class Scope:
-    """What a part, an instance, or the assembly (with all that stands outside of parts) defines."""
+    """What a part, an instance, or the assembly (with all that stands outside of parts) defines.
+
+    ``others`` are elements that a program may assemble though they cannot be here: type, label and nodes (k, 1 + width).
+    """
 
     name: str
     node_ids: list[Ints] = field(default_factory=list)
     xyz: list[Floats] = field(default_factory=list)
     elements: dict[str, list[Ints]] = field(default_factory=dict)
     points: list[tuple[int, str, str]] = field(default_factory=list)
+    others: list[tuple[str, Ints]] = field(default_factory=list)
     node_sets: dict[str, NamedSet] = field(default_factory=dict)
     element_sets: dict[str, NamedSet] = field(default_factory=dict)
     surfaces: list[tuple[Card, Rows]] = field(default_factory=list)
@@ -151,7 +155,7 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto") -> De
         InputError: the text is not an input deck, or holds what a model cannot carry.
     """
     deck = Deck(path.name)
-    reader = _Reader(deck)
+    reader = DeckReader(deck)
     for card, pieces in cards(path, outside=outside):
         reader.take(card, pieces)
     if reader.open:
@@ -174,7 +178,7 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto") -> De
     return deck
 
 
-class _Reader:
+class DeckReader:
     """Puts each card where it belongs."""
 
     def __init__(self, deck: Deck) -> None:
@@ -251,7 +255,7 @@ class _Reader:
                 xyz = np.column_stack([r * np.cos(angle), r * np.sin(angle), xyz[:, 2]])
             self.scope.node_ids.append(ids)
             self.scope.xyz.append(xyz)
-            _join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
+            join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
 
     def _elements(self, card: Card, pieces: Iterator[bytes]) -> None:
         code = card.options.get("TYPE", "").upper()
@@ -261,7 +265,7 @@ class _Reader:
             for rows in _records(card, pieces, code):
                 counts[code] += len(rows)
                 self.scope.elements.setdefault(code, []).append(rows)
-                _join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
+                join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
         for row in fields(b"".join(pieces)):
             counts[code or "(none)"] += 1
@@ -270,20 +274,20 @@ class _Reader:
                 if number_ is None:
                     raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a label and a node")
                 self.scope.points.append((number_, row[1], code))
-                _join(self.scope.element_sets, name, Members(np.array([number_]), [], [], ""))
+                join(self.scope.element_sets, name, Members(np.array([number_]), [], [], ""))
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
         name, instance = card.need(card.keyword), card.options.get("INSTANCE", "")
         if "ELSET" in card.options and card.keyword == "NSET":
             raise InputError(f"{card} makes {name!r} of the nodes of an element set; list the nodes")
-        _join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
+        join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
         for piece in pieces:
             if "GENERATE" in card.options:
                 ranges = [_range(row, card) for row in fields(piece) if row]
-                _join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
+                join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
             elif piece:
-                _join(sets, name, Members(*_split(piece, card), instance))
+                join(sets, name, Members(*_split(piece, card), instance))
 
     def _material(self, card: Card) -> None:
         name = card.need("NAME")
@@ -324,7 +328,7 @@ def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
         raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
 
 
-def _join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
+def join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
     if name:
         sets.setdefault(name.upper(), NamedSet(name)).parts.append(part)
 
