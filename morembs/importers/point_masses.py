@@ -92,7 +92,7 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
     table = dof_table(model)
     rows, columns, values = [], [], []
     for mass in masses:
-        M, dofs = mass_about_node(mass), table[mass.node]
+        M, dofs = mass_about_node(mass), table[mass.node, :6]
         lost = np.flatnonzero((dofs < 0) & (np.abs(M) > 0).any(axis=1))
         if len(lost):
             raise InputError(

@@ -147,7 +147,10 @@ class _Model:
             row = np.full(len(assembly.ids), -1, dtype=np.int64)
             row[extra] = np.arange(len(extra))
             nodes = Nodes(ids=assembly.ids[extra], xyz=assembly.xyz[extra])
-        nodes, at = self._with_own_nodes(nodes, row, mapped, named)
+        named_by = np.zeros(len(mapped.owner), dtype=bool)
+        if S is not None:
+            named_by[S.indices] = True
+        nodes, at = self._with_own_nodes(nodes, row, mapped, named, named_by)
         solid = 0 if mesh is None else len(mesh.nodes)
         dof_node, dof_component = at, mapped.component
         dependent = row[node - 1], direction - 1
@@ -174,12 +177,12 @@ class _Model:
         )  # fmt: skip
 
     def _with_own_nodes(
-        self, nodes: Nodes, row: Ints, mapped: RowMap, named: dict[str, Ints]
+        self, nodes: Nodes, row: Ints, mapped: RowMap, named: dict[str, Ints], named_by: NDArray[np.bool_]
     ) -> tuple[Nodes, Ints]:
         """Nodes with those that CalculiX made, and the node row (N,) of each row of the export.
 
         Expanded nodes get labels beyond the deck and are in the sets of their parents; modes inside elements belong
-        to the first node that K couples them to.
+        to the first node that K couples them to, those that equations name (``named_by``) have a node of their own.
         """
         first = 10 ** len(str(int(self.assembly.ids.max())))
         at = np.full(len(mapped.owner), -1, dtype=np.int64)
@@ -187,9 +190,10 @@ class _Model:
         at[deck] = row[mapped.owner[deck] - 1]
         ids, xyz, sets = [nodes.ids], [nodes.xyz], {name: rows for name, rows in nodes.sets.items()}
         # What has neither a node of the deck nor is a mode: expanded nodes, and rotations of bodies without a name.
-        own = (mapped.owner < 0) | ((mapped.owner == 0) & (mapped.component < SCALAR))
+        scalar = mapped.component == SCALAR
+        own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
-            key = np.where(mapped.owner < 0, -mapped.owner, 0) + (mapped.owner == 0) * (10**9 + mapped.group)
+            key = np.where(mapped.owner < 0, -mapped.owner, 0) + (mapped.owner == 0) * (10**9 + 4 * mapped.group + scalar * (1 + self.read.dof))
             keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
             at[own] = len(nodes) + inverse
             places = mapped.place[own][where]
@@ -199,9 +203,8 @@ class _Model:
             xyz.append(places)
             if self.expanded is not None:
                 sets = self._expanded_sets(sets, keys, len(nodes), row, named)
-        scalar = np.flatnonzero(at < 0)
         K = self.read.K
-        for i in scalar.tolist():
+        for i in np.flatnonzero(at < 0).tolist():
             coupled = at[K.indices[K.indptr[i] : K.indptr[i + 1]]]
             at[i] = coupled[coupled >= 0].min(initial=2**62)
         at[at == 2**62] = 0
