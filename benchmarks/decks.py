@@ -11,6 +11,7 @@ those of the held model. Printed are a line for each deck and the figures of all
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import re
 import subprocess
@@ -143,11 +144,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--json", type=Path)
     given = parser.parse_args(arguments)
-    decks = [path for path in sorted(given.folder.rglob("*.inp")) if structural(path.read_text(errors="replace"))]
-    decks = [path for path in decks if not given.only or path.stem in given.only]
     results = []
-    for path in decks:
-        results.append(examine(path, given.limit))
+    for path in sorted(path for path in given.folder.rglob("*.inp*") if path.name.endswith((".inp", ".inp.gz"))):
+        packed = path.suffix == ".gz"
+        text = (gzip.decompress(path.read_bytes()) if packed else path.read_bytes()).decode("latin-1")
+        if not structural(text) or (given.only and path.name.split(".inp")[0] not in given.only):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            if packed:
+                path = Path(folder) / path.stem
+                path.write_text(text, encoding="latin-1")
+            results.append(examine(path, given.limit))
         print({k: v for k, v in results[-1].items() if k not in ("ccx", "own")}, flush=True)
         if given.json:
             given.json.write_text(json.dumps(results, indent=1))

@@ -31,7 +31,7 @@ _CODES = {
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
-    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "MEMBRANE SECTION": ".", "SPRING": ".",
+    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".", "MEMBRANE SECTION": ".", "SPRING": ".",
     "MASS": ".", "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
     "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
     "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",
@@ -96,6 +96,8 @@ class FlatDeck:
 
     def lines(self, placed: Placed, card: Card, rows: Rows, kinds: str) -> str:
         """The text of a keyword with its data, names and labels in those of the flat deck."""
+        if card.keyword in ("SOLID SECTION", "SHELL SECTION") and "COMPOSITE" not in card.options:
+            kinds = "."
         head = "*" + ", ".join([card.keyword, *(self._option(placed, card, *item) for item in card.options.items())])
         data = []
         for row in rows:

@@ -13,6 +13,7 @@ from morembs.importers.engines.calculix_rows import Expanded
 
 Ints = NDArray[np.int64]
 _LABEL = re.compile(r'with label "(\w+)')
+_KNOT = re.compile(r"KNOT was generated in node +(\d+)")
 _BLOCK = b"    2C"
 # Places in the expanded element that each node of its parent becomes; both in CalculiX' order.
 _LAYERS3 = ((0, 3), (1, 4), (2, 5))
@@ -37,9 +38,12 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
     if not topology.is_file() or not topology.stat().st_size:
         return None
     parent: dict[int, int] = {}
+    knots: list[int] = []
     lines = iter(topology.read_text(errors="replace").splitlines())
     for line in lines:
-        head = _LABEL.search(line)
+        knot, head = _KNOT.search(line), _LABEL.search(line)
+        if knot is not None:
+            knots.append(int(knot[1]))
         if head is None:
             continue
         own = [int(text) for text in next(lines, "").split()]
@@ -57,7 +61,10 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
     if not parent:
         return None
     nodes = np.array(sorted(parent), dtype=np.int64)
-    return Expanded(nodes=nodes, xyz=_places(result, nodes), parent=np.array([parent[node] for node in nodes.tolist()]))
+    return Expanded(
+        nodes=nodes, xyz=_places(result, nodes), parent=np.array([parent[node] for node in nodes.tolist()]),
+        knots=np.array(knots, dtype=np.int64),
+    )  # fmt: skip
 
 
 def _places(path: Path, nodes: Ints) -> NDArray[np.float64]:

@@ -21,13 +21,13 @@ from morembs.model.constraints import AverageElement
 Ints = NDArray[np.int64]
 # Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
 _PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
-                       "DISTRIBUTING COUPLING", "NODAL THICKNESS", "SOLID SECTION"}  # fmt: skip
+                       "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
 # Left out with a warning: the body is that of the deck without them.
 _WARNED = {"CYCLIC SYMMETRY MODEL": "the body is the sector alone", "ROTARY INERTIA": "CalculiX has none"}
 _CONTACT = ("CONTACT PAIR", "CONTACT", "CLEARANCE", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION")
 _HARMLESS = NOTED | SILENT | {
-    "DASHPOT", "SURFACE SECTION", "SUBMODEL", "CONTROLS", "DISTRIBUTION TABLE", "VIEWFACTOR", "DESIGN VARIABLES", "END",
+    "STATIC", "DASHPOT", "SURFACE SECTION", "SUBMODEL", "CONTROLS", "DISTRIBUTION TABLE", "VIEWFACTOR", "DESIGN VARIABLES", "END",
     "NO ANALYSIS", "MODEL CHANGE", "VALUES AT INFINITY", "CONSTRAINT", "OBJECTIVE", "TIMEPOINTS", "CHANGE FRICTION",
     "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "DESIGNVARIABLES", "FLUID SECTION",
     "GEOMETRIC TOLERANCES", "ROBUST DESIGN", "CORRELATION LENGTH", "SENSITIVITY", "FEASIBLE DIRECTION",
@@ -125,7 +125,7 @@ class _Writer:
             self._distributing(placed, card, rows)
         elif word == "SOLID SECTION":
             self._section(placed, card, rows)
-        elif word in _PLAIN:
+        elif word in _PLAIN and word not in _IN_STEPS:
             self._plain(placed, card, rows)
         elif word in _HARMLESS:
             self.deck.noted[word] = self.deck.noted.get(word, 0) + 1

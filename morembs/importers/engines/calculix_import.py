@@ -106,7 +106,7 @@ class _Model:
         """Rotations of rigid bodies at their reference nodes, where each has its own three."""
         turns = (mapped.component > 2) & (mapped.component < SCALAR) & (mapped.owner == 0)
         groups = np.unique(mapped.group[turns])
-        bodies = self.flat.bodies
+        bodies = [*self.flat.bodies, *([] if self.expanded is None else self.expanded.knots.tolist())]
         if not len(groups) or len(groups) != len(bodies) or len(set(bodies)) < len(bodies):
             return mapped
         owner, place = mapped.owner.copy(), mapped.place.copy()

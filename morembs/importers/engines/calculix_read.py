@@ -54,7 +54,7 @@ def read_for_engine(path: Path, *, outside: bool = False) -> EngineDeck:
     reader = _Keeping(deck)
     for card, pieces in cards(path, outside=outside):
         reader.take(card, pieces)
-    if reader.open:
+    if reader.open and reader.open != ["STEP"]:
         raise InputError(f"{path.name} ends inside *{reader.open[-1]}; the file may be cut off")
     wrong = {code: count for code, count in deck.counts.items() if not _known(code)}
     if wrong:
@@ -84,9 +84,12 @@ class _Keeping(DeckReader):
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
         word, deck = card.keyword, self.deck
-        if self.open and self.open[-1] == "STEP":
-            if word == "END STEP":
-                self.open.pop()
+        if word == "END STEP":
+            # Steps are history; CalculiX, too, takes one that is not ended at the end of a deck.
+            self.open = [scope for scope in self.open if scope != "STEP"]
+        elif self.open and self.open[-1] == "STEP":
+            if word == "STEP":
+                deck.steps.append([(card, [])])
             else:
                 deck.steps[-1].append((card, fields(b"".join(pieces))))
         elif word == "STEP":

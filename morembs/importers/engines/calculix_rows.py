@@ -31,11 +31,13 @@ STRAINED = 1e-9
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Expanded:
     """What CalculiX made of shells and beams: places of the ``nodes`` (n,) by their internal numbers, ascending, in
-    ``xyz`` (n, 3), and the ``parent`` (n,) label of each, 0 for those of no parent."""
+    ``xyz`` (n, 3), and the ``parent`` (n,) label of each. ``knots`` are labels of parents that have dofs of their own,
+    displacements and rotations, which all that they became follows."""
 
     nodes: Ints
     xyz: Floats
     parent: Ints
+    knots: Ints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +77,7 @@ def map_rows(
     group = groups_of(label, direction)
     first = np.flatnonzero(np.diff(group, prepend=-1))
     count = len(xyz)
-    parents = set() if expanded is None else set(expanded.parent.tolist())
+    parents = set() if expanded is None else set(expanded.parent.tolist()) - set(expanded.knots.tolist())
     of_group = label[first]
     owner = np.zeros(len(first), dtype=np.int64)
     known = np.zeros(len(first), dtype=bool)
