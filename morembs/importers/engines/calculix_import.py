@@ -64,7 +64,7 @@ def import_with_calculix(
     try:
         read = ccx.export()
         expanded = ccx.expansion()
-        return _Model(deck, assembly, flat, read, expanded).imported(ccx, choices)
+        return _Model(deck, assembly, flat, read, expanded, held=choices.keep).imported(ccx, choices)
     finally:
         ccx.folder.close()
 
@@ -73,9 +73,11 @@ class _Model:
     """Rows of an export on nodes of the deck and of expanded elements."""
 
     def __init__(
-        self, deck: EngineDeck, assembly: Assembly, flat: Flat, read: CalculixMatrices, expanded: Expanded | None
-    ) -> None:
-        self.deck, self.assembly, self.flat, self.read, self.expanded = deck, assembly, flat, read, expanded
+        self, deck: EngineDeck, assembly: Assembly, flat: Flat, read: CalculixMatrices, expanded: Expanded | None,
+        *, held: bool,
+    ) -> None:  # fmt: skip
+        self.deck, self.assembly, self.flat, self.expanded = deck, assembly, flat, expanded
+        self.plain = self.read = read
         self.solid = np.zeros(len(assembly.ids), dtype=bool)
         for block in assembly.blocks:
             self.solid[block.nodes] = True
@@ -91,15 +93,22 @@ class _Model:
         placed[np.array(bodies, dtype=np.int64) - 1] = True
         unplaced = np.flatnonzero(~placed) + 1
         self.map = map_rows(
-            read.K, read.node, read.dof, assembly.xyz, expanded=expanded, turning=flat.turning, unplaced=unplaced
+            read.K, read.node, read.dof, assembly.xyz, expanded=expanded, turning=flat.turning, unplaced=unplaced,
+            bodies=len(flat.bodies), held=held,
         )
-        self.strain = strain(read.K, self.map)
+        self.T = self.map.change
+        if self.T is not None:
+            K, M = (sp.csr_array(self.T.T @ A @ self.T) for A in (read.K, read.M))
+            self.read = replace(read, K=K, M=M)
+        self.strain = strain(self.read.K, self.map)
 
     def imported(self, ccx: Ccx, choices: Choices) -> Imported:
         """The whole model."""
         mapped = self._with_rotations(self.map)
         node, direction = self._missing(mapped)
-        S = ccx.probe(self.read, node, direction) if len(node) else None
+        S = ccx.probe(self.plain, node, direction) if len(node) else None
+        if S is not None and self.T is not None:
+            S = sp.csr_array(S @ self.T)
         return self._joined(mapped, node, direction, S, choices)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
