@@ -71,16 +71,24 @@ class Ccx:
         lost = [end for end in _ENDINGS if not stem.with_suffix(end).is_file() or not stem.with_suffix(end).stat().st_size]
         if lost:
             raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
-        read = read_calculix_matrices(stem, several=True)
-        for matrix, what in ((read.K, "stiffness"), (read.M, "mass")):
-            bad = np.flatnonzero(~np.isfinite(matrix.data))
-            if len(bad):
-                row = int(np.searchsorted(matrix.indptr, bad[0], side="right")) - 1
-                raise InputError(
-                    f"ccx wrote a {what} that is not a number in row {self._label(int(read.node[row]))}."
-                    f"{read.dof[row]}; an element there is degenerate, or a constraint is not linear"
+        try:
+            return read_calculix_matrices(stem, several=True)
+        except InputError as error:
+            raise self._not_finite(stem) or error from error
+
+    def _not_finite(self, stem: Path) -> InputError | None:
+        """What to say where ccx wrote a number that is none."""
+        for end, what in ((".sti", "stiffness"), (".mas", "mass")):
+            with stem.with_suffix(end).open("rb") as file:
+                line = next((line for line in file if b"nan" in line.lower() or b"inf" in line.lower()), b"")
+            if line:
+                dof = stem.with_suffix(".dof").read_text().split()
+                node, _, direction = dof[int(line.split()[0]) - 1].partition(".")
+                return InputError(
+                    f"ccx wrote a {what} that is not a number in row {self._label(int(node))}.{direction}; an element "
+                    "there is degenerate, or a constraint there is not linear"
                 )
-        return read
+        return None
 
     def expansion(self) -> Expanded | None:
         """What became of shells, membranes, beams and trusses, None without any."""

@@ -114,7 +114,7 @@ class _Writer:
                 out.card(placed, card, rows)
         elif word in _CONTACT:
             self._contact(placed, card, rows)
-        elif word in _WARNED or (word == "TIE" and "CYCLIC SYMMETRY" in card.options):
+        elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
             reason = _WARNED.get(word, "the body is the sector alone")
             flat.warnings.append(f"*{word} was left out: {reason} [keywords-skipped]")
         elif word == "EQUATION":
@@ -173,12 +173,10 @@ class _Writer:
             axes = (points[:2] - origin) @ placed.rotation.T
             rows = [[numeral(x) for x in axes.ravel()], *rows[1:]]
         out = self.flat.deck
-        kinds = "d." if rows and card.keyword == "ORIENTATION" and "DEFINITION" in card.options else None
-        if rows and card.keyword == "ORIENTATION" and len(rows[0]) == 1:
+        kinds = CARDS[card.keyword]
+        if card.keyword == "ORIENTATION" and rows and rows[0][0][:1].isalpha():
             kinds = "d."
-        if card.keyword == "DISTRIBUTION":
-            rows = [row for row in rows if row and row[0]]
-        out.body.append((-1, out.lines(placed, card, rows, kinds or CARDS[card.keyword])))
+        out.body.append((-1, out.lines(placed, card, rows, kinds)))
 
     def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
         if self.choices.keep:
