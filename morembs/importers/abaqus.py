@@ -40,7 +40,7 @@ def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
         what = f"*{ties[0].keyword}" if ties else "point masses or springs"
         deck.problems.add(
             Problem(
-                what=f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out of it",
+                what=f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out",
                 file=deck.name, keyword=ties[0].keyword if ties else "ELEMENT",
             )
         )  # fmt: skip
@@ -134,6 +134,9 @@ def _notes(deck: Deck) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
     for word in deck.noted:
+        if word == "END STEP":
+            notes.append("The last step is not ended (*END STEP is missing).")
+            continue
         reason = "is not applied; the body is free" if word == "BOUNDARY" else "is not carried over"
         notes.append(f"*{word} {reason}.")
     if deck.in_steps:

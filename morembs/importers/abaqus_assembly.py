@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +215,14 @@ class Assembly:
                 else f"{self.deck}: {who} {len(missing)} nodes{_of(placed)} that are not defined: {some}"
             )
         return placed.rows[at]
+
+    @cached_property
+    def in_solids(self) -> NDArray[np.bool_]:
+        """Which nodes belong to solids."""
+        used = np.zeros(len(self.ids), dtype=bool)
+        for block in self.blocks:
+            used[block.nodes] = True
+        return used
 
     def new_node(self, xyz: Floats) -> int:
         """Row of a node that the deck does not have."""

@@ -212,8 +212,8 @@ class Constraints:
         else:
             reference = self.assembly.new_node(self.assembly.xyz[slaves].mean(axis=0))
             self.found.notes.append(
-                f"The rigid body {title} names no reference node; node {self.assembly.ids[reference]} was put at its mean "
-                "place."
+                f"The rigid body {title} names no reference node; node {self.assembly.ids[reference]} was put at its "
+                "mean place."
             )
         if options.get("ROT NODE"):
             self.found.notes.append(

@@ -159,6 +159,10 @@ def read_deck(
         reader = _Reader(deck)
         for card, pieces in cards(path, outside=outside):
             reader.take(card, pieces)
+        if reader.open == ["STEP"]:
+            # Nothing of a step is applied, so its end does not matter.
+            reader.open.clear()
+            deck.noted["END STEP"] = 0
         if reader.open:
             raise InputError(
                 f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
@@ -184,7 +188,7 @@ def _others(deck: Deck) -> None:
     if not unknown:
         return
     listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
-    gaps = GAPS >= set(unknown)
+    gaps = set(unknown) <= GAPS
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
     deck.problems.add(
         Problem(
@@ -371,8 +375,8 @@ class _Reader:
             named = next((card.options[k] for k in ("NAME", "ELSET", "NSET") if card.options.get(k)), "")
             why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
             what = (
-                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck, or leave it out "
-                f"with --skip {word!r}, if the model is right without it"
+                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck, or leave it "
+                f"out with --skip {word!r}, if the model is right without it"
             )
             self.deck.problems.add(
                 Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(f"--skip {word}",))

@@ -27,7 +27,7 @@ class Axes:
 
     def __init__(self, assembly: Assembly) -> None:
         self.assembly = assembly
-        self._of: dict[int, Floats] = {}
+        self._of: dict[int, tuple[Card, str, Floats, Floats]] = {}
 
     def read(self) -> None:
         """All *TRANSFORM of the scopes."""
@@ -41,18 +41,24 @@ class Axes:
         kind, data = card.options.get("TYPE", "R").upper()[:1], values(rows[0], card) if rows else []
         data += [0.0] * (6 - len(data))
         a, b = np.array(data[:3]), np.array(data[3:6])
+        if kind == "R":
+            a, b = placed.rotation @ a, placed.rotation @ b
         for node in self.assembly.nodes_of(placed, card.need("NSET")).tolist():
-            x = self.assembly.xyz[node]
-            if kind == "C":
-                axis = (b - a) / np.linalg.norm(b - a) if np.linalg.norm(b - a) > 0 else b - a
-                axes = frame_of(axis, x - a)
-                # Along the axis, away from it, around it; the order of the manual is away, around, along.
-                axes = None if axes is None else axes[[1, 2, 0]]
-            else:
-                axes = frame_of(a, b) if kind == "R" else None
-            if axes is None:
-                raise InputError(f"{card} gives no axes at node {self.assembly.ids[node]}; expected TYPE=R or C")
-            self._of[node] = axes @ placed.rotation.T if kind == "R" else axes
+            self._of[node] = card, kind, a, b
+
+    def _at(self, node: int) -> Floats:
+        """The axes of a node as rows."""
+        card, kind, a, b = self._of[node]
+        axes = frame_of(a, b) if kind == "R" else None
+        if kind == "C":
+            axes = frame_of(b - a, self.assembly.xyz[node] - a)
+            # Along the axis, away from it, around it; the order of the manual is away, around, along.
+            axes = None if axes is None else axes[[1, 2, 0]]
+        if axes is None:
+            raise InputError(
+                f"{card} gives no axes at node {self.assembly.ids[node]}; expected TYPE=R or C, and a node off the axis"
+            )
+        return axes
 
     def turned(self, node: int) -> bool:
         """Whether a node has axes of its own."""
@@ -62,7 +68,7 @@ class Axes:
         """Direction (6,) in global components of a component of a node."""
         part = np.zeros(6)
         if node in self._of:
-            part[3 * (component // 3) : 3 * (component // 3) + 3] = self._of[node][component % 3]
+            part[3 * (component // 3) : 3 * (component // 3) + 3] = self._at(node)[component % 3]
         else:
             part[component] = 1.0
         return part
@@ -137,6 +143,8 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
     for i in range(count):
         p, *others = (int(rows[i if len(rows) > 1 else 0]) for rows in nodes)
         title = f"{card} {kind} of node {assembly.ids[p]}"
+        # Solids have no rotations.
+        turning = kind == "TIE" and not assembly.in_solids[[p, others[0]]].any()
         if kind == "LINEAR":
             a, b = others
             span = x[b] - x[a]
@@ -150,7 +158,7 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
             order = np.argsort(-np.abs(axis), kind="stable").tolist()
             sums.append((title, [(p, c, axis[c]) for c in order] + [(others[0], c, -axis[c]) for c in order]))
         else:
-            sums += [(title, [(p, c, 1.0), (others[0], c, -1.0)]) for c in range(3 if kind == "PIN" else 6)]
+            sums += [(title, [(p, c, 1.0), (others[0], c, -1.0)]) for c in range(6 if turning else 3)]
     return sums
 
 
@@ -171,7 +179,7 @@ def solved(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equ
             for other, component, value in terms:
                 if other == node and component < 3:
                     A[i, component] += value
-        _, R, pivot = sl.qr(A, mode="r", pivoting=True)
+        R, pivot = sl.qr(A, mode="r", pivoting=True)
         if len(own) > 3 or not abs(R[len(own) - 1, len(own) - 1]) > 1e-10 * abs(R[0, 0]):
             raise InputError(f"{own[0][0]} has others on the same node that say the same; leave them out")
         mix = np.linalg.inv(A[:, pivot[: len(own)]])

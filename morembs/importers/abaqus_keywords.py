@@ -246,7 +246,7 @@ def _card(line: bytes, file: str, number: int) -> Card:
 
 
 def fields(lines: bytes, *, ends: bool = False) -> list[list[str]]:
-    """Fields of each data line, without empty ones at its end, but for one where it ``ends`` in a comma if asked for."""
+    """Fields of each data line without empty ones at its end; with ``ends`` one where the line ends in a comma."""
     rows = []
     for line in decoded(lines).split("\n"):
         row = [part.strip().strip('"') for part in line.split(",")]

@@ -65,7 +65,7 @@ def _constant(card: Card, lines: list[list[float]], warnings: list[str]) -> floa
                 "[temperature-first-row]"
             )
         return lines[0][0]
-    table = np.array([(row + [0.0])[:2] for row in lines])
+    table = np.array([[*row, 0.0][:2] for row in lines])
     force, motion = table[np.argsort(table[:, 1], kind="stable")].T
     if len(table) < 2 or not (np.diff(motion) > 0).all():
         raise InputError(f"{card} is nonlinear and gives no table of forces over growing motions; expected one")

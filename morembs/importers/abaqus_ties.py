@@ -51,8 +51,8 @@ def glued(
     notes, warnings = _said(assembly, title, nodes, found.distance, near, tolerance, late)
     if contact:
         warnings.append(
-            f"the contact pair {row[0]}, {row[1]} was glued where its surfaces are within {tolerance:.3g} of each other "
-            f"({int(near.sum())} nodes) [contact-tied]"
+            f"the contact pair {row[0]}, {row[1]} was glued where its surfaces are within {tolerance:.3g} of each "
+            f"other ({int(near.sum())} nodes) [contact-tied]"
         )
     if not near.any():
         if late or contact or not len(slave.nodes) or not len(nodes):
@@ -88,13 +88,13 @@ def _said(
     notes, warnings = [], []
     moved = float(distance[near].max(initial=0.0))
     if moved > 0:
-        notes.append(f"{title}: {int(near.sum())} nodes were moved to the faces they are tied to, by up to {moved:.3g}.")
+        notes.append(f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {moved:.3g}.")
     away = nodes[~near]
     if len(away):
         some = ", ".join(map(str, assembly.ids[away[:10]].tolist()))
         warnings.append(
-            f"{title}: {len(away)} nodes are further than {tolerance:.3g} from the other surface and are not tied ({some}"
-            f"{', ...' if len(away) > 10 else ''})"
+            f"{title}: {len(away)} nodes are further than {tolerance:.3g} from the other surface and are not tied "
+            f"({some}{', ...' if len(away) > 10 else ''})"
         )
     if late:
         warnings.append(f"{title}: {late} nodes follow something else already and were left to it")

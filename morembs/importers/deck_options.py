@@ -27,7 +27,7 @@ class DeckOptions:
     @property
     def flags(self) -> tuple[str, ...]:
         """The options as the command line has them."""
-        given = [f"--density {value:g}{'' if name == 'all' else f',set={name}'}" for name, value in self.density.items()]
+        given = [f"--density {value:g}{'' if key == 'all' else f',set={key}'}" for key, value in self.density.items()]
         return (
             *given, *([f"--contact {self.contact}"] if self.contact != "refuse" else []),
             *(f"--skip {word}" for word in sorted(self.skip)),
@@ -79,9 +79,8 @@ def deck_options(
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"density = {value!r} was given for {name!r}; expected a positive number")
     words = skip.split(",") if isinstance(skip, str) else skip
-    return DeckOptions(
-        density=given, contact=contact, skip=frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
-    )
+    plain = frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
+    return DeckOptions(density=given, contact=contact, skip=plain)
 
 
 def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Problem]:

@@ -62,8 +62,8 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
     for element in floating:
         if element.matrix != "K":
             raise InputError(
-                f"{element.name!r} acts on rotations of node {model.nodes.ids[element.nodes[0]]}, which it does not have "
-                "(a solid has none); couple the node by a rigid element"
+                f"{element.name!r} acts on rotations of node {model.nodes.ids[element.nodes[0]]}, which it does not "
+                "have (a solid has none); couple the node by a rigid element"
             )
     if floating:
         plain += _condensed(floating, table)
@@ -101,9 +101,8 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints) -> list[Discret
         kept = table.ravel()[own] >= 0
         inner = A[np.ix_(kept, ~kept)] @ np.linalg.pinv(A[np.ix_(~kept, ~kept)], hermitian=True)
         values = A[np.ix_(kept, kept)] - inner @ A[np.ix_(~kept, kept)]
+        name = elements[members[0]].name
         condensed.append(
-            DiscreteElement(
-                name=elements[members[0]].name, matrix="K", nodes=own[kept] // 6, components=own[kept] % 6, values=values
-            )
+            DiscreteElement(name=name, matrix="K", nodes=own[kept] // 6, components=own[kept] % 6, values=values)
         )
     return condensed

@@ -102,7 +102,7 @@ def _completed(imported: Imported) -> Imported:
     bare = {name: lack for name, lack in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
         stiff = all(lack.stiffness is not None for lack in bare.values())
-        cure = "a density: --density X" if stiff and len(bare) > 1 else f"a density: --density X,set={next(iter(bare))}"
+        cure = "a density: --density X" if len(bare) > 1 else f"a density: --density X,set={next(iter(bare))}"
         raise InputError(
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
