@@ -56,8 +56,8 @@ class Discrete:
 class Assembly:
     """All nodes (n, 3) and elements of a deck, and what its names mean.
 
-    Elements are numbered block by block; behind the solids those on single nodes, and then all others, which are left
-    out.
+    Elements are numbered block by block, behind the solids those on single nodes, and behind these ``others`` (type,
+    labels, rows of nodes), which are not assembled here.
     """
 
     def __init__(self, deck: Deck) -> None:
@@ -127,7 +127,7 @@ class Assembly:
         extra_labels = [
             np.array(
                 [n for scope in placed.contents for n, *_ in scope.discrete]
-                + [n for scope in placed.contents for n in scope.others],
+                + [n for scope in placed.contents for _, rows in scope.others for n in rows[:, 0].tolist()],
                 dtype=np.int64,
             )
             for placed in scopes
@@ -177,11 +177,21 @@ class Assembly:
                 ends = [self.one_node(placed, ref) for ref in nodes_]
                 self.discrete.append(Discrete(placed, code, label_ + shifts[j], count, ends))
                 count += 1
+        self.others: list[tuple[str, Ints, Ints]] = []
         for j, placed in enumerate(scopes):
+            for scope in placed.contents:
+                for code, rows in scope.others:
+                    nodes = self.rows_of(placed, rows[:, 1:], "elements name")
+                    self.others.append((code, rows[:, 0] + shifts[j], nodes))
             left = len(number[j]) - filled[j]
             number[j][filled[j] :] = np.arange(count, count + left)
             count += left
             placed.element_rows = number[j][np.argsort(own[j], kind="stable")]
+
+    def element_labels(self) -> Ints:
+        """Labels of all elements by their numbers."""
+        discrete = np.array([element.label for element in self.discrete], dtype=np.int64)
+        return np.concatenate([_NONE, *(b.ids for b in self.blocks), discrete, *(ids for _, ids, _ in self.others)])
 
     def _in_order(self, kind: str, nodes: Ints, ids: Ints) -> Ints:
         """Nodes in VTK order; surfaces, too, go by it. Programs differ in the order of the 7 inner nodes of hex27, so
@@ -230,7 +240,7 @@ class Assembly:
         self.xyz = np.vstack([self.xyz, xyz])
         return len(self.ids) - 1
 
-    def _split(self, placed: Placed, text: str) -> tuple[Placed, str]:
+    def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
         """The scope that a reference "INSTANCE.NAME" means and what it names there."""
         first, dot, rest = text.partition(".")
         if dot and placed is self.top and first.upper() in self.placed:
@@ -246,7 +256,7 @@ class Assembly:
 
     def nodes_of(self, placed: Placed, text: str) -> Ints:
         """Rows of the nodes that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self.rows_of(scope, np.array([value]), "a line names")
@@ -254,7 +264,7 @@ class Assembly:
 
     def elements_of(self, placed: Placed, text: str) -> Ints:
         """Numbers of the elements that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self._found("element", scope, np.array([value]), text)
@@ -303,7 +313,7 @@ class Assembly:
                 )
             pieces.append(rows[low:high][on])
         for other in part.names:
-            target, rest = self._split(scope, other)
+            target, rest = self.split(scope, other)
             value = label(rest)
             if value is not None:
                 pieces.append(self._found(kind, target, np.array([value]), name))
@@ -352,7 +362,7 @@ class Assembly:
 
     def final_name(self, kind: str, placed: Placed, text: str) -> str:
         """Name that the set ``text`` of a scope has in the end."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         for name, (where, own) in self.named(kind).items():
             if where is scope and own.upper() == rest.upper():
                 return name

@@ -83,7 +83,7 @@ class Constraints:
 
     def _one(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
         if card.keyword == "COUPLING":
-            self._coupling(placed, card, kind, kind_rows)
+            self.coupling(placed, card, kind, kind_rows)
         elif card.keyword == "KINEMATIC COUPLING":
             self._kinematic_coupling(placed, card, rows)
         elif card.keyword == "DISTRIBUTING COUPLING":
@@ -126,12 +126,13 @@ class Constraints:
             nodes.update(given.nodes[given.components < 3].tolist())
         return nodes
 
-    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+    def coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+        """*COUPLING with what it is: *KINEMATIC or *DISTRIBUTING."""
         name = card.options.get("CONSTRAINT NAME", "")
         if kind is None:
             raise InputError(f"{card} {name!r} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        nodes, weights = self._nodes_of_surface(placed, card)
+        nodes, weights = self.surface(placed, card.need("SURFACE"), card)
         components = _components(rows, kind)
         if card.options.get("ORIENTATION") and components not in (_ALL, (0, 1, 2)):
             raise InputError(f"{card} {name!r} ties some directions of an *ORIENTATION; expected all, or global axes")
@@ -258,8 +259,9 @@ class Constraints:
             title = f"{first} {count}"
         return title
 
-    def _nodes_of_surface(self, placed: Placed, card: Card) -> tuple[Ints, Floats]:
-        surface = self.surfaces.of(placed, card.need("SURFACE"), card)
+    def surface(self, placed: Placed, name: str, card: Card) -> tuple[Ints, Floats]:
+        """Rows of the nodes of a surface, and their weights."""
+        surface = self.surfaces.of(placed, name, card)
         return surface.nodes, surface.weights
 
     def _point_elements(self) -> None:

@@ -53,6 +53,7 @@ _VARIANTS = {
     "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"), "C3D27": ("H", "R", "RH"), "C3D15": ("H",),
 }  # fmt: skip
 SOLIDS = _KINDS | {code + end: _KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
+POINTS = ("MASS", "ROTARYI")
 # Elements on single nodes, with how many they have.
 DISCRETE = {
     "MASS": 1, "ROTARYI": 1, "DCOUP3D": 1, "SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "DASHPOT1": 1, "DASHPOT2": 2,
@@ -88,14 +89,18 @@ class NamedSet:
 
 @dataclass
 class Scope:
-    """What a part, an instance, or the assembly (with all that stands outside of parts) defines."""
+    """What a part, an instance, or the assembly (with all that stands outside of parts) defines.
+
+    ``others`` are elements that are not assembled here: type, label and nodes (k, 1 + width), of which a program that
+    takes them needs all and others none.
+    """
 
     name: str
     node_ids: list[Ints] = field(default_factory=list)
     xyz: list[Floats] = field(default_factory=list)
     elements: dict[str, list[Ints]] = field(default_factory=dict)
     discrete: list[tuple[int, list[str], str]] = field(default_factory=list)
-    others: list[int] = field(default_factory=list)
+    others: list[tuple[str, Ints]] = field(default_factory=list)
     node_sets: dict[str, NamedSet] = field(default_factory=dict)
     element_sets: dict[str, NamedSet] = field(default_factory=dict)
     surfaces: list[tuple[Card, Rows]] = field(default_factory=list)
@@ -122,8 +127,8 @@ class Deck:
     does not tell."""
 
     name: str
-    options: DeckOptions
-    problems: Problems
+    options: DeckOptions = field(default_factory=DeckOptions)
+    problems: Problems = field(default_factory=lambda: Problems(""))
     top: Scope = field(default_factory=lambda: Scope(""))
     parts: dict[str, Scope] = field(default_factory=dict)
     instances: dict[str, Instance] = field(default_factory=dict)
@@ -156,7 +161,7 @@ def read_deck(
     options = options or DeckOptions()
     deck = Deck(path.name, options, Problems(path.name, options.flags))
     with deck.problems.ending():
-        reader = _Reader(deck)
+        reader = DeckReader(deck)
         for card, pieces in cards(path, outside=outside):
             reader.take(card, pieces)
         if reader.open == ["STEP"]:
@@ -200,7 +205,7 @@ def _others(deck: Deck) -> None:
     )  # fmt: skip
 
 
-class _Reader:
+class DeckReader:
     """Puts each card where it belongs."""
 
     def __init__(self, deck: Deck) -> None:
@@ -289,7 +294,7 @@ class _Reader:
                 xyz = np.column_stack([r * np.cos(angle), r * np.sin(angle), xyz[:, 2]])
             self.scope.node_ids.append(ids)
             self.scope.xyz.append(xyz)
-            _join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
+            join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
 
     def _elements(self, card: Card, pieces: Iterator[bytes]) -> None:
         code = card.options.get("TYPE", "").upper()
@@ -299,9 +304,9 @@ class _Reader:
             for rows in _records(card, pieces, code):
                 counts[code] += len(rows)
                 self.scope.elements.setdefault(code, []).append(rows)
-                _join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
+                join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
-        count, missing = _nodes_of(code), 0
+        count, missing, others = _nodes_of(code), 0, list[int]()
         for row in fields(b"".join(pieces), ends=True):
             if not row:
                 continue
@@ -322,9 +327,11 @@ class _Reader:
                     )
                 self.scope.discrete.append((given, nodes, code))
             elif given is not None:
-                self.scope.others.append(given)
+                others.append(given)
             if given is not None:
-                _join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
+                join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
+        if others:
+            self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
@@ -332,15 +339,15 @@ class _Reader:
         if "ELSET" in card.options and card.keyword == "NSET":
             source = [card.options["ELSET"]] if card.options["ELSET"] else []
             source += [text for row in fields(b"".join(pieces)) for text in row if text]
-            _join(sets, name, Members(np.empty(0, dtype=np.int64), [], source, instance, of_elements=True))
+            join(sets, name, Members(np.empty(0, dtype=np.int64), [], source, instance, of_elements=True))
             return
-        _join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
+        join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
         for piece in pieces:
             if "GENERATE" in card.options:
                 ranges = [_range(row, card) for row in fields(piece) if row]
-                _join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
+                join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
             elif piece:
-                _join(sets, name, Members(*_split(piece, card), instance))
+                join(sets, name, Members(*_split(piece, card), instance))
 
     def _material(self, card: Card) -> None:
         name = card.need("NAME")
@@ -412,7 +419,7 @@ def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
         raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
 
 
-def _join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
+def join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
     if name:
         sets.setdefault(name.upper(), NamedSet(name)).parts.append(part)
 

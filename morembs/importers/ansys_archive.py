@@ -197,7 +197,7 @@ def _take_equation(archive: Archive, fields: list[str], line: int) -> None:
         node, label, value = (*terms[at : at + 3], "", "", "")[:3]
         if node and int(node):
             if label.upper() not in DIRECTIONS:
-                raise InputError(f"{title} is on the degree of freedom {label!r}; expected one of {', '.join(DIRECTIONS)}")
+                raise InputError(f"{title} is on the motion {label!r}; expected one of {', '.join(DIRECTIONS)}")
             of.append((int(node), DIRECTIONS[label.upper()], _number(value)))
 
 

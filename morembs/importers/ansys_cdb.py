@@ -147,10 +147,11 @@ def _sums(
     sums = [(title, terms) for title, terms in archive.equations if terms]
     for (number, component), nodes in archive.coupled.items():
         first, *others = dict.fromkeys(nodes)
-        sums += [(f"{archive.name}: CP {number}", [(node, component, 1.0), (first, component, -1.0)]) for node in others]
+        title = f"{archive.name}: CP {number}"
+        sums += [(title, [(node, component, 1.0), (first, component, -1.0)]) for node in others]
     bad = [title for title, terms in sums if any(node in rotated for node, *_ in terms)]
     if bad:
-        raise InputError(f"{bad[0]} is on nodes with rotated axes, which is not supported; --skip {bad[0].split()[-1][:2]}")
+        raise InputError(f"{bad[0]} is on nodes with rotated axes, which is not supported; --skip CE,CP leaves it out")
     solid = set(of_solids.tolist()) if sums else set()
     kept = [(t, terms) for t, terms in sums if not all(c > 2 and node in solid for node, c, _ in terms)]
     if len(kept) < len(sums):
@@ -205,9 +206,9 @@ def _sorted_elements(
             flag = "--contact skip" if routine in CONTACT else f"--skip {name if routine in NAMES else routine}"
             problems.add(
                 Problem(
-                    what=f"{archive.name} has {count} elements {name} (first: {elements.ids[0]}), which are not supported; "
-                    f"expected {', '.join(f'SOLID{n}' for n in sorted(SOLIDS))} or MASS21. Delete them, or leave them "
-                    f"out with {flag} if the body is right without them",
+                    what=f"{archive.name} has {count} elements {name} (first: {elements.ids[0]}), which are not "
+                    f"supported; expected {', '.join(f'SOLID{n}' for n in sorted(SOLIDS))} or MASS21. Delete them, or "
+                    f"leave them out with {flag} if the body is right without them",
                     file=archive.name, keyword=name, flags=(flag,),
                 )
             )  # fmt: skip

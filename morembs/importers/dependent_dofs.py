@@ -28,7 +28,7 @@ MOST_SPREAD = 50_000_000
 
 
 def dof_table(model: FEModel) -> Ints:
-    """Dof (n, 6) of each node and component, -1 where there is none."""
+    """Dof (n, 7) of each node and component, -1 where there is none."""
     return model.dofs.table(len(model.nodes))
 
 
@@ -101,7 +101,7 @@ def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Int
     node = np.repeat(slaves, len(element.components))[dofs.ravel() >= 0]
     dofs = dofs.ravel()[dofs.ravel() >= 0]
     motion = rigid_motion(model.nodes.xyz[node] - model.nodes.xyz[element.master], model.dofs.component[dofs])
-    return np.repeat(dofs, 6), np.tile(table[element.master], len(dofs)), motion.ravel()
+    return np.repeat(dofs, 6), np.tile(table[element.master, :6], len(dofs)), motion.ravel()
 
 
 def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:

@@ -84,7 +84,8 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
 
 def _condensed(elements: Sequence[DiscreteElement], table: Ints) -> list[DiscreteElement]:
     """The springs, those that share rotations without a dof as one each, without these rotations."""
-    codes = [6 * element.nodes + element.components for element in elements]
+    width = table.shape[1]
+    codes = [width * element.nodes + element.components for element in elements]
     loose = np.unique(np.concatenate([code[table.ravel()[code] < 0] for code in codes]))
     at = [np.searchsorted(loose, code[table.ravel()[code] < 0]) for code in codes]
     which = np.repeat(np.arange(len(elements)), [len(rows) for rows in at])
@@ -102,7 +103,6 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints) -> list[Discret
         inner = A[np.ix_(kept, ~kept)] @ np.linalg.pinv(A[np.ix_(~kept, ~kept)], hermitian=True)
         values = A[np.ix_(kept, kept)] - inner @ A[np.ix_(~kept, kept)]
         name = elements[members[0]].name
-        condensed.append(
-            DiscreteElement(name=name, matrix="K", nodes=own[kept] // 6, components=own[kept] % 6, values=values)
-        )
+        nodes, components = own[kept] // width, own[kept] % width
+        condensed.append(DiscreteElement(name=name, matrix="K", nodes=nodes, components=components, values=values))
     return condensed

@@ -17,6 +17,7 @@ from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.elements import TYPES
+from morembs.model.fe_model import SCALAR
 from morembs.model.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
@@ -251,8 +252,8 @@ def _equations(path: Path, group: Mapping[str, Any], count: int) -> tuple[Equati
     for name, given in zip(group["names"], group["equations"], strict=True):
         _refuse_outside(path, np.append(given["nodes"], given["term_nodes"]), count, f"the equations {name!r}")
         components = np.append(given["components"], given["term_components"])
-        if not np.isin(components, range(6)).all():
-            raise InputError(f"{path}: the equations {name!r} have components beyond 0 to 5; {CURE}")
+        if not np.isin(components, range(SCALAR + 1)).all():
+            raise InputError(f"{path}: the equations {name!r} have components beyond 0 to 6; {CURE}")
         try:
             found.append(Equations(name=name, **given))
         except InputError as error:

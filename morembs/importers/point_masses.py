@@ -47,28 +47,31 @@ def mass_about_node(mass: PointMass) -> Floats:
 def with_dofs(model: FEModel, ties: Sequence[Ties]) -> FEModel:
     """The model with the dofs that masters, references, equations and nodes outside elements need."""
     table = dof_table(model)
+    width = table.shape[1]
     bare = np.asarray((table < 0).all(axis=1))
     needed: list[Ints] = [np.empty(0, dtype=np.int64)]
     six = np.arange(6)
     for tie in ties:
         if isinstance(tie, RigidElement):
-            needed.append(6 * tie.master + six)
+            needed.append(width * tie.master + six)
             alone = tie.slaves[bare[tie.slaves]]
-            needed.append((6 * alone[:, None] + np.array(tie.components, dtype=np.int64)).ravel())
+            needed.append((width * alone[:, None] + np.array(tie.components, dtype=np.int64)).ravel())
         elif isinstance(tie, AverageElement):
-            needed.append(6 * tie.reference + np.array(tie.components, dtype=np.int64))
+            needed.append(width * tie.reference + np.array(tie.components, dtype=np.int64))
         elif isinstance(tie, Equations):
-            needed += [6 * tie.nodes + tie.components, 6 * tie.term_nodes + tie.term_components]
+            needed += [width * tie.nodes + tie.components, width * tie.term_nodes + tie.term_components]
         elif isinstance(tie, DiscreteElement):
             loose = bare[tie.nodes]
             # A node of its own moves along all axes, and turns where something resists that.
-            needed += [(6 * tie.nodes[loose][:, None] + six[:3]).ravel(), (6 * tie.nodes + tie.components)[loose]]
+            needed += [(width * tie.nodes[loose][:, None] + six[:3]).ravel()]
+            needed += [(width * tie.nodes + tie.components)[loose]]
     codes = np.unique(np.concatenate(needed))
     new = codes[table.ravel()[codes] < 0]
     if not len(new):
         return model
     dofs = DofMap(
-        node=np.concatenate([model.dofs.node, new // 6]), component=np.concatenate([model.dofs.component, new % 6])
+        node=np.concatenate([model.dofs.node, new // width]),
+        component=np.concatenate([model.dofs.component, new % width]),
     )
     K, M, D = (_grown(A, len(new)) for A in (model.K, model.M, model.D))
     return replace(model, dofs=dofs, K=K, M=M, D=D)
@@ -93,7 +96,7 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
     table = dof_table(model)
     rows, columns, values = [], [], []
     for mass in masses:
-        M, dofs = mass_about_node(mass), table[mass.node]
+        M, dofs = mass_about_node(mass), table[mass.node, :6]
         lost = np.flatnonzero((dofs < 0) & (np.abs(M) > 0).any(axis=1))
         if len(lost):
             raise InputError(

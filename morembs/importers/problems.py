@@ -104,14 +104,19 @@ def _message(source: str, problems: Sequence[Problem], given: Sequence[str]) -> 
     if len(problems) == 1:
         text = problems[0].what
     else:
-        lines = [_line(same) for same in list(kinds.values())[:MOST]]
+        lines = [f"({i}) {_line(same)}" for i, same in enumerate(list(kinds.values())[:MOST], start=1)]
         rest = len(kinds) - MOST
-        lines += [f"... and {rest} more kinds"] * (rest > 0)
-        text = f"{source}: {len(problems)} problems\n" + "\n".join(f"  - {line}" for line in lines)
-    flags = _flags([*given, *(flag for problem in problems for flag in problem.flags)])
-    if problems and all(problem.flags for problem in problems):
-        text += f"{';' if len(problems) == 1 else chr(10)} all of it is answered by: morembs import {source} {flags}"
-    return text
+        lines += [f"and {rest} more kinds"] * (rest > 0)
+        text = f"{source} has {len(problems)} problems: {'; '.join(lines)}"
+    answer = answered_by(source, problems, given)
+    return f"{text}; all of it is answered by: {answer}" if answer else text
+
+
+def answered_by(source: str, problems: Sequence[Problem], given: Sequence[str] = ()) -> str:
+    """The command line that answers all problems, empty where options do not answer some of them."""
+    if not problems or not all(problem.flags for problem in problems):
+        return ""
+    return f"morembs import {source} {_flags([*given, *(flag for problem in problems for flag in problem.flags)])}"
 
 
 def _line(same: list[Problem]) -> str:

@@ -102,7 +102,7 @@ def _completed(imported: Imported) -> Imported:
     bare = {name: lack for name, lack in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
         stiff = all(lack.stiffness is not None for lack in bare.values())
-        cure = "a density: --density X" if len(bare) > 1 else f"a density: --density X,set={next(iter(bare))}"
+        cure = "a density: --density X" + (f",set={next(iter(bare))}" if len(bare) == 1 else "")
         raise InputError(
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
@@ -349,7 +349,8 @@ def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equat
         return tuple(equations)
 
     def scaled(given: Equations) -> Equations:
-        size, of_terms = (np.where(c > 2, 1.0, units.length) for c in (given.components, given.term_components))
+        both = (given.components, given.term_components)
+        size, of_terms = (np.where((c > 2) & (c < SCALAR), 1.0, units.length) for c in both)
         return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
 
     return tuple(map(scaled, equations))

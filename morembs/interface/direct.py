@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.interface.base import CouplingKind, Interface
 from morembs.model import FEModel
+from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -42,7 +43,7 @@ class Direct(CouplingKind):
 
     def available(self, model: FEModel, name: str, nodes: Ints) -> tuple[int, ...]:
         """Components that all nodes have."""
-        count = (model.dofs.table(len(model.nodes))[nodes] >= 0).sum(axis=0)
+        count = (model.dofs.table(len(model.nodes))[nodes, :SCALAR] >= 0).sum(axis=0)
         common = tuple(np.flatnonzero(count == len(nodes)).tolist())
         if not common:
             raise InputError(f"interface {name!r}: its nodes have no dof in common; take other nodes")

@@ -124,10 +124,9 @@ class DofMap:
         return np.asarray((self.component > 2) & (self.component < SCALAR))
 
     def table(self, nodes: int) -> Ints:
-        """Dof (nodes, 6) of each node and component, -1 where there is none; scalars are not in it."""
-        table = np.full((nodes, 6), -1, dtype=np.int64)
-        placed = np.flatnonzero(self.component < SCALAR)
-        table[self.node[placed], self.component[placed]] = placed
+        """Dof (nodes, 7) of each node and component, -1 where there is none; of several scalars of a node the last."""
+        table = np.full((nodes, SCALAR + 1), -1, dtype=np.int64)
+        table[self.node, self.component] = np.arange(len(self))
         return table
 
     def twice(self) -> Ints:

@@ -1,0 +1,1 @@
+"""Programs of others that assemble decks; the table is the contents page."""
