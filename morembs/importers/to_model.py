@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
+from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
@@ -51,7 +52,7 @@ def model_of(
     """
     units = units or Units()
     imported = _completed(imported)
-    touched = nodes_of([*imported.rigid, *imported.average, *imported.equations, *imported.masses])
+    touched = nodes_of(imported.ties)
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
@@ -63,14 +64,16 @@ def model_of(
     equations = equations_in_si(on_rows(imported.equations, base.row), units)
     masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
-    model = with_dofs(model, rigid, average, equations)
-    refuse_loose(model, rigid, average, equations, masses)
-    model = with_masses(model, masses)
+    discrete = [si_discrete(element, units) for element in on_rows(imported.discrete, base.row)]
+    ties = [*rigid, *average, *equations, *masses, *discrete]
+    model = with_dofs(model, ties)
+    refuse_loose(model, ties)
+    model, said = with_discrete(with_masses(model, masses), discrete)
     return FEModel(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
         equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
-        notes=(*imported.notes, *base.notes),
+        notes=(*imported.notes, *base.notes, *said),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
 
@@ -96,16 +99,18 @@ def _completed(imported: Imported) -> Imported:
         InputError: a set without any, in a file whose matrices are not there.
     """
     given = {material.set for material in imported.materials}
-    bare = {name: why for name, why in imported.incomplete.items() if not given & {name, "all"}}
+    bare = {name: lack for name, lack in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
+        stiff = all(lack.stiffness is not None for lack in bare.values())
+        cure = "a density: --density X" + (f",set={next(iter(bare))}" if len(bare) == 1 else "")
         raise InputError(
-            f"{imported.source}: {'; '.join(bare.values())}; complete them in the file, or give a material for "
-            f"{'each set' if len(bare) > 1 else 'the set'}: --material young=..,poisson=..,density=..,set="
-            f"{next(iter(bare))}"
+            f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
+            f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
+            f"--material young=..,poisson=..,density=..,set={next(iter(bare))}"
         )
     told = tuple(
-        f"{why}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
-        for name, why in imported.incomplete.items()
+        f"{lack.sentence}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
+        for name, lack in imported.incomplete.items()
     )
     return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
 
@@ -344,16 +349,11 @@ def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equat
         return tuple(equations)
 
     def scaled(given: Equations) -> Equations:
-        size = np.where(_turns(given.components), 1.0, units.length)[given.equation]
-        return replace(
-            given, coefficients=given.coefficients * size / np.where(_turns(given.term_components), 1.0, units.length)
-        )
+        both = (given.components, given.term_components)
+        size, of_terms = (np.where((c > 2) & (c < SCALAR), 1.0, units.length) for c in both)
+        return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
 
     return tuple(map(scaled, equations))
-
-
-def _turns(component: Ints) -> NDArray[np.bool_]:
-    return (component > 2) & (component < 6)
 
 
 def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:

@@ -238,8 +238,8 @@ def _elements(assembly: Assembly) -> list[str]:
 
     for part in assembly.blocks:
         block(_CODES[part.type, part.formulation], part.nodes)
-    for _, node, code, _ in assembly.points:
-        block(code, np.array([[node]]))
+    for element in assembly.discrete:
+        block(element.code, np.array([element.nodes]))
     for code, _, nodes in assembly.others:
         block(code, nodes)
     return lines

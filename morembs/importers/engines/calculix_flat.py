@@ -68,8 +68,8 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     Raises:
         InputError: what it holds is no linear model, or names what is not there.
     """
-    constraints = Constraints(assembly)
-    constraints.surfaces()
+    constraints = Constraints(deck, assembly)
+    constraints.surfaces.read()
     flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
     writer = _Writer(deck, assembly, choices, flat)
     for placed, card, rows in writer.cards():
@@ -80,6 +80,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     writer.couplings()
     writer.steps()
     writer.materials()
+    deck.problems.refuse()
     if flat.problems:
         raise InputError(f"{deck.name}: {'; '.join(dict.fromkeys(flat.problems))}")
     return flat

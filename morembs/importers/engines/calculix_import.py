@@ -85,8 +85,8 @@ class _Model:
         for code, _, nodes in assembly.others:
             if code != "DCOUP3D":
                 used[nodes] = True
-        for _, node, _, _ in assembly.points:
-            used[node] = True
+        for element in assembly.discrete:
+            used[element.nodes] = True
         self.used = used
         bodies = [*flat.bodies, *flat.turning.values()]
         placed = used.copy()
@@ -152,6 +152,7 @@ class _Model:
         mesh: Mesh | None = None
         if assembly.blocks:
             mesh, nodes, row = mesh_of(assembly, extra)
+            self.deck.problems.refuse()
         else:
             row = np.full(len(assembly.ids), -1, dtype=np.int64)
             row[extra] = np.arange(len(extra))
@@ -169,7 +170,7 @@ class _Model:
         average = tuple(
             replace(item, reference=int(row[item.reference]), nodes=row[item.nodes]) for item in flat.average
         )
-        surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.found.surfaces.items()}
+        surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
         if self.strain > STRAINED and not choices.keep:
             warnings.append(
                 f"rigid motion strains the stiffness that CalculiX wrote by {self.strain:.1e} of its terms: springs to "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.abaqus_deck import MATERIAL, POINTS, SOLIDS, Deck, DeckReader, Members, Rows, Scope, join
 from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
+from morembs.importers.problems import Problems
 
 Ints = NDArray[np.int64]
 # Elements of CalculiX beside solids, and how many nodes they have.
@@ -50,7 +51,7 @@ def read_for_engine(path: Path, *, outside: bool = False) -> EngineDeck:
     Raises:
         InputError: the text is no deck, or holds elements that are no part of a structure in space.
     """
-    deck = EngineDeck(path.name, dialect="calculix")
+    deck = EngineDeck(path.name, dialect="calculix", problems=Problems(path.name))
     reader = _Keeping(deck)
     for card, pieces in cards(path, outside=outside):
         reader.take(card, pieces)
@@ -65,6 +66,7 @@ def read_for_engine(path: Path, *, outside: bool = False) -> EngineDeck:
             f"{path.name} has elements that do not become a model: {listed}"
             f"{f'; {why}' if known else f'; expected solids, {chr(44).join(WIDTHS)}'}; take them out of the deck"
         )
+    deck.problems.refuse()
     return deck
 
 
