@@ -25,6 +25,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.errors import MorembsError
+from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import Choices, Limits, import_with_calculix
 from morembs.importers.to_model import model_of
@@ -107,10 +108,10 @@ def ccx_eigenvalues(folder: Path, name: str) -> np.ndarray:
 def examine(path: Path, limit: int) -> dict[str, Any]:
     """Figures of one deck."""
     result: dict[str, Any] = {"deck": path.name}
-    limits, common = Limits(seconds=SECONDS), {"density": {"all": DENSITY}, "contact": "skip"}
+    limits, options = Limits(seconds=SECONDS), DeckOptions(density={"all": DENSITY}, contact="skip")
     start = time.perf_counter()
     try:
-        model = model_of(import_with_calculix(path, Choices(**common), limits))
+        model = model_of(import_with_calculix(path, Choices(options=options), limits))
     except MorembsError as error:
         return result | {"error": str(error)}
     result |= {"seconds": time.perf_counter() - start, "rows": model.size}
@@ -122,7 +123,7 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
     if model.size > limit:
         return result
     try:
-        held = model_of(import_with_calculix(path, Choices(**common, keep=True), limits))
+        held = model_of(import_with_calculix(path, Choices(options=options, keep=True), limits))
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "a.inp").write_text(as_frequency(path.read_text(errors="replace")))
             wanted = ccx_eigenvalues(Path(folder), "a")

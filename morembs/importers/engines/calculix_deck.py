@@ -46,6 +46,8 @@ _HOLD = {
     "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
     "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
 }  # fmt: skip
+# Elements on single nodes that CalculiX has; rotary inertias and distributing couplings are added to its matrices.
+_DISCRETE = ("MASS", "SPRING1", "SPRING2", "SPRINGA")
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
 
 
@@ -238,8 +240,11 @@ def _elements(assembly: Assembly) -> list[str]:
 
     for part in assembly.blocks:
         block(_CODES[part.type, part.formulation], part.nodes)
-    for element in assembly.discrete:
-        block(element.code, np.array([element.nodes]))
+    for one in assembly.discrete:
+        if one.code in _DISCRETE:
+            number = one.number + 1
+            block(one.code, np.array([one.nodes]))
+    number = 1 + assembly.solids + len(assembly.discrete)
     for code, _, nodes in assembly.others:
         block(code, nodes)
     return lines

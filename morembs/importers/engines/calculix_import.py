@@ -17,7 +17,7 @@ from morembs.importers.engines.calculix import Ccx, find_ccx
 from morembs.importers.engines.calculix_flat import Choices, Flat, flat_deck
 from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR
@@ -49,14 +49,15 @@ def import_with_calculix(
         InputError: no ccx, a deck that is no linear model, or a run that fails.
     """
     program = find_ccx(executable)
-    deck = read_for_engine(Path(path), outside=outside)
+    deck = read_for_engine(Path(path), choices.options, outside=outside)
     if choices.preload and not choices.keep:
         raise InputError(
             f"--preload {choices.preload} was given with --boundary drop, but supports carry the load; give --boundary "
             "keep, or [preload] in the job"
         )
-    assembly = Assembly(deck)
-    flat = flat_deck(deck, assembly, choices)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        flat = flat_deck(deck, assembly, choices)
     ccx = Ccx(
         program=program, flat=flat.deck, seconds=limits.seconds, memory=limits.memory, threads=limits.threads,
         keep=limits.keep,
@@ -82,11 +83,10 @@ class _Model:
         for block in assembly.blocks:
             self.solid[block.nodes] = True
         used = self.solid.copy()
-        for code, _, nodes in assembly.others:
-            if code != "DCOUP3D":
-                used[nodes] = True
+        for _, _, nodes in assembly.others:
+            used[nodes] = True
         for element in assembly.discrete:
-            used[element.nodes] = True
+            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI")
         self.used = used
         bodies = [*flat.bodies, *flat.turning.values()]
         placed = used.copy()
@@ -142,7 +142,7 @@ class _Model:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
         notes, warnings = [*flat.notes], [*flat.warnings]
-        averaged = [rows for item in flat.average for rows in (item.nodes, np.array([item.reference]))]
+        averaged = [nodes_of([*flat.average, *flat.masses])]
         extra = np.unique(np.concatenate([
             np.flatnonzero(np.isin(np.arange(len(assembly.ids)) + 1, mapped.owner)), node - 1, *averaged,
         ]).astype(np.int64))  # fmt: skip
@@ -167,9 +167,7 @@ class _Model:
         order, K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
         equations = () if S is None else (_equations(S, dependent, dof_node, dof_component),)
         del order
-        average = tuple(
-            replace(item, reference=int(row[item.reference]), nodes=row[item.nodes]) for item in flat.average
-        )
+        average, masses = on_rows(flat.average, row), on_rows(flat.masses, row)
         surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
         if self.strain > STRAINED and not choices.keep:
             warnings.append(
@@ -181,7 +179,7 @@ class _Model:
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
         notes += _notes(self.deck, choices)
         return Imported(
-            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average, equations=equations,
+            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average, equations=equations, masses=masses,
             surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
             notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
         )  # fmt: skip
