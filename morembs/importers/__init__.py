@@ -26,6 +26,7 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.model import Mesh, Nodes
+from morembs.model.handedness import right_handed
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.options import Text, checked, known
 from morembs.plugins import Registry
@@ -100,11 +101,14 @@ IMPORTERS: Registry[Importer] = Registry(
 )
 
 
-def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_includes_outside: bool = False) -> Mesh:
+def read_mesh(
+    path: str | Path, units: Units | str | None = None, *, dialect: str = "auto", allow_includes_outside: bool = False
+) -> Mesh:
     """Mesh with node sets and element sets, coordinates in m.
 
     Args:
         units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+        dialect: the program that a deck .inp was written for: "abaqus", "calculix", or "auto".
         allow_includes_outside: a deck may include files from beyond its folder.
 
     Raises:
@@ -119,12 +123,15 @@ def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_inclu
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
     reader = READERS.get(path.suffix.lower())
-    mesh = reader(path, allow_includes_outside=allow_includes_outside) if reader else read_with_meshio(path)
+    given = {"dialect": dialect} if dialect != "auto" else {}
+    if given and reader is not read_abaqus:
+        raise InputError(f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out")
+    mesh = reader(path, allow_includes_outside=allow_includes_outside, **given) if reader else read_with_meshio(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
-    return mesh_in_order(replace(mesh, nodes=scaled, source=path.name))
+    return right_handed(mesh_in_order(replace(mesh, nodes=scaled, source=path.name)))
 
 
 def format_of(path: Path, given: str | None = None) -> str:

@@ -26,14 +26,14 @@ from morembs.model import Mesh
 Ints = NDArray[np.int64]
 
 
-def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
+def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:
     """Mesh of an input deck in the deck's own units; its materials are not read.
 
     Raises:
         InputError: not a deck, an element type that is not supported, or couplings, springs and point masses, which a
             mesh cannot carry.
     """
-    deck = read_deck(path, outside=allow_includes_outside)
+    deck = read_deck(path, outside=allow_includes_outside, dialect=_known(dialect))
     scopes = [deck.top, *deck.parts.values(), *(instance.scope for instance in deck.instances.values())]
     ties = [card for scope in scopes for card, *_ in scope.constraints]
     if ties or any(scope.discrete for scope in scopes):
@@ -74,10 +74,8 @@ def import_abaqus(
         DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         InputError: options that are not known.
     """
-    if dialect not in DIALECTS:
-        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
     options = deck_options(density, contact, skip)
-    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=dialect, options=options)
+    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options)
     with deck.problems.ending():
         assembly = Assembly(deck)
         if not assembly.blocks:
@@ -113,6 +111,12 @@ def import_abaqus(
         warnings=(*_skipped(deck), *got.warnings, *found.warnings, *said),
         incomplete=lacking,
     )
+
+
+def _known(dialect: str) -> str:
+    if dialect not in DIALECTS:
+        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
+    return dialect
 
 
 def _skipped(deck: Deck) -> list[str]:

@@ -64,6 +64,26 @@ class DeckOptions:
         return tuple(done), rest, warnings
 
 
+def density_of(texts: Sequence[str]) -> dict[str, float]:
+    """Set -> density of texts "7.85e-9" (of all) and "7.85e-9,set=NAME".
+
+    Raises:
+        InputError: another form, or two densities for one set.
+    """
+    given: dict[str, float] = {}
+    for text in texts:
+        value, comma, rest = text.partition(",")
+        name = rest.removeprefix("set=").strip() if comma else "all"
+        try:
+            density = float(value)
+        except ValueError:
+            density = float("nan")
+        if not density > 0 or not name or (comma and not rest.startswith("set=")) or name in given:
+            raise InputError(f"--density {text!r} was given; expected X or X,set=NAME, a positive number once a set")
+        given[name] = density
+    return given
+
+
 def deck_options(
     density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str
 ) -> DeckOptions:
@@ -89,7 +109,7 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
         Problem(
             what=f"{lack.sentence}; {'--density X,set=' + name if lack.stiffness is not None else MATERIAL + name}",
             file=source, keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
-            flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),
+            flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)), element_set=name,
         )
         for name, lack in lacking.items()
     ]  # fmt: skip

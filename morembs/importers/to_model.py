@@ -25,6 +25,7 @@ from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR, refuse_far
+from morembs.model.handedness import right_handed
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
@@ -108,10 +109,10 @@ def _completed(imported: Imported) -> Imported:
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
             f"--material young=..,poisson=..,density=..,set={next(iter(bare))}"
         )
-    told = tuple(
-        f"{lack.sentence}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
-        for name, lack in imported.incomplete.items()
-    )
+    told = []
+    for name, lack in imported.incomplete.items():
+        what = "its elements have none here" if name in bare else "the material that was given took its place"
+        told.append(f"{lack.sentence}; {what}")
     return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
 
 
@@ -282,6 +283,7 @@ def _from_mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
     )  # fmt: skip
+    part = right_handed(part)
     model = assemble(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,
         progress=progress,

@@ -20,6 +20,7 @@ from morembs.importers.imported import Imported
 from morembs.importers.matrix_files import abaqus_matrices
 from morembs.importers.model_file import write_model
 from morembs.importers.named import square_csr
+from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.fe_model import SCALAR
@@ -37,8 +38,9 @@ class ImportJob:
 
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
-    ``dialect`` is the program that a deck .inp was written for; ``allow_includes_outside`` lets decks include files
-    from beyond their folders.
+    ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
+    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck;
+    ``allow_includes_outside`` lets decks include files from beyond their folders.
     """
 
     out: Path
@@ -51,6 +53,9 @@ class ImportJob:
     materials: tuple[Material, ...] = ()
     mass_integration: str = "element"
     dialect: str = "auto"
+    density: Mapping[str, float] = field(default_factory=dict)
+    contact: str = "refuse"
+    skip: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     allow_includes_outside: bool = False
 
@@ -75,21 +80,23 @@ class ImportResult:
 
 
 def run_import(
-    job: ImportJob, *, check: bool = False, strict: bool = False, progress: Progress = SILENT
+    job: ImportJob, *, check: bool = False, strict: bool = False, dry: bool = False, progress: Progress = SILENT
 ) -> ImportResult:
     """Read, convert, examine where asked for, and write.
 
     Args:
         strict: write nothing where the examination finds errors.
+        dry: write nothing.
 
     Raises:
         InputError: files that cannot be used or do not fit together, or errors found with ``strict``.
         OutputError: the model cannot be written; an old file is kept.
     """
-    for path in job.sources:
+    for path in () if dry else job.sources:
         if path.resolve() == job.out.resolve():
             raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
-    check_writable(job.out)
+    if not dry:
+        check_writable(job.out)
     progress.stage("read")
     imported, format = _read(job)
     if imported.K is not None and imported.M is not None:
@@ -105,9 +112,10 @@ def run_import(
         if strict:
             diagnosis.refuse_errors()
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
-    write_model(
-        job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
-    )
+    if not dry:
+        write_model(
+            job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
+        )
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
     seen = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():
@@ -122,11 +130,14 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     """What the files hold together, and the name of the format."""
     if (job.file is None) == (not job.matrices):
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
-    if job.dialect != "auto" and not any(_takes_dialect(path, job) for path in (job.file, job.nodes)):
-        raise InputError(f"--dialect {job.dialect} was given without a deck .inp of Abaqus or CalculiX; leave it out")
+    for name, given in _given(job).items():
+        if not any(_takes(name, path, job) for path in (job.file, job.nodes)):
+            what = "a deck .inp of Abaqus or CalculiX" if name == "dialect" else "a deck that can take it"
+            value = f" {given}" if isinstance(given, str) else ""
+            raise InputError(f"--{name}{value} was given without {what}; leave it out")
     if job.file is not None:
         format = format_of(job.file, job.format)
-        imported = import_file(job.file, format, {**_of_decks(job, format), **job.options})
+        imported = _of_file(job, format)
     else:
         imported, format = _combined(job)
     if format == "native" and (job.units.name != "m-kg-s" or job.nodes or job.dofs):
@@ -143,9 +154,19 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     return _with_geometry(imported, job), format
 
 
-def _takes_dialect(path: Path | None, job: ImportJob) -> bool:
+def _of_file(job: ImportJob, format: str) -> Imported:
+    """What the one file holds; materials that are given count before its problems are told."""
+    try:
+        return import_file(job.file or Path(), format, {**_of_decks(job, format), **job.options})
+    except DeckError as error:
+        sets = {material.set for material in job.materials}
+        rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
+        raise (error if len(rest) == len(error.problems) else DeckError(error.source, rest, error.given)) from None
+
+
+def _takes(name: str, path: Path | None, job: ImportJob) -> bool:
     given = job.format if path is job.file else None
-    return path is not None and "dialect" in IMPORTERS[format_of(path, given)].options
+    return path is not None and name in IMPORTERS[format_of(path, given)].options
 
 
 def _combined(job: ImportJob) -> tuple[Imported, str]:
@@ -212,8 +233,15 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
 
 def _of_decks(job: ImportJob, format: str) -> dict[str, Any]:
     """The options of decks, where the format has them."""
-    given: dict[str, Any] = {"allow_includes_outside": job.allow_includes_outside, "dialect": job.dialect}
-    return {name: given[name] for name in IMPORTERS[format].options if given.get(name, "auto") not in (False, "auto")}
+    given = {**_given(job), **({"allow_includes_outside": True} if job.allow_includes_outside else {})}
+    return {name: given[name] for name in IMPORTERS[format].options if name in given}
+
+
+def _given(job: ImportJob) -> dict[str, Any]:
+    """The options of decks that are not as they are by default."""
+    given = {"dialect": (job.dialect, "auto"), "contact": (job.contact, "refuse"), "density": (dict(job.density), {}),
+             "skip": (list(job.skip), [])}  # fmt: skip
+    return {name: value for name, (value, default) in given.items() if value != default}
 
 
 def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Imported:
