@@ -25,9 +25,8 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.errors import MorembsError
-from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix import find_ccx
-from morembs.importers.engines.calculix_import import Choices, Limits, import_with_calculix
+from morembs.importers.engines.calculix_import import import_with_calculix
 from morembs.importers.to_model import model_of
 from morembs.model import FEModel, rigid_motion
 
@@ -108,10 +107,10 @@ def ccx_eigenvalues(folder: Path, name: str) -> np.ndarray:
 def examine(path: Path, limit: int) -> dict[str, Any]:
     """Figures of one deck."""
     result: dict[str, Any] = {"deck": path.name}
-    limits, options = Limits(seconds=SECONDS), DeckOptions(density={"all": DENSITY}, contact="skip")
+    options: dict[str, Any] = {"density": DENSITY, "contact": "skip", "timeout": SECONDS}
     start = time.perf_counter()
     try:
-        model = model_of(import_with_calculix(path, Choices(options=options), limits))
+        model = model_of(import_with_calculix(path, **options))
     except MorembsError as error:
         return result | {"error": str(error)}
     result |= {"seconds": time.perf_counter() - start, "rows": model.size}
@@ -123,7 +122,7 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
     if model.size > limit:
         return result
     try:
-        held = model_of(import_with_calculix(path, Choices(options=options, keep=True), limits))
+        held = model_of(import_with_calculix(path, **options, boundary="keep"))
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "a.inp").write_text(as_frequency(path.read_text(errors="replace")))
             wanted = ccx_eigenvalues(Path(folder), "a")

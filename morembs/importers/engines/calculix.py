@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
 from morembs.importers.engines.calculix_deck import FlatDeck
@@ -48,16 +50,22 @@ def find_ccx(given: str = "") -> Program:
 
 
 @dataclass(eq=False)
-class Ccx:
-    """Runs of ccx on one deck, each in the folder ``folder`` under a name of its own."""
+class Ccx(Closing):
+    """Runs of ccx on one deck in a private folder, each under a name of its own.
+
+    ``seconds`` for each run. One thread, as others add up in another order on another machine; no more memory than the
+    machine has. ``keep`` is the folder that gets the files (None: they are removed).
+    """
 
     program: Program
     flat: FlatDeck
     seconds: float = 600.0
-    memory: int | None = None
-    threads: int = 1
     keep: Path | None = None
     folder: ScratchFolder = field(default_factory=lambda: ScratchFolder(None))
+
+    def close(self) -> None:
+        """Remove the files."""
+        self.folder.close()
 
     def export(self, name: str = "model", extra: str = "", nodes: str = "") -> CalculixMatrices:
         """K and M of the deck with ``extra`` cards.
@@ -144,11 +152,10 @@ class Ccx:
         path.write_text(text, encoding="utf-8")
         count = len(self.flat.assembly.ids)
         late = f"ccx did not finish in {self.seconds:g} s ({count:,} nodes); --engine-timeout, or own assembly"
-        threads = {"OMP_NUM_THREADS": str(self.threads)}
         try:
             said = run(
-                [self.program.path, name], self.folder.path, seconds=self.seconds, memory=self.memory,
-                environment=threads, late=late,
+                [self.program.path, name], self.folder.path, seconds=self.seconds,
+                memory=psutil.virtual_memory().total, environment={"OMP_NUM_THREADS": "1"}, late=late,
             )  # fmt: skip
         finally:
             if self.keep is not None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.calculix_matrices import CalculixMatrices
+from morembs.importers.deck_options import DeckOptions, deck_options
 from morembs.importers.engines.calculix import Ccx, find_ccx
 from morembs.importers.engines.calculix_flat import Choices, Flat, flat_deck
 from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
@@ -25,49 +26,58 @@ from morembs.model.fe_model import SCALAR
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FOLLOWS = "constraints of CalculiX"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """``seconds`` and bytes of ``memory`` (None: no limit) for each run, ``threads`` of the program; ``keep`` takes
-    the files of the runs (None: they are removed)."""
-
-    seconds: float = 600.0
-    memory: int | None = None
-    threads: int = 1
-    keep: Path | None = None
+BOUNDARY = ("drop", "keep")
 
 
 def import_with_calculix(
-    path: Path, choices: Choices, limits: Limits, *, executable: str = "", outside: bool = False
-) -> Imported:
+    path: str | Path, *, executable: str = "", density: float | dict[str, float] | None = None,
+    contact: str = "refuse", skip: list[str] | str = "", boundary: str = "drop", preload: int = 0,
+    timeout: float = 600.0, keep_files: str = "", allow_includes_outside: bool = False,
+) -> Imported:  # fmt: skip
     """A deck as CalculiX assembles it, in the deck's own units.
+
+    Args:
+        executable: the path of ccx; "" looks for it.
+        density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
+        contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
+        skip: keywords and element types to leave out, although stiffness or mass may depend on them.
+        boundary: "drop" what *BOUNDARY holds, for a free body, or "keep" it.
+        preload: steps that run first; the matrices are those of small motions after them.
+        timeout: seconds for each run of ccx.
+        keep_files: a folder for what ccx read and wrote.
+        allow_includes_outside: includes may name files beyond the folder of the deck.
 
     Peak memory: that of the matrices several times, and of ccx itself.
 
     Raises:
-        InputError: no ccx, a deck that is no linear model, or a run that fails.
+        DeckError: all that keeps the deck from becoming a model.
+        InputError: no ccx, options that are not known, or a run that fails.
     """
+    path = Path(path)
     program = find_ccx(executable)
-    deck = read_for_engine(Path(path), choices.options, outside=outside)
-    if choices.preload and not choices.keep:
-        raise InputError(
-            f"--preload {choices.preload} was given with --boundary drop, but supports carry the load; give --boundary "
-            "keep, or [preload] in the job"
-        )
+    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
+    deck = read_for_engine(path, choices.options, outside=allow_includes_outside)
     with deck.problems.ending():
         assembly = Assembly(deck)
         flat = flat_deck(deck, assembly, choices)
-    ccx = Ccx(
-        program=program, flat=flat.deck, seconds=limits.seconds, memory=limits.memory, threads=limits.threads,
-        keep=limits.keep,
-    )  # fmt: skip
-    try:
+    keep = Path(keep_files) if keep_files else None
+    with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
         read = ccx.export()
-        expanded = ccx.expansion()
-        return _Model(deck, assembly, flat, read, expanded, held=choices.keep).imported(ccx, choices)
-    finally:
-        ccx.folder.close()
+        model = _Model(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
+        return model.imported(ccx, choices)
+
+
+def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
+    if boundary not in BOUNDARY:
+        raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
+    if preload < 0 or not timeout > 0:
+        raise InputError(f"--preload {preload} and --engine-timeout {timeout:g} were given; expected no negative numbers")
+    if preload and boundary == "drop":
+        raise InputError(
+            f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, or "
+            "[preload] in the job"
+        )
+    return Choices(options=options, keep=boundary == "keep", preload=preload)
 
 
 class _Model:
