@@ -16,6 +16,7 @@ from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_surfaces import FACES
 from morembs.importers.engines.calculix_read import EngineDeck
 
 Ints = NDArray[np.int64]
@@ -176,12 +177,34 @@ class FlatDeck:
     def _surface(self, placed: Placed, card: Card, rows: Rows, text: str) -> str:
         name = self.name("s", placed, text)
         kind = "n" if card.options.get("TYPE", "ELEMENT").upper() == "NODE" else "e"
-        if kind == "e" and any(len(row) < 2 or not row[1] for row in rows):
-            raise InputError(f"{card} {text!r} gives no sides (S1, S2, ...) of its elements; name them")
-        lines = [", ".join([self.group(kind, placed, row[0]), *row[1:]]) for row in rows]
+        if "COMBINE" in card.options:
+            raise InputError(f"{card} {text!r} combines others; list their faces in one surface")
+        lines = []
+        for row in rows:
+            if kind == "e" and (len(row) < 2 or not row[1]):
+                lines += self._free_sides(placed, row[0])
+            else:
+                lines.append(", ".join([self.group(kind, placed, row[0]), *(row[1:] if kind == "e" else [])]))
         word = "NODE" if kind == "n" else "ELEMENT"
         self.surfaces.append("\n".join([f"*SURFACE, NAME={name}, TYPE={word}", *lines]))
         return name
+
+    def _free_sides(self, placed: Placed, text: str) -> list[str]:
+        """Element and side of the faces of some solids that no other element has."""
+        wanted = self.assembly.elements_of(placed, text)
+        keys, numbers, sides, start = [], [], [], 0
+        for part in self.assembly.blocks:
+            for side, corners in enumerate(FACES[part.type[0]]):
+                key = np.full((len(part.nodes), 4), -1, dtype=np.int64)
+                key[:, : len(corners)] = np.sort(part.nodes[:, corners], axis=1)
+                keys.append(key)
+                numbers.append(start + np.arange(len(key)))
+                sides.append(np.full(len(key), side + 1))
+            start += len(part.nodes)
+        _, group, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
+        number, side_of = np.concatenate(numbers), np.concatenate(sides)
+        free = np.flatnonzero((times[group.ravel()] == 1) & np.isin(number, wanted))
+        return [f"{number[i] + 1}, S{side_of[i]}" for i in free.tolist()]
 
     def boundary(self, placed: Placed, card: Card, rows: Rows) -> str:
         """*BOUNDARY that holds its dofs at zero."""

@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FOLLOWS = "constraints of CalculiX"
 BOUNDARY = ("drop", "keep")
+# Sums below this part of their terms are round-off; CalculiX writes 14 digits.
+_ROUNDED = 1e-12
 
 
 def import_with_calculix(
@@ -108,7 +110,7 @@ class _Model:
         )
         self.T = self.map.change
         if self.T is not None:
-            K, M = (sp.csr_array(self.T.T @ A @ self.T) for A in (read.K, read.M))
+            K, M = (_changed(A, self.T) for A in (read.K, read.M))
             self.read = replace(read, K=K, M=M)
         self.strain = strain(self.read.K, self.map)
 
@@ -245,6 +247,18 @@ class _Model:
             if len(members) or len(kept):
                 result[name] = np.unique(np.concatenate([kept, members]))
         return result
+
+
+def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
+    """T' A T, symmetric, without what is round-off of its terms: a truss has no stiffness across its axis."""
+    product, terms = sp.csr_array(T.T @ A @ T), abs(T).T @ abs(A) @ abs(T)
+    product = sp.csr_array(0.5 * (product + product.T))
+    left = sp.csr_array(product.multiply(abs(product) > _ROUNDED * 0.5 * (terms + terms.T)))
+    # Both are semidefinite: a diagonal that is zero has nothing beside it.
+    kept = sp.diags_array((left.diagonal() > 0).astype(float))
+    left = sp.csr_array(kept @ left @ kept)
+    left.eliminate_zeros()
+    return left
 
 
 def _ordered(
