@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
@@ -37,6 +38,8 @@ HELD = 1e-9
 _IN_SPACE = re.compile(r"^\*ELEMENT.*TYPE *= *\"?(C3D|S3|S4|S6|S8|B3|M3D|T3D|SC)", re.IGNORECASE | re.MULTILINE)
 _NOT_IN_SPACE = re.compile(r"TYPE *= *\"?(CPE|CPS|CAX|D[ ,\n]|F3D|DC3D|U\d|T2D|B2|AC3D)", re.IGNORECASE)
 _NOT_LINEAR = re.compile(r"^\*(USER MATERIAL|HYPER|USER ELEMENT|DEFORMATION PLAST)", re.IGNORECASE | re.MULTILINE)
+# What a deck may hold its body with, so that rigid motion is strained by its own will.
+_CONSTRAINED = re.compile(r"^\*(EQUATION|MPC|SPRING|ELEMENT.*TYPE *= *(SPRING|GAP))", re.IGNORECASE | re.MULTILINE)
 _CONTACT = ("*CONTACTPAIR", "*SURFACEINTERACTION", "*SURFACEBEHAVIOR", "*FRICTION", "*CLEARANCE", "*CONTACTDAMPING",
             "*GAPCONDUCTANCE")  # fmt: skip
 
@@ -85,8 +88,10 @@ def own_eigenvalues(model: FEModel) -> np.ndarray:
         K, M = T.T @ K @ T, T.T @ M @ T
     moves = np.flatnonzero(abs(K).max(axis=0).toarray().ravel() > 0)
     K, M = (sp.csc_array(A[moves][:, moves]) for A in (K, M))
+    if len(moves) < MODES + 2:
+        return np.sort(sl.eigvals(K.toarray(), M.toarray()).real)
     start = np.random.default_rng(1).standard_normal(len(moves))
-    return np.sort(sla.eigsh(K, min(MODES, len(moves) - 2), M=M, sigma=0.0, v0=start, return_eigenvectors=False))
+    return np.sort(sla.eigsh(K, MODES, M=M, sigma=0.0, v0=start, return_eigenvectors=False))
 
 
 def ccx_eigenvalues(folder: Path, name: str) -> np.ndarray:
@@ -113,8 +118,9 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
         return result | {"error": str(error)}
     result |= {"seconds": time.perf_counter() - start, "rows": model.size}
     K, R = model.K, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
-    terms = abs(K) @ np.abs(R)
-    result["rigid"] = float((np.abs(K @ R).max(axis=0) / np.maximum(terms.max(axis=0), 1e-300)).max())
+    terms = float((abs(K) @ np.abs(R)).max())
+    result["rigid"] = float(np.abs(K @ R).max()) / max(terms, 1e-300)
+    result["own_constraints"] = bool(_CONSTRAINED.search(path.read_text(errors="replace")))
     if model.dependent is not None:
         result["follows"] = float(np.abs(model.dependent.S @ R - R).max() / np.abs(R).max())
     if model.size > limit:
@@ -132,7 +138,7 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
             result["ccx"], result["own"] = wanted.tolist(), got.tolist()
         else:
             result["held"] = "the deck does not hold its body, of which ccx finds no frequencies"
-    except (MorembsError, OSError, subprocess.TimeoutExpired, RuntimeError) as error:
+    except (MorembsError, OSError, subprocess.TimeoutExpired, RuntimeError, ValueError) as error:
         result["held"] = str(error)
     return result
 

@@ -39,8 +39,8 @@ class ImportJob:
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
     ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
-    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine`` is
-    the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
+    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine``
+    is the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
     ``allow_includes_outside`` lets decks include files from beyond their folders.
     """
 
@@ -137,7 +137,7 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
         return _assembled(job, job.engine)
     if job.engine_options:
         flag = next(iter(job.engine_options)).replace("_", "-").replace("timeout", "engine-timeout")
-        raise InputError(f"--{flag} was given without --engine; leave it out, or name the program that assembles the deck")
+        raise InputError(f"--{flag} was given without --engine; leave it out, or name the program that assembles")
     for name, given in _given(job).items():
         if not any(_takes(name, path, job) for path in (job.file, job.nodes)):
             what = "a deck .inp of Abaqus or CalculiX" if name == "dialect" else "a deck that can take it"

@@ -76,9 +76,10 @@ class Ccx(Closing):
         step = _EXPORT.format(", PERTURBATION" if self.flat.steps else "")
         self._run(name, self.flat.text(extra, step, nodes))
         stem = self.folder.path / name
-        lost = [end for end in _ENDINGS if not stem.with_suffix(end).is_file() or not stem.with_suffix(end).stat().st_size]
+        files = [stem.with_suffix(end) for end in _ENDINGS]
+        lost = [file.suffix for file in files if not file.is_file() or not file.stat().st_size]
         if lost == list(_ENDINGS):
-            raise InputError(f"ccx wrote no matrices for {self.flat.deck.name}: its boundary or equations hold every dof")
+            raise InputError(f"ccx wrote no matrices of {self.flat.deck.name}: its boundary or equations hold every dof")
         if lost:
             raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
         try:

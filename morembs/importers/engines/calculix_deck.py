@@ -32,7 +32,8 @@ _CODES = {
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
-    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".", "MEMBRANE SECTION": ".", "SPRING": ".",
+    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".",
+    "MEMBRANE SECTION": ".", "SPRING": ".",
     "MASS": ".", "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
     "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
     "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",

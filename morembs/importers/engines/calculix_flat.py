@@ -71,7 +71,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     constraints.surfaces.read()
     flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
     writer = _Writer(deck, assembly, choices, flat)
-    for placed, card, rows in writer.cards():
+    for placed, card, _ in writer.cards():
         if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
             flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
     for placed, card, rows in writer.cards():

@@ -29,6 +29,8 @@ FOLLOWS = "constraints of CalculiX"
 BOUNDARY = ("drop", "keep")
 # Sums below this part of their terms are round-off; CalculiX writes 14 digits.
 _ROUNDED = 1e-12
+# Above all internal numbers of nodes.
+_MADE = 1 << 40
 
 
 def import_with_calculix(
@@ -73,11 +75,11 @@ def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) 
     if boundary not in BOUNDARY:
         raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
     if preload < 0 or not timeout > 0:
-        raise InputError(f"--preload {preload} and --engine-timeout {timeout:g} were given; expected no negative numbers")
+        raise InputError(f"--preload {preload}, --engine-timeout {timeout:g} were given; expected no negative numbers")
     if preload and boundary == "drop":
         raise InputError(
-            f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, or "
-            "[preload] in the job"
+            f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
+            "or [preload] in the job"
         )
     return Choices(options=options, keep=boundary == "keep", preload=preload)
 
@@ -191,8 +193,8 @@ class _Model:
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
         notes += _notes(self.deck, choices)
         return Imported(
-            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average, equations=equations, masses=masses,
-            surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
+            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
+            equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
             notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
         )  # fmt: skip
 
@@ -213,7 +215,8 @@ class _Model:
         scalar = mapped.component == SCALAR
         own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
-            key = np.where(mapped.owner < 0, -mapped.owner, 0) + (mapped.owner == 0) * (10**9 + 4 * mapped.group + scalar * (1 + self.read.dof))
+            made = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)
+            key = np.where(mapped.owner < 0, -mapped.owner, made)
             keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
             at[own] = len(nodes) + inverse
             places = mapped.place[own][where]
@@ -238,7 +241,7 @@ class _Model:
         if assert_known is None:
             return sets
         which = np.searchsorted(assert_known.nodes, keys)
-        inside = (keys < 10**9) & (which < len(assert_known.nodes))
+        inside = (keys < _MADE) & (which < len(assert_known.nodes))
         parent = np.where(inside, assert_known.parent[np.minimum(which, len(assert_known.nodes) - 1)], 0)
         result = dict(sets)
         for name, rows in named.items():

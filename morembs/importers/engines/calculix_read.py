@@ -159,7 +159,7 @@ def _records(card: Card, pieces: Iterator[bytes], code: str, width: int) -> Ints
             row = []
     if row:
         raise InputError(
-            f"{card}, TYPE={code}: the element {row[0]} has {len(row) - 1} nodes, expected {width}; the file may be cut "
-            "off"
+            f"{card}, TYPE={code}: the element {row[0]} has {len(row) - 1} nodes, expected {width}; the file may be "
+            "cut off"
         )
     return np.array(rows, dtype=np.int64).reshape(-1, width + 1)

@@ -183,7 +183,8 @@ class _Solved:
         return replace(self.given, owner=self.owner, component=self.component, place=self.place, change=change)
 
     def _told(
-        self, seen: Floats, axes: Ints, candidates: list[tuple[int, Floats]], taken: set[tuple[int, int]], *, turns: bool
+        self, seen: Floats, axes: Ints, candidates: list[tuple[int, Floats]], taken: set[tuple[int, int]], *,
+        turns: bool,
     ) -> tuple[int, Floats, Ints] | None:  # fmt: skip
         """Owner, place and components of rows with the rigid motion ``seen`` (k, 6)."""
         nowhere = np.full(3, np.nan)
