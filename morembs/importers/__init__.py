@@ -25,6 +25,7 @@ from morembs.importers.meshes import import_mesh, read_with_meshio
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
+from morembs.importers.unv import import_unv, read_unv
 from morembs.model import Mesh, Nodes
 from morembs.model.handedness import right_handed
 from morembs.model.middle_nodes import mesh_in_order
@@ -35,7 +36,7 @@ from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[..., Mesh]] = {
-    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
+    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran, ".unv": read_unv
 }  # fmt: skip
 
 
@@ -90,9 +91,10 @@ _OWN: dict[str, Importer] = {
     "hdf5": Importer(
         about="sparse matrices in HDF5 groups (SciPy, MATLAB, Octave)", endings=(".h5", ".hdf5"), read=import_hdf5
     ),
+    "unv": Importer(about="universal file of I-deas or Salome: mesh and groups", endings=(".unv",), read=import_unv),
     "mesh": Importer(
         about="solid mesh without materials, all that meshio reads",
-        endings=(".msh", ".vtk", ".vtu", ".med", ".xdmf", ".mesh", ".unv"),
+        endings=(".msh", ".vtk", ".vtu", ".med", ".rmed", ".xdmf", ".mesh"),
         read=import_mesh,
     ),
 }
