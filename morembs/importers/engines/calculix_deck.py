@@ -34,7 +34,7 @@ _CODES = {
 CARDS = {
     "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".",
     "MEMBRANE SECTION": ".", "SPRING": ".",
-    "MASS": ".", "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
+    "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
     "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
     "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",
     "STATIC": ".", "ORIENTATION": ".",
@@ -48,8 +48,8 @@ _HOLD = {
     "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
     "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
 }  # fmt: skip
-# Elements on single nodes that CalculiX has; rotary inertias and distributing couplings are added to its matrices.
-_DISCRETE = ("MASS", "SPRING1", "SPRING2", "SPRINGA")
+# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
+_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
 
 
@@ -63,7 +63,7 @@ def numeral(value: float) -> str:
 class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
-    ``free`` is the first node label that nothing has.
+    ``masses`` are the numbers of point masses that are in it.
     """
 
     assembly: Assembly
@@ -74,10 +74,10 @@ class FlatDeck:
     surfaces: list[str] = field(default_factory=list)
     body: list[tuple[int, str]] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
+    masses: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.labels = self.assembly.element_labels()
-        self.written = _elements(self.assembly)
 
     @property
     def free(self) -> int:
@@ -88,7 +88,7 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *self.written, *self.defined, *self.surfaces, *body, extra,
+            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces, *body, extra,
              *self.steps, step, ""]
         )  # fmt: skip
 
@@ -247,8 +247,8 @@ def _nodes(assembly: Assembly) -> list[str]:
     return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
 
 
-def _elements(assembly: Assembly) -> list[str]:
-    """All elements in the order of their numbers."""
+def _elements(assembly: Assembly, masses: set[int]) -> list[str]:
+    """All elements in the order of their numbers, of point masses some."""
     lines, number = [], 1
 
     def block(code: str, nodes: Ints) -> None:
@@ -265,7 +265,7 @@ def _elements(assembly: Assembly) -> list[str]:
     for part in assembly.blocks:
         block(_CODES[part.type, part.formulation], part.nodes)
     for one in assembly.discrete:
-        if one.code in _DISCRETE:
+        if one.code in _DISCRETE or one.number in masses:
             number = one.number + 1
             block(one.code, np.array([one.nodes]))
     number = 1 + assembly.solids + len(assembly.discrete)

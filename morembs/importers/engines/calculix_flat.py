@@ -91,6 +91,7 @@ class _Writer:
         self._couplings = count(1)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
+        self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
 
     def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
         """Every card in every place that it has."""
@@ -115,8 +116,8 @@ class _Writer:
             self._glue(placed, card, rows)
         elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
             flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
-        elif word == "ROTARY INERTIA":
-            self._inertia(placed, card, rows)
+        elif word in ("MASS", "ROTARY INERTIA"):
+            self._masses(placed, card, rows)
         elif word == "EQUATION":
             out.equation(placed, card, rows)
         elif word == "KINEMATIC COUPLING":
@@ -149,14 +150,27 @@ class _Writer:
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
         self.flat.deck.card(placed, card, rows)
 
-    def _inertia(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """Inertias, which CalculiX has not."""
+    def _masses(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Point masses, which are added to the matrices: CalculiX loses those on nodes without stiffness, and has no
+        rotary inertia. Only those on shells and beams are its own."""
         numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
-        value = point_value(placed, card, rows)
+        value, left = point_value(placed, card, rows), []
         for one in self.assembly.discrete:
-            if one.number in numbers:
-                name = f"{card.options['ELSET']}:{one.label}"
+            if one.number not in numbers:
+                continue
+            if card.keyword == "MASS" and one.nodes[0] in self._expanded:
+                left.append(one.number)
+                continue
+            name = f"{card.options['ELSET']}:{one.label}"
+            if card.keyword == "MASS":
+                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=float(value[0, 0])))
+            else:
                 self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=0.0, inertia=value))
+        if left:
+            out = self.flat.deck
+            out.masses |= set(left)
+            own = out.new_set("e", np.array(left))
+            out.body.append((0, f"*MASS, ELSET={own}\n{numeral(value[0, 0])}"))
 
     def _section(self, placed: Placed, card: Card, rows: Rows) -> None:
         if card.options.get("ELSET") and not len(self.assembly.elements_of(placed, card.options["ELSET"])):

@@ -100,7 +100,7 @@ class _Model:
         for _, _, nodes in assembly.others:
             used[nodes] = True
         for element in assembly.discrete:
-            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI")
+            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI", "MASS")
         self.used = used
         bodies = [*flat.bodies, *flat.turning.values()]
         placed = used.copy()
