@@ -120,9 +120,17 @@ class _Model:
         """The whole model."""
         mapped = self._with_rotations(self.map)
         node, direction = self._missing(mapped)
-        S = ccx.probe(self.plain, node, direction) if len(node) else None
-        if S is not None and self.T is not None:
-            S = sp.csr_array(S @ self.T)
+        S = None
+        if len(node):
+            # What the boundary holds in global axes follows nothing; springs tell the rest.
+            held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
+            probed = np.flatnonzero(~held)
+            S = sp.csr_array((len(node), len(self.plain.node)))
+            if len(probed):
+                found = ccx.probe(self.plain, node[probed], direction[probed])
+                into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
+                S = sp.csr_array(into @ found)
+            S = S if self.T is None else sp.csr_array(S @ self.T)
         return self._joined(mapped, node, direction, S, choices)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
