@@ -234,11 +234,10 @@ class _Model:
             xyz.append(places)
             if self.expanded is not None:
                 sets = self._expanded_sets(sets, keys, len(nodes), row, named)
-        K = self.read.K
-        for i in np.flatnonzero(at < 0).tolist():
-            coupled = at[K.indices[K.indptr[i] : K.indptr[i + 1]]]
-            at[i] = coupled[coupled >= 0].min(initial=2**62)
-        at[at == 2**62] = 0
+        K, none = self.read.K, np.iinfo(np.int64).max
+        # Every row has a diagonal entry, so no row is empty.
+        first_coupled = np.minimum.reduceat(np.where(at < 0, none, at)[K.indices], K.indptr[:-1])
+        at[at < 0] = np.where(first_coupled == none, 0, first_coupled)[at < 0]
         whole = Nodes(ids=np.concatenate(ids), xyz=np.vstack(xyz), sets=sets)
         return whole, at
 
