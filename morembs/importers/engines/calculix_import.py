@@ -57,18 +57,33 @@ def import_with_calculix(
         DeckError: all that keeps the deck from becoming a model.
         InputError: no ccx, options that are not known, or a run that fails.
     """
-    path = Path(path)
     program = find_ccx(executable)
     choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
-    deck = read_for_engine(path, choices.options, outside=allow_includes_outside)
-    with deck.problems.ending():
-        assembly = Assembly(deck)
-        flat = flat_deck(deck, assembly, choices)
+    deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
     with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
         read = ccx.export()
         model = _Model(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
         return model.imported(ccx, choices)
+
+
+def readable_by_calculix(
+    path: Path, *, density: dict[str, float] | None = None, contact: str = "refuse", skip: list[str] | str = "",
+    allow_includes_outside: bool = False,
+) -> None:  # fmt: skip
+    """Whether a deck can be written for CalculiX; it is not run.
+
+    Raises:
+        InputError: it cannot.
+    """
+    _flat(path, Choices(options=deck_options(density, contact, skip)), outside=allow_includes_outside)
+
+
+def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, Assembly, Flat]:
+    deck = read_for_engine(path, choices.options, outside=outside)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        return deck, assembly, flat_deck(deck, assembly, choices)
 
 
 def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
@@ -235,9 +250,10 @@ class _Model:
             if self.expanded is not None:
                 sets = self._expanded_sets(sets, keys, len(nodes), row, named)
         K, none = self.read.K, np.iinfo(np.int64).max
-        # Every row has a diagonal entry, so no row is empty.
-        first_coupled = np.minimum.reduceat(np.where(at < 0, none, at)[K.indices], K.indptr[:-1])
-        at[at < 0] = np.where(first_coupled == none, 0, first_coupled)[at < 0]
+        full = np.flatnonzero(np.diff(K.indptr))
+        coupled = np.full(len(at), none)
+        coupled[full] = np.minimum.reduceat(np.where(at < 0, none, at)[K.indices], K.indptr[full])
+        at[at < 0] = np.where(coupled == none, 0, coupled)[at < 0]
         whole = Nodes(ids=np.concatenate(ids), xyz=np.vstack(xyz), sets=sets)
         return whole, at
 
