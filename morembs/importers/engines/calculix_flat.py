@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_constraints import Constraints
-from morembs.importers.abaqus_deck import NOTED, SILENT, Rows, values
+from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_words import NOTED, SILENT
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
 from morembs.importers.engines.calculix_read import EngineDeck
 from morembs.model.constraints import AverageElement

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_deck import MATERIAL, POINTS, SOLIDS, Deck, DeckReader, Members, Rows, Scope, join
+from morembs.importers.abaqus_deck import POINTS, SOLIDS, Deck, DeckReader, Members, Rows, Scope, join
 from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
+from morembs.importers.abaqus_words import MATERIAL
 from morembs.importers.problems import Problems
 
 Ints = NDArray[np.int64]
