@@ -46,6 +46,15 @@ def import_model(
     skip: Annotated[
         list[str] | None, typer.Option(help="Keywords, cards or element types to leave out, between commas.")
     ] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="The program that assembles a deck: calculix, or calculix:PATH of ccx.")
+    ] = None,
+    boundary: Annotated[str, typer.Option(help="With --engine: drop what *BOUNDARY holds, or keep it.")] = "drop",
+    preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,
+    engine_timeout: Annotated[float, typer.Option(help="With --engine: seconds for each run of it.")] = 600.0,
+    keep_files: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="With --engine: a folder for what it read and wrote.")
+    ] = None,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
     allow_includes_outside: Annotated[
         bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
@@ -53,20 +62,21 @@ def import_model(
     check: Annotated[bool, typer.Option("--check", help="Examine the model and print what is found.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="As --check; errors stop the import.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Tell all problems and notes, write nothing.")] = False,
-    listed: Annotated[bool, typer.Option("--list", help="List the formats.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="List the formats and engines.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Convert a model of another program into a model file that jobs read."""
     from morembs.importers.deck_options import density_of
-    from morembs.jobs.import_job import ImportJob, list_formats, material_of, run_import
+    from morembs.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
 
     if listed:
-        formats = list_formats()
+        formats, engines = list_formats(), list_engines()
         with messages(), printing():
             if as_json:
-                print_json(formats)
+                print_json({**formats, "engines": engines})
             else:
-                typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
+                lines = [f"{name}: {about}" for name, about in formats.items()]
+                typer.echo("\n".join([*lines, *(f"--engine {name}: {about}" for name, about in engines.items())]))
         return
     with messages():
         if dry_run:
@@ -88,6 +98,7 @@ def import_model(
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
             dialect=dialect, density=density_of(density or []), contact=contact,
             skip=tuple(word.strip() for text in skip or [] for word in text.split(",") if word.strip()),
+            engine=engine, engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
             options=pairs(option or []), allow_includes_outside=allow_includes_outside,
         )  # fmt: skip
         if dry_run:
@@ -100,6 +111,13 @@ def import_model(
                 print_json(_document(done))
             else:
                 typer.echo("\n".join(_lines(done)))
+
+
+def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:
+    """The options of engines that are not as they are by default."""
+    given = {"boundary": (boundary, "drop"), "preload": (preload, 0), "timeout": (timeout, 600.0),
+             "keep_files": ("" if keep is None else str(keep), "")}  # fmt: skip
+    return {name: value for name, (value, default) in given.items() if value != default}
 
 
 def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> None:

@@ -181,17 +181,25 @@ def _hdf5_kind(path: Path) -> str:
     return ""
 
 
-def import_file(path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Imported:
+def import_file(
+    path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None, *, engine: str | None = None
+) -> Imported:
     """What a file holds, in its units.
 
     Args:
         format: a name of ``IMPORTERS``; by default the ending of the file tells.
-        options: keyword arguments of the importer.
+        options: keyword arguments of the importer, or of the engine.
+        engine: the program that assembles a deck, NAME or NAME:PATH with a name of ``engines.ENGINES``.
 
     Raises:
         InputError: the file is missing or cannot be used, or an option that its format does not have.
     """
     path = Path(path)
+    if engine is not None:
+        # Not at the top: other imports do without programs.
+        from morembs.importers.engines import import_with_engine
+
+        return import_with_engine(path, format_of(path, format), engine, options or {})
     importer = IMPORTERS[format_of(path, format)]
     given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
     values = checked(

@@ -53,7 +53,7 @@ class Constraints:
         self.found = Found()
         self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
         self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
-        self._distributing: dict[int, int] = {}
+        self._distributing = {one.number: one.nodes[0] for one in assembly.discrete if one.code == "DCOUP3D"}
 
     def read(self) -> Found:
         """All of them, ties last: they leave alone what follows something else."""
@@ -87,7 +87,7 @@ class Constraints:
         elif card.keyword == "KINEMATIC COUPLING":
             self._kinematic_coupling(placed, card, rows)
         elif card.keyword == "DISTRIBUTING COUPLING":
-            self._distributing_coupling(placed, card, rows)
+            self.distributing_coupling(placed, card, rows)
         elif card.keyword == "RIGID BODY":
             self._rigid_body(placed, card)
         elif card.keyword == "EQUATION":
@@ -171,7 +171,7 @@ class Constraints:
         for components, parts in groups.items():
             self._rigid(self._title(placed, "kinematic coupling"), reference, np.concatenate(parts), components, card)
 
-    def _distributing_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
+    def distributing_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Nodes and weights in lines; the reference is the node of the DCOUP3D of its element set."""
         elements = self.assembly.elements_of(placed, card.need("ELSET")).tolist()
         references = [self._distributing[number_] for number_ in elements if number_ in self._distributing]
@@ -275,7 +275,6 @@ class Constraints:
                             self._given(placed, card, rows, given)
         for element in self.assembly.discrete:
             if element.code == "DCOUP3D":
-                self._distributing[element.number] = element.nodes[0]
                 continue
             placed, card, rows = given.get(element.number, (element.placed, Card("", {}, self.deck), []))
             if self.options.skips(element.code, _PROPERTY_OF[element.code]):
@@ -297,7 +296,7 @@ class Constraints:
                 f"expected *{_PROPERTY_OF[element.code]}"
             )
         if element.code in ("MASS", "ROTARYI"):
-            value, name = _point_value(placed, card, rows), f"{card.options['ELSET']}:{element.label}"
+            value, name = point_value(placed, card, rows), f"{card.options['ELSET']}:{element.label}"
             mass = PointMass(name=name, node=element.nodes[0], mass=float(value[0, 0]))
             spin = PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value)
             self.found.masses.append(mass if element.code == "MASS" else spin)
@@ -318,7 +317,7 @@ def _components(rows: Rows, card: Card) -> tuple[int, ...]:
     return tuple(sorted(components)) if components else _ALL
 
 
-def _point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
+def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
     """Mass times the identity, or the inertia (3, 3) about the node."""
     if card.options.get("TYPE", "ISOTROPIC").upper() != "ISOTROPIC" or card.options.get("ORIENTATION"):
         raise InputError(f"{card} is given with TYPE or ORIENTATION; expected a plain mass, or inertia in global axes")

@@ -411,7 +411,7 @@ def _nodes_of(code: str) -> int:
         return DISCRETE[code]
     beam = _BEAMS.match(code)
     plane = _PLANES.match(code)
-    return int(beam.group(1)) % 3 + 2 if beam else int(plane.group(1)) if plane else 0
+    return (2, 3, 2)[int(beam.group(1)) - 1] if beam else int(plane.group(1)) if plane else 0
 
 
 def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:

@@ -18,7 +18,7 @@ from morembs.model.surface import outer_faces
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Corners of the faces S1, S2, ...
-_FACES = {
+FACES = {
     "t": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)),
     "h": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (0, 3, 4, 7)),
     "w": ((0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (1, 2, 4, 5), (0, 2, 3, 5)),
@@ -132,7 +132,7 @@ class Surfaces:
                 for face, local in TYPES[kind].face_nodes:
                     blocks.append((face, self._free(face, nodes[own][:, local])))
                 continue
-            table = _FACES[kind[0]]
+            table = FACES[kind[0]]
             at = int(side[1:]) - 1 if side[:1] == "S" and side[1:].isdigit() and len(side) < 4 else -1
             if not 0 <= at < len(table):
                 raise InputError(f"{card}: the face {side!r} was given; a {kind} has the faces S1 to S{len(table)}")

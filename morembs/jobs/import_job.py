@@ -39,7 +39,8 @@ class ImportJob:
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
     ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
-    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck;
+    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine``
+    is the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
     ``allow_includes_outside`` lets decks include files from beyond their folders.
     """
 
@@ -56,6 +57,8 @@ class ImportJob:
     density: Mapping[str, float] = field(default_factory=dict)
     contact: str = "refuse"
     skip: tuple[str, ...] = ()
+    engine: str | None = None
+    engine_options: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     allow_includes_outside: bool = False
 
@@ -130,6 +133,11 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     """What the files hold together, and the name of the format."""
     if (job.file is None) == (not job.matrices):
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
+    if job.engine is not None:
+        return _assembled(job, job.engine)
+    if job.engine_options:
+        flag = next(iter(job.engine_options)).replace("_", "-").replace("timeout", "engine-timeout")
+        raise InputError(f"--{flag} was given without --engine; leave it out, or name the program that assembles")
     for name, given in _given(job).items():
         if not any(_takes(name, path, job) for path in (job.file, job.nodes)):
             what = "a deck .inp of Abaqus or CalculiX" if name == "dialect" else "a deck that can take it"
@@ -152,6 +160,23 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     if imported.K is None and job.dofs is not None:
         raise InputError("--dofs was given for a mesh; it belongs to matrices")
     return _with_geometry(imported, job), format
+
+
+def _assembled(job: ImportJob, engine: str) -> tuple[Imported, str]:
+    """A deck that another program assembles."""
+    # Not at the top: other imports do without programs.
+    from morembs.importers.engines import engine_of
+
+    name = engine.partition(":")[0]
+    if job.file is None or job.materials or job.nodes or job.dofs:
+        raise InputError(f"--engine {name} takes one deck with its materials; leave --material, --nodes, --dofs out")
+    known = engine_of(engine)[0].options
+    wrong = next((word for word in _given(job) if word not in known), None)
+    if wrong:
+        raise InputError(f"--{wrong} was given with --engine {name}, whose own formulations are taken; leave it out")
+    format = format_of(job.file, job.format)
+    given = {**_given(job), **job.engine_options, **_outside(job), **job.options}
+    return import_file(job.file, format, given, engine=engine), f"{format} ({name})"
 
 
 def _of_file(job: ImportJob, format: str) -> Imported:
@@ -233,8 +258,12 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
 
 def _of_decks(job: ImportJob, format: str) -> dict[str, Any]:
     """The options of decks, where the format has them."""
-    given = {**_given(job), **({"allow_includes_outside": True} if job.allow_includes_outside else {})}
+    given = {**_given(job), **_outside(job)}
     return {name: given[name] for name in IMPORTERS[format].options if name in given}
+
+
+def _outside(job: ImportJob) -> dict[str, Any]:
+    return {"allow_includes_outside": True} if job.allow_includes_outside else {}
 
 
 def _given(job: ImportJob) -> dict[str, Any]:
@@ -265,6 +294,21 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
         imported, nodes=whole, dofs=dofs, mesh=held.mesh, rigid=(), average=(), masses=(), surfaces=held.surfaces,
         notes=(*imported.notes, f"nodes are those of {path.name}"),
     )  # fmt: skip
+
+
+def list_engines() -> dict[str, str]:
+    """A line for each program that may assemble decks: what it is, and where it is found."""
+    from morembs.importers.engines import ENGINES
+
+    lines = {}
+    for name, engine in ENGINES.items():
+        try:
+            program = engine.find("")
+            found = f"{program.name}{f' {program.version}' if program.version else ''} at {program.path}"
+        except InputError:
+            found = "not found"
+        lines[name] = f"{engine.about} ({found})"
+    return lines
 
 
 def list_formats() -> dict[str, str]:

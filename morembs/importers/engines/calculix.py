@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
 from morembs.importers.engines.calculix_deck import FlatDeck
@@ -48,16 +50,22 @@ def find_ccx(given: str = "") -> Program:
 
 
 @dataclass(eq=False)
-class Ccx:
-    """Runs of ccx on one deck, each in the folder ``folder`` under a name of its own."""
+class Ccx(Closing):
+    """Runs of ccx on one deck in a private folder, each under a name of its own.
+
+    ``seconds`` for each run. One thread, as others add up in another order on another machine; no more memory than the
+    machine has. ``keep`` is the folder that gets the files (None: they are removed).
+    """
 
     program: Program
     flat: FlatDeck
     seconds: float = 600.0
-    memory: int | None = None
-    threads: int = 1
     keep: Path | None = None
     folder: ScratchFolder = field(default_factory=lambda: ScratchFolder(None))
+
+    def close(self) -> None:
+        """Remove the files."""
+        self.folder.close()
 
     def export(self, name: str = "model", extra: str = "", nodes: str = "") -> CalculixMatrices:
         """K and M of the deck with ``extra`` cards.
@@ -68,19 +76,30 @@ class Ccx:
         step = _EXPORT.format(", PERTURBATION" if self.flat.steps else "")
         self._run(name, self.flat.text(extra, step, nodes))
         stem = self.folder.path / name
-        lost = [end for end in _ENDINGS if not stem.with_suffix(end).is_file() or not stem.with_suffix(end).stat().st_size]
+        files = [stem.with_suffix(end) for end in _ENDINGS]
+        lost = [file.suffix for file in files if not file.is_file() or not file.stat().st_size]
+        if lost == list(_ENDINGS):
+            raise InputError(f"ccx wrote no matrices of {self.flat.deck.name}: its boundary or equations hold every dof")
         if lost:
             raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
-        read = read_calculix_matrices(stem, several=True)
-        for matrix, what in ((read.K, "stiffness"), (read.M, "mass")):
-            bad = np.flatnonzero(~np.isfinite(matrix.data))
-            if len(bad):
-                row = int(np.searchsorted(matrix.indptr, bad[0], side="right")) - 1
-                raise InputError(
-                    f"ccx wrote a {what} that is not a number in row {self._label(int(read.node[row]))}."
-                    f"{read.dof[row]}; an element there is degenerate, or a constraint is not linear"
+        try:
+            return read_calculix_matrices(stem, several=True)
+        except InputError as error:
+            raise self._not_finite(stem) or error from error
+
+    def _not_finite(self, stem: Path) -> InputError | None:
+        """What to say where ccx wrote a number that is none."""
+        for end, what in ((".sti", "stiffness"), (".mas", "mass")):
+            with stem.with_suffix(end).open("rb") as file:
+                line = next((line for line in file if b"nan" in line.lower() or b"inf" in line.lower()), b"")
+            if line:
+                dof = stem.with_suffix(".dof").read_text().split()
+                node, _, direction = dof[int(line.split()[0]) - 1].partition(".")
+                return InputError(
+                    f"ccx wrote a {what} that is not a number in row {self._label(int(node))}.{direction}; an element "
+                    "there is degenerate, or a constraint there is not linear"
                 )
-        return read
+        return None
 
     def expansion(self) -> Expanded | None:
         """What became of shells, membranes, beams and trusses, None without any."""
@@ -136,11 +155,10 @@ class Ccx:
         path.write_text(text, encoding="utf-8")
         count = len(self.flat.assembly.ids)
         late = f"ccx did not finish in {self.seconds:g} s ({count:,} nodes); --engine-timeout, or own assembly"
-        threads = {"OMP_NUM_THREADS": str(self.threads)}
         try:
             said = run(
-                [self.program.path, name], self.folder.path, seconds=self.seconds, memory=self.memory,
-                environment=threads, late=late,
+                [self.program.path, name], self.folder.path, seconds=self.seconds,
+                memory=psutil.virtual_memory().total, environment={"OMP_NUM_THREADS": "1"}, late=late,
             )  # fmt: skip
         finally:
             if self.keep is not None:

@@ -16,6 +16,7 @@ from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_surfaces import FACES
 from morembs.importers.engines.calculix_read import EngineDeck
 
 Ints = NDArray[np.int64]
@@ -31,8 +32,9 @@ _CODES = {
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
-    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".", "MEMBRANE SECTION": ".", "SPRING": ".",
-    "MASS": ".", "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
+    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".",
+    "MEMBRANE SECTION": ".", "SPRING": ".",
+    "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
     "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
     "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",
     "STATIC": ".", "ORIENTATION": ".",
@@ -46,6 +48,8 @@ _HOLD = {
     "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
     "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
 }  # fmt: skip
+# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
+_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
 
 
@@ -59,7 +63,7 @@ def numeral(value: float) -> str:
 class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
-    ``free`` is the first node label that nothing has.
+    ``masses`` are the numbers of point masses that are in it.
     """
 
     assembly: Assembly
@@ -70,10 +74,10 @@ class FlatDeck:
     surfaces: list[str] = field(default_factory=list)
     body: list[tuple[int, str]] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
+    masses: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.labels = self.assembly.element_labels()
-        self.written = _elements(self.assembly)
 
     @property
     def free(self) -> int:
@@ -84,7 +88,7 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *self.written, *self.defined, *self.surfaces, *body, extra,
+            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces, *body, extra,
              *self.steps, step, ""]
         )  # fmt: skip
 
@@ -174,12 +178,34 @@ class FlatDeck:
     def _surface(self, placed: Placed, card: Card, rows: Rows, text: str) -> str:
         name = self.name("s", placed, text)
         kind = "n" if card.options.get("TYPE", "ELEMENT").upper() == "NODE" else "e"
-        if kind == "e" and any(len(row) < 2 or not row[1] for row in rows):
-            raise InputError(f"{card} {text!r} gives no sides (S1, S2, ...) of its elements; name them")
-        lines = [", ".join([self.group(kind, placed, row[0]), *row[1:]]) for row in rows]
+        if "COMBINE" in card.options:
+            raise InputError(f"{card} {text!r} combines others; list their faces in one surface")
+        lines = []
+        for row in rows:
+            if kind == "e" and (len(row) < 2 or not row[1]):
+                lines += self._free_sides(placed, row[0])
+            else:
+                lines.append(", ".join([self.group(kind, placed, row[0]), *(row[1:] if kind == "e" else [])]))
         word = "NODE" if kind == "n" else "ELEMENT"
         self.surfaces.append("\n".join([f"*SURFACE, NAME={name}, TYPE={word}", *lines]))
         return name
+
+    def _free_sides(self, placed: Placed, text: str) -> list[str]:
+        """Element and side of the faces of some solids that no other element has."""
+        wanted = self.assembly.elements_of(placed, text)
+        keys, numbers, sides, start = [], [], [], 0
+        for part in self.assembly.blocks:
+            for side, corners in enumerate(FACES[part.type[0]]):
+                key = np.full((len(part.nodes), 4), -1, dtype=np.int64)
+                key[:, : len(corners)] = np.sort(part.nodes[:, corners], axis=1)
+                keys.append(key)
+                numbers.append(start + np.arange(len(key)))
+                sides.append(np.full(len(key), side + 1))
+            start += len(part.nodes)
+        _, group, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
+        number, side_of = np.concatenate(numbers), np.concatenate(sides)
+        free = np.flatnonzero((times[group.ravel()] == 1) & np.isin(number, wanted))
+        return [f"{number[i] + 1}, S{side_of[i]}" for i in free.tolist()]
 
     def boundary(self, placed: Placed, card: Card, rows: Rows) -> str:
         """*BOUNDARY that holds its dofs at zero."""
@@ -221,8 +247,8 @@ def _nodes(assembly: Assembly) -> list[str]:
     return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
 
 
-def _elements(assembly: Assembly) -> list[str]:
-    """All elements in the order of their numbers."""
+def _elements(assembly: Assembly, masses: set[int]) -> list[str]:
+    """All elements in the order of their numbers, of point masses some."""
     lines, number = [], 1
 
     def block(code: str, nodes: Ints) -> None:
@@ -238,8 +264,11 @@ def _elements(assembly: Assembly) -> list[str]:
 
     for part in assembly.blocks:
         block(_CODES[part.type, part.formulation], part.nodes)
-    for element in assembly.discrete:
-        block(element.code, np.array([element.nodes]))
+    for one in assembly.discrete:
+        if one.code in _DISCRETE or one.number in masses:
+            number = one.number + 1
+            block(one.code, np.array([one.nodes]))
+    number = 1 + assembly.solids + len(assembly.discrete)
     for code, _, nodes in assembly.others:
         block(code, nodes)
     return lines

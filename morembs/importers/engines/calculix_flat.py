@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_constraints import Constraints
+from morembs.importers.abaqus_constraints import Constraints, point_value
 from morembs.importers.abaqus_deck import Rows, values
-from morembs.importers.abaqus_keywords import Card, number
-from morembs.importers.abaqus_words import NOTED, SILENT
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
+from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
 from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.imported import PointMass
+from morembs.importers.problems import Problem
 from morembs.model.constraints import AverageElement
 
 Ints = NDArray[np.int64]
@@ -25,24 +28,19 @@ _PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "S
                        "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
 # Left out with a warning: the body is that of the deck without them.
-_WARNED = {"CYCLIC SYMMETRY MODEL": "the body is the sector alone", "ROTARY INERTIA": "CalculiX has none"}
-_CONTACT = ("CONTACT PAIR", "CONTACT", "CLEARANCE", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION")
-_HARMLESS = NOTED | SILENT | {
-    "STATIC", "DASHPOT", "SURFACE SECTION", "SUBMODEL", "CONTROLS", "DISTRIBUTION TABLE", "VIEWFACTOR", "DESIGN VARIABLES", "END",
-    "NO ANALYSIS", "MODEL CHANGE", "VALUES AT INFINITY", "CONSTRAINT", "OBJECTIVE", "TIMEPOINTS", "CHANGE FRICTION",
-    "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "DESIGNVARIABLES", "FLUID SECTION",
-    "GEOMETRIC TOLERANCES", "ROBUST DESIGN", "CORRELATION LENGTH", "SENSITIVITY", "FEASIBLE DIRECTION",
+_WARNED = ("CYCLIC SYMMETRY MODEL",)
+_HARMLESS = NOTED | SILENT | OF_OTHER_ELEMENTS | {
+    "STATIC", "DASHPOT", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION", "CHANGE FRICTION",
+    "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "SENSITIVITY", "FEASIBLE DIRECTION",
 }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """How a deck is to be taken: ``density`` by material or set ("all"), ``contact`` refuse, skip or tie, ``skip``
-    keywords, ``keep`` the boundary, the steps up to ``preload`` before (0: none)."""
+    """How a deck is to be taken: ``options`` as of the own reader, ``keep`` what the boundary holds, the steps up to
+    ``preload`` before (0: none)."""
 
-    density: Mapping[str, float] = field(default_factory=dict)
-    contact: str = "refuse"
-    skip: frozenset[str] = frozenset()
+    options: DeckOptions = field(default_factory=DeckOptions)
     keep: bool = False
     preload: int = 0
 
@@ -60,7 +58,7 @@ class Flat:
     turning: dict[int, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
+    masses: list[PointMass] = field(default_factory=list)
 
 
 def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
@@ -73,27 +71,27 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     constraints.surfaces.read()
     flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
     writer = _Writer(deck, assembly, choices, flat)
-    for placed, card, rows in writer.cards():
+    for placed, card, _ in writer.cards():
         if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
             flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
     for placed, card, rows in writer.cards():
-        writer.take(placed, card, rows)
+        with deck.problems.collected(card, (f"--skip {card.keyword}",)):
+            writer.take(placed, card, rows)
     writer.couplings()
     writer.steps()
     writer.materials()
     deck.problems.refuse()
-    if flat.problems:
-        raise InputError(f"{deck.name}: {'; '.join(dict.fromkeys(flat.problems))}")
     return flat
 
 
 class _Writer:
     def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
         self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
-        self._constraints = flat.constraints
+        self._constraints, self.options = flat.constraints, choices.options
         self._couplings = count(1)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
+        self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
 
     def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
         """Every card in every place that it has."""
@@ -105,8 +103,8 @@ class _Writer:
     def take(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Write a card, or say why not."""
         word, flat, out = card.keyword, self.flat, self.flat.deck
-        if word in self.choices.skip:
-            flat.warnings.append(f"*{word} was left out as --skip asks for [keywords-skipped]")
+        if self.options.skips(word):
+            self.deck.skipped[f"*{word}"] = self.deck.skipped.get(f"*{word}", 0) + 1
         elif word in ("ORIENTATION", "DISTRIBUTION"):
             self._orientation(placed, card, rows)
         elif word == "BOUNDARY":
@@ -114,11 +112,12 @@ class _Writer:
         elif word == "INITIAL CONDITIONS":
             if card.options.get("TYPE", "").upper() == "TEMPERATURE":
                 out.card(placed, card, rows)
-        elif word in _CONTACT:
-            self._contact(placed, card, rows)
-        elif word in _WARNED or (word == "TIE" and "CYCLIC SYMMETRY" in card.options):
-            reason = _WARNED.get(word, "the body is the sector alone")
-            flat.warnings.append(f"*{word} was left out: {reason} [keywords-skipped]")
+        elif word == "CONTACT PAIR":
+            self._glue(placed, card, rows)
+        elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
+            flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
+        elif word in ("MASS", "ROTARY INERTIA"):
+            self._masses(placed, card, rows)
         elif word == "EQUATION":
             out.equation(placed, card, rows)
         elif word == "KINEMATIC COUPLING":
@@ -132,17 +131,17 @@ class _Writer:
         elif word in _HARMLESS:
             self.deck.noted[word] = self.deck.noted.get(word, 0) + 1
         else:
-            flat.problems.append(
-                f"*{word} is not known here, so stiffness or mass may depend on it; take it out of the deck, or give "
-                f"--skip \"{word}\""
+            raise InputError(
+                f"{card} cannot be read: it is not known here, so stiffness or mass may depend on it; take it out of "
+                f"the deck, or leave it out with --skip {word!r}, if the model is right without it"
             )
 
     def _plain(self, placed: Placed, card: Card, rows: Rows) -> None:
         if card.keyword == "SPRING":
-            numbers = self.assembly.elements_of(placed, card.need("ELSET"))
-            start = len(self.flat.deck.labels) - sum(len(ids) for _, ids, _ in self.assembly.others)
-            codes = np.concatenate([np.full(len(ids), code) for code, ids, _ in self.assembly.others])
-            if len(numbers) and codes[numbers[0] - start] == "SPRINGA" and (len(rows) == 1 or "NONLINEAR" in card.options):
+            numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+            axial = any(one.code == "SPRINGA" and one.number in numbers for one in self.assembly.discrete)
+            if axial and (len(rows) == 1 or "NONLINEAR" in card.options):
+                # The line of directions, which a spring along its axis has empty.
                 rows = [[], *rows]
         if card.keyword == "RIGID BODY":
             self._rigid_body(placed, card)
@@ -150,6 +149,28 @@ class _Writer:
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
         self.flat.deck.card(placed, card, rows)
+
+    def _masses(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Point masses, which are added to the matrices: CalculiX loses those on nodes without stiffness, and has no
+        rotary inertia. Only those on shells and beams are its own."""
+        numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+        value, left = point_value(placed, card, rows), []
+        for one in self.assembly.discrete:
+            if one.number not in numbers:
+                continue
+            if card.keyword == "MASS" and one.nodes[0] in self._expanded:
+                left.append(one.number)
+                continue
+            name = f"{card.options['ELSET']}:{one.label}"
+            if card.keyword == "MASS":
+                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=float(value[0, 0])))
+            else:
+                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=0.0, inertia=value))
+        if left:
+            out = self.flat.deck
+            out.masses |= set(left)
+            own = out.new_set("e", np.array(left))
+            out.body.append((0, f"*MASS, ELSET={own}\n{numeral(value[0, 0])}"))
 
     def _section(self, placed: Placed, card: Card, rows: Rows) -> None:
         if card.options.get("ELSET") and not len(self.assembly.elements_of(placed, card.options["ELSET"])):
@@ -175,12 +196,10 @@ class _Writer:
             axes = (points[:2] - origin) @ placed.rotation.T
             rows = [[numeral(x) for x in axes.ravel()], *rows[1:]]
         out = self.flat.deck
-        kinds = "d." if rows and card.keyword == "ORIENTATION" and "DEFINITION" in card.options else None
-        if rows and card.keyword == "ORIENTATION" and len(rows[0]) == 1:
+        kinds = CARDS[card.keyword]
+        if card.keyword == "ORIENTATION" and rows and rows[0][0][:1].isalpha():
             kinds = "d."
-        if card.keyword == "DISTRIBUTION":
-            rows = [row for row in rows if row and row[0]]
-        out.body.append((-1, out.lines(placed, card, rows, kinds or CARDS[card.keyword])))
+        out.body.append((-1, out.lines(placed, card, rows, kinds)))
 
     def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
         if self.choices.keep:
@@ -188,21 +207,13 @@ class _Writer:
         else:
             self.deck.noted["BOUNDARY"] = 1
 
-    def _contact(self, placed: Placed, card: Card, rows: Rows) -> None:
-        contact, flat = self.choices.contact, self.flat
-        if card.keyword not in ("CONTACT PAIR", "CONTACT"):
-            return
-        if contact == "refuse" or (contact == "tie" and card.keyword == "CONTACT"):
-            flat.problems.append(f"*{card.keyword} is not linear; give --contact skip or tie")
-        elif contact == "skip":
-            flat.warnings.append(f"*{card.keyword} was left out, so its surfaces may come apart [contact-skipped]")
-        else:
-            adjust = card.options.get("ADJUST", "")
-            options = {"NAME": f"contact {len(flat.warnings)}"}
-            if adjust and adjust.upper() not in ("NO", "YES") and not adjust[0].isalpha():
-                options["POSITION TOLERANCE"] = adjust
-            flat.deck.card(placed, Card("TIE", options, card.file), [row[:2] for row in rows])
-            flat.warnings.append(f"*{card.keyword} was glued as *TIE does [contact-tied]")
+    def _glue(self, placed: Placed, card: Card, rows: Rows) -> None:
+        adjust = card.options.get("ADJUST", "")
+        options = {"NAME": f"contact {len(self.flat.warnings)}"}
+        if adjust[:1].isdigit() or adjust[:1] == ".":
+            options["POSITION TOLERANCE"] = adjust
+        self.flat.deck.card(placed, Card("TIE", options, card.file), [row[:2] for row in rows])
+        self.flat.warnings.append(f"*{card.keyword} was glued as *TIE does [contact-tied]")
 
     def _kinematic_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
         for row in rows:
@@ -240,20 +251,8 @@ class _Writer:
 
     def _distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Weights of nodes at the node of an element DCOUP3D."""
-        numbers = self.assembly.elements_of(placed, card.need("ELSET"))
-        start = len(self.flat.deck.labels) - sum(len(ids) for _, ids, _ in self.assembly.others)
-        nodes = np.concatenate([nodes[:, 0] if code == "DCOUP3D" else np.full(len(ids), -1)
-                                for code, ids, nodes in self.assembly.others])  # fmt: skip
-        reference = int(nodes[numbers[0] - start])
-        own = [self.assembly.nodes_of(placed, row[0]) for row in rows]
-        weights = [np.full(len(rows_), number(row[1], card) if len(row) > 1 else 1.0)
-                   for rows_, row in zip(own, rows, strict=True)]  # fmt: skip
-        self.flat.average.append(
-            AverageElement(
-                name=card.options["ELSET"], reference=reference, nodes=np.concatenate(own),
-                weights=np.concatenate(weights),
-            )
-        )  # fmt: skip
+        self._constraints.distributing_coupling(placed, card, rows)
+        self.flat.average = self._constraints.found.average
 
     def steps(self) -> None:
         """The boundary that the first step holds, or the steps of a preload."""
@@ -280,29 +279,41 @@ class _Writer:
             if kind != "m":
                 continue
             if key not in self.deck.materials:
-                self.flat.problems.append(f"a section names the material {key!r}, which is not defined")
+                self._problem(f"a section names the material {key!r}, which is not defined")
                 continue
             given = {card.keyword: (card, rows) for card, rows in self.deck.materials[key]}
             if "ELASTIC" not in given:
-                self.flat.problems.append(
-                    f"material {key} is {', '.join('*' + word for word in given) or 'empty'} only; expected *ELASTIC, or "
-                    "give --material young=..,poisson=..,density=..,set=.."
-                )
+                words = ", ".join(f"*{word}" for word in given) or "empty"
+                self._problem(f"material {key} is {words} only, which is not linear elastic; expected *ELASTIC")
                 continue
             lines = [f"*MATERIAL, NAME={name}"]
-            words = ["ELASTIC", "DENSITY"] + (["EXPANSION"] if self.choices.preload else [])
-            for word in words:
+            for word in ["ELASTIC", "DENSITY"] + (["EXPANSION"] if self.choices.preload else []):
                 if word in given:
                     card, rows = given[word]
                     lines.append(out.lines(self.assembly.top, card, [row for row in rows if row], "."))
             if "DENSITY" not in given:
-                density = self.choices.density.get(key, self.choices.density.get("all"))
+                density = self._density(key)
                 if density is None:
-                    self.flat.problems.append(f"material {key} has no *DENSITY; give it: --density X")
+                    self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
                     continue
                 lines.append(f"*DENSITY\n{numeral(density)}")
-                self.flat.warnings.append(f"material {key} has the density {density:g} that was given [density-given]")
+                self.flat.warnings.append(f"the material {key} has no *DENSITY; {density:g} was given and taken "
+                                          "[density-given]")  # fmt: skip
             out.body.append((-2, "\n".join(lines)))
+
+
+    def _density(self, material: str) -> float | None:
+        """The density that was given for a material: of one of the sets that it is for, or of all."""
+        given = {name.upper(): value for name, value in self.options.density.items()}
+        for _, card, _ in self.deck.cards:
+            if card.options.get("MATERIAL", "").upper() == material:
+                own = given.get(card.options.get("ELSET", "").upper())
+                if own is not None:
+                    return own
+        return given.get(material, given.get("ALL"))
+
+    def _problem(self, what: str, *flags: str) -> None:
+        self.deck.problems.add(Problem(what=what, file=self.deck.name, keyword="MATERIAL", flags=flags))
 
 
 def _plain_card(card: Card) -> Card:

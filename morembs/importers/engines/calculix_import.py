@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.calculix_matrices import CalculixMatrices
+from morembs.importers.deck_options import DeckOptions, deck_options
 from morembs.importers.engines.calculix import Ccx, find_ccx
 from morembs.importers.engines.calculix_flat import Choices, Flat, flat_deck
 from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR
@@ -25,81 +26,103 @@ from morembs.model.fe_model import SCALAR
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FOLLOWS = "constraints of CalculiX"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """``seconds`` and bytes of ``memory`` (None: no limit) for each run, ``threads`` of the program; ``keep`` takes
-    the files of the runs (None: they are removed)."""
-
-    seconds: float = 600.0
-    memory: int | None = None
-    threads: int = 1
-    keep: Path | None = None
+BOUNDARY = ("drop", "keep")
+# Sums below this part of their terms are round-off; CalculiX writes 14 digits.
+_ROUNDED = 1e-12
+# Above all internal numbers of nodes.
+_MADE = 1 << 40
 
 
 def import_with_calculix(
-    path: Path, choices: Choices, limits: Limits, *, executable: str = "", outside: bool = False
-) -> Imported:
+    path: str | Path, *, executable: str = "", density: float | dict[str, float] | None = None,
+    contact: str = "refuse", skip: list[str] | str = "", boundary: str = "drop", preload: int = 0,
+    timeout: float = 600.0, keep_files: str = "", allow_includes_outside: bool = False,
+) -> Imported:  # fmt: skip
     """A deck as CalculiX assembles it, in the deck's own units.
+
+    Args:
+        executable: the path of ccx; "" looks for it.
+        density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
+        contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
+        skip: keywords and element types to leave out, although stiffness or mass may depend on them.
+        boundary: "drop" what *BOUNDARY holds, for a free body, or "keep" it.
+        preload: steps that run first; the matrices are those of small motions after them.
+        timeout: seconds for each run of ccx.
+        keep_files: a folder for what ccx read and wrote.
+        allow_includes_outside: includes may name files beyond the folder of the deck.
 
     Peak memory: that of the matrices several times, and of ccx itself.
 
     Raises:
-        InputError: no ccx, a deck that is no linear model, or a run that fails.
+        DeckError: all that keeps the deck from becoming a model.
+        InputError: no ccx, options that are not known, or a run that fails.
     """
+    path = Path(path)
     program = find_ccx(executable)
-    deck = read_for_engine(Path(path), outside=outside)
-    if choices.preload and not choices.keep:
-        raise InputError(
-            f"--preload {choices.preload} was given with --boundary drop, but supports carry the load; give --boundary "
-            "keep, or [preload] in the job"
-        )
-    assembly = Assembly(deck)
-    flat = flat_deck(deck, assembly, choices)
-    ccx = Ccx(
-        program=program, flat=flat.deck, seconds=limits.seconds, memory=limits.memory, threads=limits.threads,
-        keep=limits.keep,
-    )  # fmt: skip
-    try:
+    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
+    deck = read_for_engine(path, choices.options, outside=allow_includes_outside)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        flat = flat_deck(deck, assembly, choices)
+    keep = Path(keep_files) if keep_files else None
+    with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
         read = ccx.export()
-        expanded = ccx.expansion()
-        return _Model(deck, assembly, flat, read, expanded).imported(ccx, choices)
-    finally:
-        ccx.folder.close()
+        model = _Model(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
+        return model.imported(ccx, choices)
+
+
+def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
+    if boundary not in BOUNDARY:
+        raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
+    if preload < 0 or not timeout > 0:
+        raise InputError(f"--preload {preload}, --engine-timeout {timeout:g} were given; expected no negative numbers")
+    if preload and boundary == "drop":
+        raise InputError(
+            f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
+            "or [preload] in the job"
+        )
+    return Choices(options=options, keep=boundary == "keep", preload=preload)
 
 
 class _Model:
     """Rows of an export on nodes of the deck and of expanded elements."""
 
     def __init__(
-        self, deck: EngineDeck, assembly: Assembly, flat: Flat, read: CalculixMatrices, expanded: Expanded | None
-    ) -> None:
-        self.deck, self.assembly, self.flat, self.read, self.expanded = deck, assembly, flat, read, expanded
+        self, deck: EngineDeck, assembly: Assembly, flat: Flat, read: CalculixMatrices, expanded: Expanded | None,
+        *, held: bool,
+    ) -> None:  # fmt: skip
+        self.deck, self.assembly, self.flat, self.expanded = deck, assembly, flat, expanded
+        self.plain = self.read = read
         self.solid = np.zeros(len(assembly.ids), dtype=bool)
         for block in assembly.blocks:
             self.solid[block.nodes] = True
         used = self.solid.copy()
-        for code, _, nodes in assembly.others:
-            if code != "DCOUP3D":
-                used[nodes] = True
+        for _, _, nodes in assembly.others:
+            used[nodes] = True
         for element in assembly.discrete:
-            used[element.nodes] = True
+            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI", "MASS")
         self.used = used
         bodies = [*flat.bodies, *flat.turning.values()]
         placed = used.copy()
         placed[np.array(bodies, dtype=np.int64) - 1] = True
         unplaced = np.flatnonzero(~placed) + 1
         self.map = map_rows(
-            read.K, read.node, read.dof, assembly.xyz, expanded=expanded, turning=flat.turning, unplaced=unplaced
+            read.K, read.node, read.dof, assembly.xyz, expanded=expanded, turning=flat.turning, unplaced=unplaced,
+            bodies=len(flat.bodies), held=held,
         )
-        self.strain = strain(read.K, self.map)
+        self.T = self.map.change
+        if self.T is not None:
+            K, M = (_changed(A, self.T) for A in (read.K, read.M))
+            self.read = replace(read, K=K, M=M)
+        self.strain = strain(self.read.K, self.map)
 
     def imported(self, ccx: Ccx, choices: Choices) -> Imported:
         """The whole model."""
         mapped = self._with_rotations(self.map)
         node, direction = self._missing(mapped)
-        S = ccx.probe(self.read, node, direction) if len(node) else None
+        S = ccx.probe(self.plain, node, direction) if len(node) else None
+        if S is not None and self.T is not None:
+            S = sp.csr_array(S @ self.T)
         return self._joined(mapped, node, direction, S, choices)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
@@ -133,7 +156,7 @@ class _Model:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
         notes, warnings = [*flat.notes], [*flat.warnings]
-        averaged = [rows for item in flat.average for rows in (item.nodes, np.array([item.reference]))]
+        averaged = [nodes_of([*flat.average, *flat.masses])]
         extra = np.unique(np.concatenate([
             np.flatnonzero(np.isin(np.arange(len(assembly.ids)) + 1, mapped.owner)), node - 1, *averaged,
         ]).astype(np.int64))  # fmt: skip
@@ -158,9 +181,7 @@ class _Model:
         order, K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
         equations = () if S is None else (_equations(S, dependent, dof_node, dof_component),)
         del order
-        average = tuple(
-            replace(item, reference=int(row[item.reference]), nodes=row[item.nodes]) for item in flat.average
-        )
+        average, masses = on_rows(flat.average, row), on_rows(flat.masses, row)
         surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
         if self.strain > STRAINED and not choices.keep:
             warnings.append(
@@ -172,8 +193,8 @@ class _Model:
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
         notes += _notes(self.deck, choices)
         return Imported(
-            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average, equations=equations,
-            surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
+            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
+            equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
             notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
         )  # fmt: skip
 
@@ -194,7 +215,8 @@ class _Model:
         scalar = mapped.component == SCALAR
         own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
-            key = np.where(mapped.owner < 0, -mapped.owner, 0) + (mapped.owner == 0) * (10**9 + 4 * mapped.group + scalar * (1 + self.read.dof))
+            made = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)
+            key = np.where(mapped.owner < 0, -mapped.owner, made)
             keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
             at[own] = len(nodes) + inverse
             places = mapped.place[own][where]
@@ -219,7 +241,7 @@ class _Model:
         if assert_known is None:
             return sets
         which = np.searchsorted(assert_known.nodes, keys)
-        inside = (keys < 10**9) & (which < len(assert_known.nodes))
+        inside = (keys < _MADE) & (which < len(assert_known.nodes))
         parent = np.where(inside, assert_known.parent[np.minimum(which, len(assert_known.nodes) - 1)], 0)
         result = dict(sets)
         for name, rows in named.items():
@@ -228,6 +250,18 @@ class _Model:
             if len(members) or len(kept):
                 result[name] = np.unique(np.concatenate([kept, members]))
         return result
+
+
+def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
+    """T' A T, symmetric, without what is round-off of its terms: a truss has no stiffness across its axis."""
+    product, terms = sp.csr_array(T.T @ A @ T), abs(T).T @ abs(A) @ abs(T)
+    product = sp.csr_array(0.5 * (product + product.T))
+    left = sp.csr_array(product.multiply(abs(product) > _ROUNDED * 0.5 * (terms + terms.T)))
+    # Both are semidefinite: a diagonal that is zero has nothing beside it.
+    kept = sp.diags_array((left.diagonal() > 0).astype(float))
+    left = sp.csr_array(kept @ left @ kept)
+    left.eliminate_zeros()
+    return left
 
 
 def _ordered(
