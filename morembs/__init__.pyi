@@ -1,4 +1,5 @@
 # What ``import morembs`` offers, and where each name lives.
+from .batches.run import batch
 from .body import ElasticBody, elastic_body, make_part
 from .body.file import read_body, write_body
 from .body.stress_shapes import stress_recovery
@@ -80,6 +81,7 @@ __all__ = [
     "assemble",
     "available_solvers",
     "band_frequencies",
+    "batch",
     "certified_reference",
     "certify",
     "direct_response",

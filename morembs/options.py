@@ -80,8 +80,7 @@ def _typed(hint: Any, key: str, value: object, where: str) -> Any:
     from pydantic import TypeAdapter, ValidationError
 
     adapter = TypeAdapter(hint)
-    readings = _readings(value) if isinstance(value, Text) else [value]
-    for reading in readings:
+    for reading in readings(value) if isinstance(value, Text) else [value]:
         try:
             adapter.validate_python(reading, strict=True)
         except ValidationError as error:
@@ -93,15 +92,15 @@ def _typed(hint: Any, key: str, value: object, where: str) -> Any:
     raise InputError(f"{where}{shown} was given; expected {expected}")
 
 
-def _readings(text: Text) -> list[object]:
+def readings(text: Text) -> list[object]:
     """What a text may mean: a TOML value, itself, or words between commas. The last is what it most likely is."""
-    readings: list[object] = []
+    values: list[object] = []
     for spelling in (text, text.lower()):
         try:
-            readings.append(tomllib.loads(f"value = {spelling}")["value"])
+            values.append(tomllib.loads(f"value = {spelling}")["value"])
         except (tomllib.TOMLDecodeError, RecursionError, ValueError):
             continue
-    return [*readings, str(text), [part for part in text.split(",") if part], *readings[-1:]]
+    return [*values, str(text), [part for part in text.split(",") if part], *values[-1:]]
 
 
 def _expected(message: str) -> str:

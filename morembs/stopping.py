@@ -67,14 +67,22 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
         if _asked and _stops(what.exc_value):
             _set_timer(_AGAIN)
         else:
-            before(what)
+            drop(what)
+
+    def printed(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+        # Cython prints what it drops before it says so.
+        if _asked and _stops(error):
+            _set_timer(_AGAIN)
+        else:
+            show(kind, error, trace)
 
     numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
     handlers: dict[int, Any] = {number: handle for number in numbers if signal.getsignal(number) is not signal.SIG_IGN}
     if _HAS_TIMER:
         handlers[signal.SIGALRM] = lambda *_: check()
     _asked.clear()
-    before, sys.unraisablehook = sys.unraisablehook, dropped
+    drop, sys.unraisablehook = sys.unraisablehook, dropped
+    show, sys.excepthook = sys.excepthook, printed
     replaced = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
@@ -83,7 +91,7 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
         for number, handler in replaced.items():
             # None stands for one that was not made in Python.
             signal.signal(number, signal.SIG_DFL if ends or handler is None else handler)
-        sys.unraisablehook = before
+        sys.unraisablehook, sys.excepthook = drop, show
 
 
 def end_with(code: int) -> None:

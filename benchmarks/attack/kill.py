@@ -163,6 +163,8 @@ class Target:
                     (os.killpg if trial.group else os.kill)(process.pid, trial.signal)
                 time.sleep(0.01 * trial.twice)
             _, errors = process.communicate()
+        if "KeyboardInterrupt" in errors and str(ROOT / "morembs") not in errors:
+            return -trial.signal, ""  # Python itself was starting, and ends in its own way
         return process.returncode, errors
 
     def _after_the_kill(self, outcome: Outcome, place: Path, logs: Path, errors: str) -> None:

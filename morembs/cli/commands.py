@@ -13,10 +13,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
 from morembs.cli.messages import console, print_json, printing, warn
 from morembs.cli.models import app as models
-from morembs.cli.terminal import EPILOG, AsJson, Done, Jobs, Quiet, each_job, messages
+from morembs.cli.terminal import (
+    EPILOG,
+    AsJson,
+    Attached,
+    Changes,
+    Done,
+    Jobs,
+    Quiet,
+    Report,
+    each_job,
+    leave_with_input,
+    messages,
+)
 from morembs.errors import InputError, MorembsError
 from morembs.progress import Progress
 from morembs.version import VERSION
@@ -31,15 +44,20 @@ app = typer.Typer(
 
 
 @app.command(epilog=EPILOG)
-def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
+def reduce(
+    jobs: Jobs, changes: Changes = None, report: Report = None, as_json: AsJson = False, quiet: Quiet = False,
+    attached: Attached = False,
+) -> None:  # fmt: skip
     """Reduce the models of job files and write their bodies."""
     from morembs.cli.report import print_result, result_json
     from morembs.jobs.job import load_job
     from morembs.jobs.run import run_job
 
+    if attached:
+        leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        job = load_job(path)
+        job = load_job(path, changes or ())
         told: list[str] = []
 
         def tell(sentence: str) -> None:
@@ -49,13 +67,14 @@ def reduce(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
         result = run_job(job, progress, tell)
         return result_json(result), lambda: print_result(console(), result, told)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
 
 
 @app.command(epilog=EPILOG)
 def compare(
     job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
+    report: Report = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -80,34 +99,42 @@ def compare(
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
-        compared = contenders(run_job(loaded, progress, warn))
+        result = run_job(loaded, progress, warn)
+        compared = contenders(result)
         if picture is not None:
             draw_contenders(picture, compared, path.name)
         document = {
             "job": str(path),
+            "output": str(loaded.output),
+            "seconds": {stage.name: stage.seconds for stage in result.stages},
+            "job_peak_memory_bytes": result.peak_memory_bytes,
             "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
         }
         return document, lambda: print_contenders(console(), str(path), compared)
 
-    each_job([job], as_json, work, quiet)
+    each_job([job], as_json, work, quiet, report=report)
 
 
 @app.command(epilog=EPILOG)
-def check(jobs: Jobs, as_json: AsJson = False, quiet: Quiet = False) -> None:
+def check(
+    jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
+) -> None:
     """Check job files and forecast size and memory; factorises nothing, writes nothing."""
     from morembs.cli.report import print_forecast
     from morembs.jobs.check import check_job
     from morembs.jobs.job import load_job
 
+    if attached:
+        leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        forecast = check_job(load_job(path), progress)
+        forecast = check_job(load_job(path, changes or ()), progress)
         return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs))
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
 
 
-def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
+def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[int, str]:
     """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
     from morembs.jobs.inputs import clashes
     from morembs.jobs.job import load_job
@@ -115,10 +142,11 @@ def _in_each_others_way(jobs: Sequence[Path]) -> dict[int, str]:
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
-            loaded[number] = load_job(path)
+            loaded[number] = load_job(path, changes)
     return clashes(loaded)
 
 
+app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(models)
 

@@ -71,6 +71,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
             for body in result.bodies
         },
         "warnings": list(result.warnings),
+        "inputs": {name: asdict(content) for name, content in result.inputs.items()},
         "seconds": {stage.name: stage.seconds for stage in result.stages},
         "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in result.stages},
         "job_peak_memory_bytes": result.peak_memory_bytes,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
@@ -33,10 +35,27 @@ EPILOG = (
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
+]
+Report = Annotated[Path | None, typer.Option(help="Write a report of all: an .html file.")]
+Attached = Annotated[bool, typer.Option(hidden=True, help="End when standard input does.")]
 
 # Plain values for JSON, and what prints them for people.
 Done = tuple[dict[str, Any], Callable[[], None]]
 Work = Callable[[Path, Progress], Done]
+
+
+def leave_with_input() -> None:
+    """End this process, as SIGTERM does, when its standard input ends: with the process that holds the other end."""
+
+    def wait() -> None:
+        with suppress(OSError, ValueError):
+            while os.read(0, 4096):
+                pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    Thread(target=wait, daemon=True).start()
 
 
 class LineProgress:
@@ -153,9 +172,15 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
 
 
 def each_job(
-    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None
-) -> None:
+    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None,
+    report: Path | None = None,
+) -> None:  # fmt: skip
     """Do ``work`` for each job but for those that are ``refused``: place among the jobs -> reason."""
+    if report is not None:
+        from morembs.cli.page import check_report
+
+        with messages():
+            check_report(report)
     documents: list[dict[str, Any]] = []
     failed: list[Failure] = []
     reasons = refused or {}
@@ -169,6 +194,10 @@ def each_job(
             documents.append({"job": str(path), "error": failed[-1].message})
         # The next job shall not hold, nor report, what this one needed.
         release()
+    if report is not None:
+        with messages(failed), progress_line(quiet) as progress:
+            progress.stage("write report")
+            _write_report(report, documents)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json(documents if len(jobs) > 1 else documents[0])
@@ -183,6 +212,20 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
     if not as_json:
         with printing(_written(document)):
             show()
+
+
+def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
+    from morembs.cli.page import Entry, write_report
+
+    entries = [
+        Entry(
+            name=Path(document["job"]).stem, job=document["job"], state="failed" if "error" in document else "done",
+            message=document.get("error", ""), output=document.get("output", ""),
+            seconds=sum(document.get("seconds", {}).values()), peak_memory_bytes=document.get("job_peak_memory_bytes"),
+        )
+        for document in documents
+    ]  # fmt: skip
+    write_report(report, entries, ", ".join(entry.name for entry in entries))
 
 
 def _written(document: Mapping[str, Any]) -> list[str]:

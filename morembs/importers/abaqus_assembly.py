@@ -181,8 +181,8 @@ class Assembly:
         for j, placed in enumerate(scopes):
             for scope in placed.contents:
                 for code, rows in scope.others:
-                    nodes = self.rows_of(placed, rows[:, 1:], "elements name")
-                    self.others.append((code, rows[:, 0] + shifts[j], nodes))
+                    at = self.rows_of(placed, rows[:, 1:], "elements name")
+                    self.others.append((code, rows[:, 0] + shifts[j], at))
             left = len(number[j]) - filled[j]
             number[j][filled[j] :] = np.arange(count, count + left)
             count += left

@@ -61,6 +61,7 @@ DISCRETE = {
 }  # fmt: skip
 _BEAMS = re.compile(r"B3([123])")
 _PLANES = re.compile(r"(?:S|CPS|CPE|CPEG|CAX|M3D|T3D|T2D|R3D|STRI|SFM3D|DC3D|F3D|AC3D|COH3D|SC|GK3D|CONN3D)(\d\d?)")
+_OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 # Elements that have neither stiffness nor mass.
 _EMPTY = ("SFM3D",)
 # Bytes at the begin of a deck whose comments may name the program that wrote it.
@@ -199,7 +200,8 @@ def _others(deck: Deck) -> None:
         Problem(
             what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(_KINDS)} and "
             f"their variants), {', '.join(DISCRETE)}; take the others out of the deck, or leave them out with "
-            f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them",
+            f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
+            f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
             file=deck.name, keyword="ELEMENT", flags=flags,
         )
     )  # fmt: skip

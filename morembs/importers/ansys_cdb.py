@@ -116,9 +116,9 @@ def import_ansys_cdb(
     _say_rest(archive, rotated, len(ids) - len(used), notes)
     inner = np.isin(used, of_solids)
     mesh_nodes = nodes if inner.all() else _of_solids(nodes, inner)
-    row = np.cumsum(inner) - 1
+    inner_row = np.cumsum(inner) - 1
     mesh = Mesh(
-        nodes=mesh_nodes, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
+        nodes=mesh_nodes, blocks=tuple(replace(block, nodes=inner_row[block.nodes]) for block in blocks),
         element_sets=element_sets, source=archive.name,
         warnings=tuple(warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))),
     )  # fmt: skip

@@ -32,7 +32,8 @@ def material(
     missing = [key for key in ("EX", "DENS") if key not in given]
     if missing == ["DENS"]:
         like = material(number, name, {**given, "DENS": 1.0}, turned, notes, lacking)
-        lacking[name] = Lacking(sentence=f"material {number} has no DENS", stiffness=like and like.stiffness)
+        stiffness = None if like is None else like.stiffness
+        lacking[name] = Lacking(sentence=f"material {number} has no DENS", stiffness=stiffness)
         return None
     if missing:
         lacking[name] = Lacking(sentence=f"material {number} has no {' and no '.join(missing)}")

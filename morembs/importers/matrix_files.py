@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +16,15 @@ from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.imported import Imported
 from morembs.importers.named import matrices_by_name, square_csr
+from morembs.importers.nastran_cards import Cards
+from morembs.importers.nastran_geometry import Grids
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes
 from morembs.model.fe_model import SCALAR
 
 Ints = NDArray[np.int64]
+_GRID = re.compile(rb"^GRID[ *,][^\n]*\n(?:[*+ ,][^\n]*\n)*", re.MULTILINE)
 # The component of rows of scalar points.
 _SCALAR_POINT = 0
 # Names that Nastran gives the matrices of a superelement, and those by which it takes them.
@@ -50,6 +54,8 @@ def import_dmig(
 ) -> Imported:  # fmt: skip
     """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
 
+    Where the file has a GRID for each of them, nodes are at their places. Scalar points become scalar dofs.
+
     Raises:
         InputError: not such a file, or no matrix of a name.
     """
@@ -61,11 +67,30 @@ def import_dmig(
     )
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
     nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, SCALAR, labels[:, 1] - 1))
+    nodes = _placed(nodes, text)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
     whole = matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
     return replace(whole, warnings=text.warnings)
+
+
+def _placed(nodes: Nodes, text: BulkText) -> Nodes:
+    """The nodes at the GRID cards of the text, as far as it has some, along the basic axes."""
+    grids = Grids(text.file)
+    for piece in text:
+        cards = b"".join(_GRID.findall(piece.text)) if b"GRID" in piece.text else b""
+        if cards:
+            for table in Cards(replace(piece, text=cards), text).tables():
+                grids.add(table)
+    if not grids.count:
+        return nodes
+    grids.sort([])
+    if grids.cp.any() or (grids.cd > 0).any():
+        return nodes
+    at = np.minimum(np.searchsorted(grids.ids, nodes.ids), len(grids.ids) - 1)
+    xyz = np.where((grids.ids[at] == nodes.ids)[:, None], grids.xyz[at], np.nan)
+    return Nodes(ids=nodes.ids, xyz=xyz)
 
 
 def _spread(read: DmigMatrix, labels: Ints) -> sp.csr_array:

@@ -205,7 +205,8 @@ class Springs:
                     grid = int(self.grids.rows(np.array([integer(label, what)]), what)[0])
                     part = real(value, what) * self.part(grid, int(component) - 1)
                     order = np.argsort(-np.abs(part), kind="stable").tolist()
-                    terms += [(grid, c, float(part[c])) for c in order if part[c]]
+                    # A first coefficient of zero is to be seen.
+                    terms += [(grid, c, float(part[c])) for c in order if part[c]] or [(grid, int(component) - 1, 0.0)]
             sums.append((what, terms))
         return solved_for_first("MPC", sums) if sums else None
 

@@ -18,7 +18,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
-from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, Nodes
@@ -66,7 +66,7 @@ def model_of(
     masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
     discrete = [si_discrete(element, units) for element in on_rows(imported.discrete, base.row)]
-    ties = [*rigid, *average, *equations, *masses, *discrete]
+    ties: list[Ties] = [*rigid, *average, *equations, *masses, *discrete]
     model = with_dofs(model, ties)
     refuse_loose(model, ties)
     model, said = with_discrete(with_masses(model, masses), discrete)

@@ -28,7 +28,7 @@ SOLIDS: dict[int, tuple[str, tuple[int, ...]]] = {
     111: ("tet4", tuple(range(4))), 112: ("wedge6", tuple(range(6))), 115: ("hex8", tuple(range(8))),
     118: ("tet10", _TET10), 113: ("wedge15", _WEDGE15), 116: ("hex20", _HEX20),
 }  # fmt: skip
-_BEAMS = (21, 22, 23, 24)
+_BEAMS, _ROD = (21, 22, 23, 24), 11
 # Elements that may carry groups and have no mass or stiffness here.
 _FLAT = (*range(11, 14), *_BEAMS, *range(31, 33), *range(41, 47), *range(51, 57), *range(61, 67), *range(71, 77),
          *range(81, 87), *range(91, 97), 121, 122, 136, 137, 138, 139, 141, 142, 151, 152, 161, 171)  # fmt: skip
@@ -124,7 +124,8 @@ def _take_elements(lines: list[str], found: _Found, name: str) -> None:
     while at < len(lines):
         words = [int(word) for word in lines[at].split()]
         label, kind, count = words[0], words[1], words[-1]
-        at += 2 if kind in _BEAMS else 1
+        # Beams have a line of their own in front of their nodes; some programs write it for rods as well.
+        at += 2 if kind in _BEAMS or (kind == _ROD and len(lines[at + 1].split()) > count) else 1
         nodes: list[int] = []
         while len(nodes) < count:
             nodes += [int(word) for word in lines[at].split()]
@@ -179,9 +180,9 @@ def _mesh(found: _Found, name: str) -> Mesh:
     for title, members in found.groups.items():
         of_nodes = np.array([label for kind, label in members if kind == _NODE], dtype=np.int64)
         of_elements = np.array([label for kind, label in members if kind == _ELEMENT], dtype=np.int64)
-        rows = np.flatnonzero(np.isin(ids, of_nodes))
-        if len(rows):
-            node_sets[title] = rows
+        chosen = np.flatnonzero(np.isin(ids, of_nodes))
+        if len(chosen):
+            node_sets[title] = chosen
         picked = tuple(np.flatnonzero(np.isin(block.ids, of_elements)) for block in blocks)
         if any(map(len, picked)):
             element_sets[title] = picked

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from morembs.errors import InputError, nearest
 from morembs.jobs.schema import JobTables, ReduceTable
-from morembs.options import checked, in_toml
+from morembs.options import Text, checked, in_toml, pairs, readings
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
 
@@ -27,13 +27,17 @@ BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
-    """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder."""
+    """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder.
+
+    ``changes`` are the keys that were given another value, KEY=VALUE; the text is that of the file.
+    """
 
     path: Path
     text: str
     tables: JobTables
     reducers: Mapping[str, Reducer]
     memory: int | None = None
+    changes: tuple[str, ...] = ()
 
     def resolve(self, path: str) -> Path:
         """A path of the job file, seen from the working directory.
@@ -59,8 +63,12 @@ class Job:
         return None if self.tables.output.picture is None else self.resolve(self.tables.output.picture)
 
 
-def load_job(path: str | Path) -> Job:
+def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     """Job of a TOML file.
+
+    Args:
+        changes: keys with other values than in the file, each ``"TABLE.KEY=VALUE"``; of several tables
+            ``"TABLE.NAME.KEY=VALUE"`` means one, and without a name all are meant.
 
     Raises:
         InputError: the file is missing, is not TOML, or has unknown, missing or wrong keys; one line for
@@ -78,12 +86,33 @@ def load_job(path: str | Path) -> Job:
     except (ValueError, RecursionError) as error:
         # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
         raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; mend that line") from error
+    for key, value in pairs(changes).items():
+        _change(data, key, value)
     try:
         tables = JobTables.model_validate(data)
     except ValidationError as error:
         raise InputError("\n".join(_faults(error, data))) from error
     memory = None if tables.solver.memory is None else parse_memory(tables.solver.memory)
-    return Job(path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory)
+    return Job(
+        path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory,
+        changes=tuple(changes),
+    )  # fmt: skip
+
+
+def _change(data: dict[str, Any], key: str, text: Text) -> None:
+    """Give ``key``, TABLE.KEY or TABLE.NAME.KEY, another value in the tables of a job."""
+    *names, last = key.split(".")
+    tables: list[Any] = [data]
+    for depth, name in enumerate(names):
+        called = [table for table in tables if depth and name in (table.get("name"), table.get("method"))]
+        inner = [] if called else [table.setdefault(name, {}) for table in tables]
+        tables = called or [table for held in inner for table in (held if isinstance(held, list) else [held])]
+        if not all(isinstance(table, dict) for table in tables):
+            raise InputError(f"--set {key}={text} was given; {name!r} is a value and holds no key {last!r}")
+    if not all((names, *names, last)):
+        raise InputError(f"--set {key}={text} was given; expected TABLE.KEY=VALUE, such as reduce.modes=40")
+    for table in tables:
+        table[last] = readings(text)[0]
 
 
 def parse_memory(text: str) -> int:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,14 @@ from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
 from morembs.importers.model_file import read_model
-from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
+from morembs.jobs.compare import (
+    FrequencyResponse,
+    Shapes,
+    certified_response,
+    frequency_response,
+    mode_shapes,
+    recommended,
+)
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
@@ -45,6 +52,7 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
+from morembs.storage.contents import Content, files_read
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -57,7 +65,7 @@ class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
     ``peak_memory_bytes`` is the peak resident memory of the process during the job, ``factor`` the cost of the one
     factorisation and ``choice`` says why this solver made it; ``warnings`` are sentences about the model and the
-    bodies."""
+    bodies; ``inputs`` what was in each file that the model was read from."""
 
     job: Job
     nodes: int
@@ -71,6 +79,7 @@ class JobResult:
     response: FrequencyResponse | None = None
     shapes: Shapes | None = None
     warnings: tuple[str, ...] = ()
+    inputs: Mapping[str, Content] = field(default_factory=dict)
 
     @property
     def solver(self) -> str:
@@ -105,7 +114,8 @@ def _run(
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    model = _read(job, solver, materials, budget, start, watch)
+    with files_read() as inputs:
+        model = _read(job, solver, materials, budget, start, watch)
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -134,11 +144,11 @@ def _run(
         ):
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
-        shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
+        shapes = mode_shapes(problem, _shown(bodies).reduced) if job.picture is not None else None
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
     with watch.stage("write"):
-        provenance = _provenance(job, factor, watch)
+        provenance = _provenance(job, inputs, factor, watch)
         write_body(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
             warnings=(*of_model, *delivered), progress=progress,
@@ -152,6 +162,7 @@ def _run(
         job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
         factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages),
         peak_memory_bytes=watch.peak_memory_bytes, response=response, shapes=shapes, warnings=warnings,
+        inputs=inputs,
     )  # fmt: skip
 
 
@@ -222,6 +233,12 @@ def _delivered(
         return tuple(bodies)
 
 
+def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
+    """The body whose modes are drawn."""
+    limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
+    return next(body for body in bodies if body.name == recommended(limits))
+
+
 def _certified_band(job: Job) -> Sequence[float] | None:
     """The band of [certify], or the widest that a reduction was made for with a tolerance."""
     if job.tables.certify is not None:
@@ -250,9 +267,13 @@ def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     return {**asked, "dofs": model.size, "source": model.source}
 
 
-def _provenance(job: Job, factor: FactorStats, watch: Stopwatch) -> dict[str, object]:
+def _provenance(
+    job: Job, inputs: Mapping[str, Content], factor: FactorStats, watch: Stopwatch
+) -> dict[str, object]:
     return {
         "job": job.text,
+        "changes": list(job.changes) or None,
+        "inputs": [{"file": name, "sha256": content.sha256} for name, content in inputs.items()],
         "solver": factor.backend,
         "factor": asdict(factor),
         "seconds": {stage.name: stage.seconds for stage in watch.stages},

@@ -7,6 +7,7 @@ filters as plug-ins. Every reader therefore opens its file here, where all objec
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,7 +49,7 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
         if not h5py.is_hdf5(path):
             path.open("rb").close()  # says why, where it cannot be read at all
             raise InputError(f"{path} cannot be read as {expected}: it is not an HDF5 file; check the name")
-        with h5py.File(path, "r") as file:
+        with _opened(path) as file:
             _refuse_unsafe(path, file)
             yield file
     except MorembsError:
@@ -94,7 +95,7 @@ def refuse_unsafe_file(path: Path) -> None:
     """
     try:
         if path.is_file() and h5py.is_hdf5(path):
-            with h5py.File(path, "r") as file:
+            with _opened(path) as file:
                 _refuse_unsafe(path, file)
     except MorembsError:
         raise
@@ -121,6 +122,12 @@ def read_dataset(item: Any) -> NDArray[Any]:
     if not isinstance(item, h5py.Dataset) or item.shape is None:
         raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again")
     return np.asarray(item[()])
+
+
+def _opened(path: Path) -> Any:
+    # The HDF5 library does not say what it opens (see ``contents``).
+    sys.audit("open", path, "r", 0)
+    return h5py.File(path, "r")
 
 
 def _reason(error: BaseException) -> str:

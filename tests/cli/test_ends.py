@@ -55,6 +55,13 @@ def lose():
         Closing()
     elif way == "del with another error":
         Wrapping()
+    elif way == "printed by a library":
+        try:
+            send()
+        except BaseException as error:
+            other = SystemError("returned a result with an exception set")
+            other.__cause__ = error
+            sys.excepthook(SystemError, other, None)
     elif way == "the end of a library":
         ctypes.CDLL(None).exit(0)
     elif way == "swallowed, then the end of a library":
@@ -109,7 +116,7 @@ def ended(code: str, *arguments: object, **options: object) -> subprocess.Comple
         ("weakref", signal.SIGINT), ("weakref", signal.SIGTERM), ("del", signal.SIGINT),
         ("del with another error", signal.SIGTERM), ("ctypes", signal.SIGTERM),
         ("swallowed", signal.SIGINT), ("another error", signal.SIGTERM),
-        ("a fault of a library", signal.SIGINT),
+        ("a fault of a library", signal.SIGINT), ("printed by a library", signal.SIGINT),
     ],
 )  # fmt: skip
 def test_no_signal_is_lost(tmp_path: Path, way: str, number: signal.Signals) -> None:

@@ -681,3 +681,32 @@ def test_damaged_files_raise_nothing_but_input_errors(model, tmp_path):
                 assert "\n" not in str(error), name
                 refused += 1
     assert refused > 300
+
+
+def test_equations_and_coupled_dofs(tmp_path):
+    """As CDWRITE writes them, and as commands."""
+    material = "MP,EX,1,2.1e11\nMP,PRXY,1,0.3\nMP,DENS,1,7850\n"
+    after = (
+        material + "CE,R5.0,DEFI,       3,       1,  0.0\nCE,R5.0,NODE,     101,UX  ,  2.0    ,     102,UX  , -1.0\n"
+        "CE,R5.0,NODE,     103,UY  , -0.5\nCE,7,0,104,UZ,1,105,UZ,1\nCE,7,0,106,UZ,3\nCP,4,UY,107,108,109\n"
+    )
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
+    (given,) = found.equations
+    ids = found.nodes.ids
+    first = [(int(ids[n]), int(c)) for n, c in zip(given.nodes, given.components, strict=True)]
+    assert first == [(101, 0), (104, 2), (108, 1), (109, 1)]
+    assert given.coefficients.tolist() == [0.5, 0.25, -1.0, -3.0, 1.0, 1.0]
+    assert ids[given.term_nodes].tolist() == [102, 103, 105, 106, 107, 107]
+    skipped = import_ansys_cdb(write(tmp_path, hex_deck(after=after)), skip="CE,CP")
+    assert not skipped.equations and len(skipped.warnings) == 2
+
+
+def test_materials_of_tables_and_of_temperature(tmp_path):
+    table = "TB,ELAS,1,1,2,ISOT\nTBDATA,1,2.1e11,0.3\n"
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=table)), density={"material 1": 7850.0})
+    like = isotropic(set="", young=2.1e11, poisson=0.3, density=7850.0)
+    assert found.materials[0].stiffness == pytest.approx(like.stiffness) and found.materials[0].density == 7850.0
+    warm = "MPDATA,R5.0,2,EX,1,1,2e11,1e11\nMP,PRXY,1,0.3\nMP,DENS,1,7850\n"
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=warm)))
+    assert found.materials[0].stiffness[3, 3] == pytest.approx(2e11 / 2.6)
+    assert "EX of material 1 depends on temperature; its first value was taken" in found.warnings[0]

@@ -1,0 +1,284 @@
+"""Batches: what is due, processes that work for them, and what is remembered."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from morembs.batches.children import Children, Finished, Heard
+from morembs.batches.manifest import Ended, Manifest
+from morembs.batches.plan import parts_of, unchanged
+from morembs.batches.run import Nobody, Record, batch
+from morembs.body.file import read_body
+from morembs.errors import InputError
+from morembs.storage.contents import Content
+from tests.support import decks
+
+# A program that says what it gets, prints a document, and waits for the end of its input if it is asked to.
+CHILD = """
+import json, os, sys
+print("[2 s] stage", file=sys.stderr, flush=True)
+verb, *paths = [word for word in sys.argv[1:] if not word.startswith("--")]
+if verb == "die":
+    os.kill(os.getpid(), 9)
+if verb == "fail":
+    print("error: one\\ntwo", file=sys.stderr)
+    raise SystemExit(2)
+if verb == "wait":
+    sys.stdin.read()
+    open(paths[0], "w").close()
+print(json.dumps([{"threads": os.environ["OMP_NUM_THREADS"]} for _ in paths]))
+"""
+
+
+def states(records: tuple[Record, ...]) -> dict[str, str]:
+    return {record.name: record.state for record in records}
+
+
+def jobs(folder: Path, tables: Mapping[str, Mapping[str, str]]) -> Path:
+    """A folder with the job NAME/NAME.toml for each name, each with a deck of its own."""
+    for name, own in tables.items():
+        (folder / name).mkdir()
+        decks.folder(folder / name, own, decks.deck(decks.BEAM[:12])).rename(folder / name / f"{name}.toml")
+    return folder
+
+
+def remember(folder: Path, manifest: Manifest) -> None:
+    """As if each job below ``folder`` had been done."""
+    for part in parts_of([folder]):
+        for output in part.outputs:
+            output.write_bytes(b"a body")
+        deck = part.path.with_name("part.inp")
+        end = Ended(
+            key=part.key, inputs={deck: Content.of(deck)}, facts={},
+            outputs={path.resolve(): Content.of(path) for path in part.outputs},
+        )  # fmt: skip
+        manifest.ended(part.loaded.output, end)
+
+
+def test_only_what_is_due_is_run(tmp_path: Path) -> None:
+    """Whole processes: two sound jobs, one with a wrong material, one without its deck."""
+    wrong = {"material": 'set = "all"\nyoung = 1\npoisson = 0.6\ndensity = 1'}
+    folder = jobs(tmp_path, {"a": {}, "b": {}, "wrong": wrong, "lost": {}})
+    (folder / "lost" / "part.inp").unlink()
+
+    class Told(Nobody):
+        def ended(self, part: object, count: int, record: Record) -> None:
+            order.append(record.name)
+
+    order: list[str] = []
+    records = batch([folder], listener=Told())
+    assert states(records) == {"a": "done", "b": "done", "wrong": "failed", "lost": "failed"}
+    assert set(order[:2]) == {"wrong", "lost"}  # before anything is factorised
+    by_name = {record.name: record for record in records}
+    assert "poisson" in by_name["wrong"].message and "part.inp" in by_name["lost"].message
+    assert {record.code for record in records if record.state == "failed"} == {2}
+    body = read_body(folder / "a" / "part.h5").bodies["cb"]
+    assert by_name["a"].facts["bodies"]["cb"]["order"] == len(body.mass_matrix)
+
+    # One byte of one deck, and the other body deleted, with the same answer as before.
+    deck = folder / "a" / "part.inp"
+    deck.write_text(deck.read_text().replace("30.0", "33.0"))
+    before = by_name["b"].facts["bodies"]["cb"]["frequencies_hz"]
+    (folder / "b" / "part.h5").unlink()
+    (folder / "wrong" / "wrong.toml").unlink()
+    records = batch([folder], changes=[])
+    assert states(records) == {"a": "done", "b": "done", "lost": "failed"}
+    by_name = {record.name: record for record in records}
+    assert by_name["b"].facts["bodies"]["cb"]["frequencies_hz"] == before
+    assert by_name["a"].facts["mass"] > 1.02 * by_name["b"].facts["mass"]
+    assert states(batch([folder])) == {"a": "unchanged", "b": "unchanged", "lost": "failed"}
+
+
+@pytest.mark.parametrize(
+    ("change", "due"),
+    [
+        (lambda folder: None, set()),
+        (lambda folder: os.utime(folder / "a" / "part.inp"), set()),
+        (lambda folder: (folder / "a" / "part.inp").write_text("other"), {"a"}),
+        (lambda folder: (folder / "a" / "part.h5").unlink(), {"a"}),
+        (lambda folder: (folder / "b" / "part.h5").write_bytes(b"A body"), {"b"}),
+        (lambda folder: (folder / "a" / "a.toml").write_text(decks.job({"check": "full_modes = 3"})), {"a"}),
+        (lambda folder: (folder / "a" / "a.toml").write_text(decks.job({"solver": "threads = 1"})), set()),
+        (lambda folder: (folder / "a" / "a.toml").write_text("# a comment\n" + decks.job()), set()),
+    ],
+)  # fmt: skip
+def test_a_job_is_due_when_its_inputs_or_results_change(
+    tmp_path: Path, change: Callable[[Path], object], due: set[str]
+) -> None:
+    folder = jobs(tmp_path, {"a": {}, "b": {}})
+    with Manifest(folder / "batch.manifest") as manifest:
+        remember(folder, manifest)
+    change(folder)
+    with Manifest(folder / "batch.manifest") as manifest:
+        assert {part.name for part in parts_of([folder]) if unchanged(part, manifest) is None} == due
+        changed = parts_of([folder], ["reduce.modes=3"])
+        assert not any(unchanged(part, manifest) for part in changed)
+
+
+def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path) -> None:
+    folder = jobs(tmp_path, {"a": {}, "b": {}})
+    with Manifest(folder / "batch.manifest") as manifest:
+        remember(folder, manifest)
+    assert states(batch([folder / "a"])) == {"a": "unchanged"}
+    assert not (folder / "a" / "batch.manifest").exists()
+
+
+def test_a_folder_that_moves_is_still_up_to_date(tmp_path: Path) -> None:
+    folder = tmp_path / "here"
+    folder.mkdir()
+    jobs(folder, {"a": {}})
+    with Manifest(folder / "batch.manifest") as manifest:
+        remember(folder, manifest)
+    folder = folder.rename(tmp_path / "there")
+    with Manifest(folder / "batch.manifest") as manifest:
+        assert all(unchanged(part, manifest) for part in parts_of([folder]))
+
+
+def test_content_of_the_same_size_and_time_is_read_again(tmp_path: Path) -> None:
+    """The time of a file says nothing for as long as a disk counts time."""
+    path = tmp_path / "file"
+    path.write_bytes(b"one")
+    content = Content.of(path)
+    path.write_bytes(b"two")
+    os.utime(path, ns=(content.modified_ns, content.modified_ns))
+    assert not content.still_in(path)
+
+
+def test_names_of_jobs_tell_them_apart(tmp_path: Path) -> None:
+    for name in ("x/rod", "y/rod", "y/disc"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / f"{name}.toml").write_text(decks.job({"output": f'path = "{Path(name).name}.h5"'}))
+    (tmp_path / "y" / "other.toml").write_text("[tool]\nx = 1\n")
+    (tmp_path / "y" / "torn.toml").write_text("[model]\nmesh = \n")
+    parts = parts_of([tmp_path, tmp_path / "x" / "rod.toml"])
+    assert [part.name for part in parts] == [os.path.join("x", "rod"), "disc", os.path.join("y", "rod"), "torn"]
+    assert [part.fault[:3] for part in parts] == ["", "", "", "job"]
+
+
+def test_jobs_that_write_one_file_are_refused(tmp_path: Path) -> None:
+    decks.folder(tmp_path)
+    (tmp_path / "other.toml").write_text(decks.job())
+    assert all("part.h5" in part.fault for part in parts_of([tmp_path]))
+
+
+def test_folders_without_jobs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no job"):
+        parts_of([tmp_path])
+    with pytest.raises(InputError, match="positive count"):
+        batch([tmp_path], workers=0)
+
+
+def test_a_manifest_survives_what_killed_batches_leave(tmp_path: Path) -> None:
+    folder, path = jobs(tmp_path, {"a": {}}), tmp_path / "batch.manifest"
+    with Manifest(path) as manifest:
+        remember(folder, manifest)
+        for _ in range(300):
+            manifest.failed(folder / "b.h5", "a message")
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"event": "ended", "outp')
+    for _ in range(2):  # the second finds it compacted
+        with Manifest(path) as manifest:
+            assert all(unchanged(part, manifest) for part in parts_of([folder]))
+            with pytest.raises(InputError, match="in use"):
+                Manifest(path)
+    assert len(path.read_bytes()) < len(whole) / 10
+    assert sorted(each.name for each in folder.iterdir()) == ["a", "batch.manifest"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("something else", "is not a manifest"),
+        ("[model]\n", "is not a manifest"),
+        ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{"event": "ended"}\n', "line 2"),
+        ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{{\n', "line 2"),
+        ('{"event": "begun", "format": "morembs-batch", "version": 9}\n', "version 9"),
+    ],
+)
+def test_other_files_are_no_manifests(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "batch.manifest"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        Manifest(path)
+    assert path.read_text() == text
+
+
+def children(environment: Mapping[str, str]) -> Children:
+    return Children(environment, (sys.executable, "-c", CHILD))
+
+
+def all_of(running: Children) -> tuple[list[str], list[Finished]]:
+    lines, ends = [], []
+    while running.running:
+        heard = running.next()
+        if isinstance(heard, Heard):
+            lines.append(heard.line)
+        else:
+            ends.append(heard)
+    return lines, ends
+
+
+def test_children_say_how_they_end(tmp_path: Path) -> None:
+    (tmp_path / "job.toml").write_text(decks.job())
+    parts = parts_of([tmp_path])
+    with children({"OMP_NUM_THREADS": "3"}) as running:
+        for verb in ("good", "fail", "die"):
+            running.start(parts, [verb, "job"])
+            lines, (end,) = all_of(running)
+            assert lines[0] == "[2 s] stage"
+            assert end.killed == (verb == "die")
+            if verb == "good":
+                assert end.code == 0 and end.documents == [{"threads": "3"}]
+            else:
+                assert not end.documents
+                assert end.message.startswith("one\ntwo" if verb == "fail" else "its process was ended by signal 9")
+
+
+def test_children_end_with_their_batch(tmp_path: Path) -> None:
+    """Leaving the ``with`` ends those that run; one whose batch is killed reads the end of its input."""
+    (tmp_path / "job.toml").write_text(decks.job())
+    parts = parts_of([tmp_path])
+    with children({}) as running:
+        running.start(parts, ["wait", str(tmp_path / "never")])
+        assert isinstance(running.next(), Heard)
+    assert not (tmp_path / "never").exists()
+
+    text = (
+        "import sys, os\nfrom pathlib import Path\nfrom tests.batches.test_batch import children, parts_of\n"
+        f"c = children({{'OMP_NUM_THREADS': '1'}})\n"
+        f"c.start(parts_of([{str(tmp_path)!r}]), ['wait', {str(tmp_path / 'left')!r}])\n"
+        "c.next()\nos.kill(os.getpid(), 9)\n"
+    )
+    root = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", text], cwd=root, env={**os.environ, "PYTHONPATH": str(root)})
+    while not (tmp_path / "left").exists():
+        time.sleep(0.01)
+
+
+def test_a_command_leaves_with_its_input(tmp_path: Path) -> None:
+    job = decks.folder(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "morembs", "reduce", str(job), "--attached"], stdin=subprocess.DEVNULL,
+        capture_output=True,
+    )  # fmt: skip
+    assert done.returncode == 128 + 15 and not (tmp_path / "part.h5").exists()
+
+
+def test_what_a_job_read_is_in_its_results(tmp_path: Path) -> None:
+    from morembs.jobs.job import load_job
+    from morembs.jobs.run import run_job
+
+    job = decks.folder(tmp_path, text="*INCLUDE, INPUT=inner.inp\n")
+    (tmp_path / "inner.inp").write_text(decks.deck(decks.BEAM[:12]))
+    result = run_job(load_job(job, ["reduce.cb.modes=2"]))
+    assert {Path(name).name for name in result.inputs} == {"part.inp", "inner.inp"}
+    stored = read_body(result.job.output).provenance
+    assert stored["changes"] == [b"reduce.cb.modes=2"]
+    assert len(stored["inputs"]["sha256"]) == 2
