@@ -36,8 +36,7 @@ class Problem:
 
 
 class DeckError(InputError):
-    """A deck with ``problems``; the message lists them by kind, and ends with another way, ``hint``, where there is one.
-    """
+    """A deck with ``problems``; the message lists them by kind, and ends with a ``hint`` at another way."""
 
     def __init__(
         self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = ""

@@ -103,7 +103,8 @@ def test_ties_and_rigid_bodies_are_read_off_by_springs(run):
      f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.02\n", 2 * 0.02 * 7850),
     # A mass on a distributing coupling, and springs to it.
     (solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n"
-     "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n*DISTRIBUTING\n1,6\n",
+     "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n"
+     "*DISTRIBUTING\n1,6\n",
      3 * 7850 + 70.0),
     (solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
      "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n", 2 * 7850),
@@ -189,7 +190,8 @@ def test_errors_of_ccx_name_the_labels_of_the_deck(tmp_path):
 
 
 WRITES = (
-    "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\nprint({said!r})"
+    "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\n"
+    "print({said!r})"
 )
 ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1 1 1.\n2 2 1.\n3 3 1.\n"}
 
@@ -208,7 +210,7 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
     (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
     (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
     (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
-], ids=["hangs", "error", "crash", "nothing", "lost", "nan", "half", "short", "size", "garbage", "another deck"])  # fmt: skip
+], ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"])  # fmt: skip
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)

@@ -79,7 +79,7 @@ class Ccx(Closing):
         files = [stem.with_suffix(end) for end in _ENDINGS]
         lost = [file.suffix for file in files if not file.is_file() or not file.stat().st_size]
         if lost == list(_ENDINGS):
-            raise InputError(f"ccx wrote no matrices of {self.flat.deck.name}: its boundary or equations hold every dof")
+            raise InputError(f"ccx wrote no matrices of {self.flat.deck.name}; its boundary or equations hold it all")
         if lost:
             raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
         try:

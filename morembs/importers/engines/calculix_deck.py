@@ -89,8 +89,8 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces, *body, extra,
-             *self.steps, step, ""]
+            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces,
+             *body, extra, *self.steps, step, ""]
         )  # fmt: skip
 
     def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
@@ -243,7 +243,7 @@ def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
     if fields and fields[0].upper() in _HOLD:
         return _HOLD[fields[0].upper()]
     if not fields or not all(text.isdigit() and 0 < int(text) < 12 for text in fields):
-        raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set, the first and the last dof")
+        raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
     return [(int(fields[0]), int(fields[-1]))]
 
 

@@ -212,6 +212,11 @@ class _Model:
                 "the ground, equations that hold the body, or elements C3D8R that are distorted, whose hourglass "
                 "stiffness resists rotation there; own assembly has not that defect [engine-rotation]"
             )
+        if self.deck.dialects == {"abaqus"}:
+            warnings.append(
+                "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
+                "are those of CalculiX [formulation-differs]"
+            )
         for (code, plain), count in self.deck.replaced.items():
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
         notes += _notes(self.deck, choices)

@@ -159,7 +159,7 @@ class _Solved:
 
     def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
         """Rows by what their rigid motion is; those that it does not explain relative to others."""
-        exact, open_groups = self.R.copy(), []
+        exact, untold = self.R.copy(), list[int]()
         taken: set[tuple[int, int]] = set()
         # Modes inside elements and across sections, most of all: they stay where they are.
         resting = np.maximum.reduceat(np.abs(self.R).max(axis=1), self.edges[:-1]) < NEAR * min(1.0, 1.0 / self.length)
@@ -170,7 +170,7 @@ class _Solved:
             label, axes = int(self.of_group[g]), self.given.component[own]
             what = self._told(self.R[own], axes, _candidates(label, xyz, expanded), taken, turns=label in turning)
             if what is None:
-                open_groups.append(g)
+                untold.append(int(g))
                 continue
             owner, place, components = what
             self.owner[own], self.place[own], self.component[own] = owner, place, components
@@ -182,8 +182,8 @@ class _Solved:
         force = np.abs(self.K @ exact).max(axis=1)
         wrong = force > LEFT * (abs(self.K) @ np.abs(exact)).max(axis=1)
         bad = np.unique(self.given.group[wrong & ~self.known[self.given.group]])
-        open_groups = np.union1d(open_groups, bad).astype(np.int64)
-        change = self._relative(open_groups) if len(open_groups) else None
+        rest = np.union1d(np.array(untold, dtype=np.int64), bad)
+        change = self._relative(rest) if len(rest) else None
         return replace(self.given, owner=self.owner, component=self.component, place=self.place, change=change)
 
     def _told(
