@@ -461,8 +461,9 @@ def test_check_finds_but_writes_and_strict_does_not(tmp_path: Path) -> None:
 
 def test_list_names_every_format() -> None:
     lines = run("--list").strip().splitlines()
-    assert [line.split(":")[0] for line in lines] == list(IMPORTERS)
-    assert set(json.loads(run("--list", "--json"))) == set(IMPORTERS)
+    named = [line.split(":")[0] for line in lines]
+    assert [name for name in named if not name.startswith("--engine")] == list(IMPORTERS)
+    assert set(json.loads(run("--list", "--json"))) - {"engines"} == set(IMPORTERS)
 
 
 # Models from elsewhere.
@@ -572,3 +573,65 @@ def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
     document = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
     assert document["body"]["extent"] == pytest.approx([0.6, 0.2, 0.2]) and document["warnings"] == []
     assert document["body"]["mass"] == pytest.approx(7850 * 0.6 * 0.2 * 0.2)
+
+
+def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
+    text = deck(BEAM) + "*CONTACT PAIR\nA, B\n*FANCY\n*SOLID SECTION, ELSET=EALL, MATERIAL=M\n*MATERIAL, NAME=M\n"
+    path = tmp_path / "part.inp"
+    path.write_text(text.replace("TYPE=C3D8", "TYPE=C3D8, ELSET=EALL") + "*ELASTIC\n210e3, .3\n")
+    result = CliRunner().invoke(app, ["import", str(path), "--dry-run"])
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 2 and [line.split(":")[0] for line in lines[:3]] == ["problem"] * 3
+    answer = "morembs import part.inp --contact skip --skip FANCY --density X"
+    assert lines[3] == f"all of it is answered by: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
+    told = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
+    assert told["importable"] is False and told["command"] == answer and len(told["problems"]) == 3
+    given = ["--contact", "skip", "--skip", "FANCY", "--density", "7.85e-9", "--units", "mm-t-s"]
+    assert run(path, "--dry-run", *given).startswith("can be imported: 189 dofs at 63 nodes, read as abaqus; nothing")
+    assert sorted(tmp_path.iterdir()) == [path]
+    # A material that is given answers what is lacking.
+    message = refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9,set=EALL")
+    assert "2 problems" in message and "no *DENSITY" not in message
+    document = json.loads(run(path, *given, "--json", "-o", tmp_path / "part.model.h5"))
+    model = read_model(document["written"])
+    assert model.materials[0].density == pytest.approx(7850.0)
+    codes = {warning.rsplit("[", 1)[-1] for warning in model.warnings}
+    assert codes >= {"keywords-skipped]", "contact-skipped]", "density-given]"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--density", "-1"], "--density '-1' was given; expected X or X,set=NAME"),
+        (["--density", "1", "--density", "2"], "a positive number once a set"),
+        (["--density", "1,set=NO"], "--density was given for the set 'NO', which lacks none"),
+        (["--contact", "melt"], "contact = 'melt' was given"),
+    ],
+)
+def test_options_of_decks_that_make_no_sense(tmp_path, arguments, words):
+    path = tmp_path / "part.inp"
+    path.write_text(deck(BEAM))
+    assert words in refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9", *arguments)
+
+
+def test_options_of_decks_belong_to_decks(tmp_path):
+    path = tmp_path / "k.mtx"
+    path.write_text("%%MatrixMarket matrix array real general\n1 1\n1.0\n")
+    message = refused(tmp_path, "--stiffness", path, "--mass", path, "--contact", "skip")
+    assert "--contact skip was given without a deck that can take it" in message
+
+
+def test_a_job_says_which_program_its_deck_is_for(tmp_path):
+    text = deck(BEAM).replace("*NODE FILE\nU\n", "")
+    written = []
+    for dialect in ("abaqus", "calculix"):
+        (tmp_path / dialect).mkdir()
+        job = folder(tmp_path / dialect, {"model": f'mesh = "part.inp"\nunits = "mm-t-s"\ndialect = "{dialect}"'}, text)
+        result = CliRunner().invoke(app, ["reduce", str(job)])
+        assert result.exit_code == 0 and "dialect-guessed" not in result.stderr, result.stderr
+        written.append(read_body(tmp_path / dialect / "part.h5").bodies["cb"].frequencies_hz)
+    # B-bar and lumped masses against full integration.
+    assert len(written[0]) == len(written[1]) and not np.allclose(*written, rtol=1e-3)
+    job = folder(tmp_path, {"model": 'mesh = "a.msh"\ndialect = "abaqus"'})
+    refusal = CliRunner().invoke(app, ["reduce", str(job)])
+    assert refusal.exit_code == 2 and "without a deck .inp" in refusal.stderr

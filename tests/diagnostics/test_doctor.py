@@ -586,7 +586,7 @@ def test_shapes_and_maps_that_do_not_fit():
     mesh = Mesh(nodes=model.nodes, blocks=(inverted,))
     seen = examine(model.K, model.M, dofs=model.dofs, mesh=mesh, materials=model.materials)
     assert "inverted" in finding(seen, "mesh").sentence
-    bad = DofMap(node=model.dofs.node, component=model.dofs.component + 4)
+    bad = DofMap(node=model.dofs.node, component=model.dofs.component + 5)
     assert grave(examine(model.K, model.M, nodes=model.nodes, dofs=bad)) == {"dof-map"}
     twice = Nodes(ids=np.where(model.nodes.ids == 2, 1, model.nodes.ids), xyz=model.nodes.xyz)
     assert grave(examine(model.K, model.M, nodes=twice, dofs=model.dofs)) == {"labels"}

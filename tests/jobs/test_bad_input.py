@@ -155,7 +155,11 @@ def test_density(tmp_path: Path, density: str) -> None:
 
 
 def test_inverted_element(tmp_path: Path) -> None:
-    message = refused(folder(tmp_path, text=deck(BEAM, flipped=[7])))
+    text = deck(BEAM)
+    line = next(line for line in text.split("*ELEMENT")[1].split("\n") if line.startswith("7, "))
+    first, second, *rest = line.split(", ")[1:]
+    # Two corners exchanged: right-handed at some points, left-handed at others.
+    message = refused(folder(tmp_path, text=text.replace(line, ", ".join(["7", second, first, *rest]))))
     assert "1 hex8 elements are inverted" in message and ": 7 (" in message
 
 
