@@ -146,6 +146,7 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
             else:
                 lines = [f"problem: {problem.what}" for problem in error.problems]
                 lines += [f"all of it is answered by: {command}"] if command else []
+                lines += [error.hint] if error.hint else []
                 typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {len(error.problems)} problems"]))
         raise typer.Exit(2) from None
     with printing():

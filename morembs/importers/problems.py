@@ -36,11 +36,13 @@ class Problem:
 
 
 class DeckError(InputError):
-    """A deck with ``problems``; the message lists them by kind."""
+    """A deck with ``problems``; the message lists them by kind, and ends with a ``hint`` at another way."""
 
-    def __init__(self, source: str, problems: Sequence[Problem], given: Sequence[str] = ()) -> None:
-        self.source, self.problems, self.given = source, tuple(problems), tuple(given)
-        super().__init__(_message(source, self.problems, self.given))
+    def __init__(
+        self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = ""
+    ) -> None:
+        self.source, self.problems, self.given, self.hint = source, tuple(problems), tuple(given), hint
+        super().__init__(_message(source, self.problems, self.given) + (f"; {hint}" if hint else ""))
 
 
 class Problems:

@@ -186,7 +186,20 @@ def _of_file(job: ImportJob, format: str) -> Imported:
     except DeckError as error:
         sets = {material.set for material in job.materials}
         rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
-        raise (error if len(rest) == len(error.problems) else DeckError(error.source, rest, error.given)) from None
+        told = error if len(rest) == len(error.problems) else DeckError(error.source, rest, error.given)
+        raise _with_engines(told, job, format) from None
+
+
+def _with_engines(error: DeckError, job: ImportJob, format: str) -> DeckError:
+    """The error, with a word about the programs that would read the deck."""
+    # Not at the top: other imports do without programs.
+    from morembs.importers.engines import engines_for
+
+    names = engines_for(job.file or Path(), format, {**_given(job), **_outside(job)})
+    if not names:
+        return error
+    hint = "; ".join(f"{name} would assemble this deck: --engine {name}" for name in names)
+    return DeckError(error.source, error.problems, error.given, hint=hint)
 
 
 def _takes(name: str, path: Path | None, job: ImportJob) -> bool:

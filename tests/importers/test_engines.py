@@ -102,8 +102,9 @@ def test_ties_and_rigid_bodies_are_read_off_by_springs(run):
     ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,1,0,1\n6,1,1,1\n*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,3,4\n2,2,5,6,3\n"
      f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.02\n", 2 * 0.02 * 7850),
     # A mass on a distributing coupling, and springs to it.
-    (solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n*MASS,ELSET=P\n"
-     "70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n*DISTRIBUTING\n1,6\n",
+    (solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n"
+     "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n"
+     "*DISTRIBUTING\n1,6\n",
      3 * 7850 + 70.0),
     (solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
      "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n", 2 * 7850),
@@ -135,7 +136,6 @@ def test_instances_are_placed_and_matrices_are_those_of_own_assembly(tmp_path):
 @needs_ccx
 def test_incompatible_modes_keep_their_mass_and_the_frequencies_of_ccx(tmp_path):
     deck = solids("C3D8I", (10, 1, 1), (10.0, 1.0, 1.0))
-    held = f"{deck}*BOUNDARY\n{','.join(map(str, on_plane(deck, 0, 0.0)))},\n"
     held = deck + "*BOUNDARY\n" + "".join(f"{node},1,3\n" for node in on_plane(deck, 0, 0.0))
     assert eigenvalues(imported(tmp_path, held, boundary="keep")) == pytest.approx(
         own_frequencies(held, tmp_path), rel=1e-6
@@ -164,6 +164,10 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     line = ["import", str(tmp_path / "deck.inp"), "--engine", "calculix", "-o", str(model)]
     refused = CliRunner().invoke(app, line)
     assert refused.exit_code == 2 and "--density X" in refused.stderr and "Traceback" not in refused.stderr
+    shells = tmp_path / "shells.inp"
+    shells.write_text(PLATE)
+    other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
+    assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
     done = CliRunner().invoke(app, [*line, "--density", "7850", "--check", "--keep-files", str(kept)])
     assert done.exit_code == 0, done.stderr
     assert "read as abaqus (calculix)" in done.stdout and "[density-given]" in done.stdout
@@ -185,13 +189,17 @@ def test_errors_of_ccx_name_the_labels_of_the_deck(tmp_path):
         imported(tmp_path, flat)
 
 
-WRITES = "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\nprint({said!r})"
+WRITES = (
+    "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\n"
+    "print({said!r})"
+)
 ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1 1 1.\n2 2 1.\n3 3 1.\n"}
 
 
 @pytest.mark.parametrize(("body", "message"), [
     ("time.sleep(60)", r"ccx did not finish in 0.5 s \(17 nodes\); --engine-timeout, or own assembly"),
-    ("print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')", r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)"),
+    ("print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
+     r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)"),
     ("print('segmentation')", "ended without a word that it finished"),
     ("print('Job finished')", "wrote no matrices"),
     (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
@@ -202,7 +210,7 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
     (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
     (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
     (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
-], ids=["hangs", "error", "crash", "nothing", "lost", "nan", "half", "short", "size", "garbage", "another deck"])  # fmt: skip
+], ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"])  # fmt: skip
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)

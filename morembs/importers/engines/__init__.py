@@ -7,13 +7,14 @@ those of the program, in the units of the deck.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from morembs.errors import InputError
 from morembs.importers.engines.calculix import find_ccx
-from morembs.importers.engines.calculix_import import import_with_calculix
+from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
 from morembs.importers.engines.run import Program
 from morembs.importers.imported import Imported
 from morembs.options import Text, checked, known
@@ -26,13 +27,14 @@ _NO_OPTIONS = ("executable",)
 @dataclass(frozen=True, kw_only=True)
 class Engine:
     """A program: what it is in one line, the ``formats`` of decks that it reads and what people call them, how it is
-    found (given a path or ""), and the function that reads a deck."""
+    found (given a path or ""), the function that reads a deck, and one that raises where a deck cannot be for it."""
 
     about: str
     formats: tuple[str, ...]
     decks: str
     find: Callable[[str], Program]
     read: Callable[..., Imported]
+    readable: Callable[..., None]
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -44,6 +46,7 @@ _OWN: dict[str, Engine] = {
     "calculix": Engine(
         about="CalculiX (ccx) assembles decks of Abaqus and CalculiX", formats=("abaqus",),
         decks="decks of Abaqus or CalculiX", find=find_ccx, read=import_with_calculix,
+        readable=readable_by_calculix,
     ),
 }  # fmt: skip
 ENGINES: Registry[Engine] = Registry(
@@ -61,6 +64,18 @@ def engine_of(text: str) -> tuple[Engine, str]:
     if name not in ENGINES:
         raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name)}")
     return ENGINES[name], path
+
+
+def engines_for(path: Path, format: str, options: Mapping[str, Any]) -> list[str]:
+    """Names of the engines that would read a deck; none is run."""
+    names = []
+    for name, engine in ENGINES.items():
+        own = {key: value for key, value in options.items() if key in known(engine.readable)}
+        if format in engine.formats:
+            with suppress(InputError):
+                engine.readable(path, **own)
+                names.append(name)
+    return names
 
 
 def import_with_engine(path: Path, format: str, text: str, options: Mapping[str, Any]) -> Imported:

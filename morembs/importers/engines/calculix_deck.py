@@ -63,7 +63,7 @@ def numeral(value: float) -> str:
 class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
-    ``masses`` are the numbers of point masses that are in it.
+    ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds.
     """
 
     assembly: Assembly
@@ -78,6 +78,7 @@ class FlatDeck:
 
     def __post_init__(self) -> None:
         self.labels = self.assembly.element_labels()
+        self.held = np.zeros((len(self.assembly.ids), 3), dtype=bool)
 
     @property
     def free(self) -> int:
@@ -88,8 +89,8 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces, *body, extra,
-             *self.steps, step, ""]
+            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces,
+             *body, extra, *self.steps, step, ""]
         )  # fmt: skip
 
     def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
@@ -211,11 +212,10 @@ class FlatDeck:
         """*BOUNDARY that holds its dofs at zero."""
         lines = []
         for row in rows:
-            node, rest = self.group("n", placed, row[0]), row[1:3]
-            spans: Iterable[Iterable[object]] = _HOLD.get(rest[0].upper(), ()) if rest else ()
-            if rest and not spans:
-                spans = [[text for text in rest if text]]
-            lines += [", ".join([node, *map(str, span)]) for span in spans]
+            node, own = self.group("n", placed, row[0]), self.assembly.nodes_of(placed, row[0])
+            for first, last in _spans(row, card):
+                lines.append(f"{node}, {first}, {last}")
+                self.held[own, first - 1 : min(last, 3)] = True
         return "\n".join(["*BOUNDARY", *lines])
 
     def equation(self, placed: Placed, card: Card, rows: Rows) -> None:
@@ -235,6 +235,16 @@ class FlatDeck:
                     terms.append(f"{row}, {flat[3 * k + 1]}, {numeral(float(flat[3 * k + 2]))}")
                 lines = [", ".join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
                 self.body.append((1, "\n".join(["*EQUATION", str(count), *lines])))
+
+
+def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
+    """The first and the last dof of each span that a line of *BOUNDARY holds."""
+    fields = [text for text in row[1:3] if text]
+    if fields and fields[0].upper() in _HOLD:
+        return _HOLD[fields[0].upper()]
+    if not fields or not all(text.isdigit() and 0 < int(text) < 12 for text in fields):
+        raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
+    return [(int(fields[0]), int(fields[-1]))]
 
 
 def _sixteen(labels: Ints) -> list[str]:

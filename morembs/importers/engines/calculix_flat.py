@@ -49,7 +49,7 @@ class Choices:
 class Flat:
     """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
     rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
-    ``loose`` nodes that only such cards name; what is to be said."""
+    nodes whose conditions are in axes ``turned`` by *TRANSFORM; what is to be said."""
 
     deck: FlatDeck
     constraints: Constraints
@@ -59,6 +59,7 @@ class Flat:
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     masses: list[PointMass] = field(default_factory=list)
+    turned: set[int] = field(default_factory=set)
 
 
 def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
@@ -148,6 +149,8 @@ class _Writer:
         if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
+        if card.keyword == "TRANSFORM":
+            self.flat.turned |= set(self.assembly.nodes_of(placed, card.need("NSET")).tolist())
         self.flat.deck.card(placed, card, rows)
 
     def _masses(self, placed: Placed, card: Card, rows: Rows) -> None:
@@ -261,11 +264,12 @@ class _Writer:
             raise InputError(f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps")
         for step in self.deck.steps[: self.choices.preload]:
             lines = ["*STEP" + (", NLGEOM" if "NLGEOM" in step[0][0].options else "")]
-            lines += [
-                out.lines(top, _plain_card(card), rows, CARDS[card.keyword])
-                for card, rows in step[1:]
-                if card.keyword in _IN_STEPS
-            ]
+            for card, rows in step[1:]:
+                if card.keyword == "BOUNDARY":
+                    # Also where it moves its nodes: motions after it are small ones about what it holds.
+                    out.boundary(top, card, rows)
+                if card.keyword in _IN_STEPS:
+                    lines.append(out.lines(top, _plain_card(card), rows, CARDS[card.keyword]))
             out.steps += [*lines, "*END STEP"]
         if self.choices.keep and not self.choices.preload and self.deck.steps:
             for card, rows in self.deck.steps[0]:

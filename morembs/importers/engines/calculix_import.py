@@ -57,18 +57,33 @@ def import_with_calculix(
         DeckError: all that keeps the deck from becoming a model.
         InputError: no ccx, options that are not known, or a run that fails.
     """
-    path = Path(path)
     program = find_ccx(executable)
     choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
-    deck = read_for_engine(path, choices.options, outside=allow_includes_outside)
-    with deck.problems.ending():
-        assembly = Assembly(deck)
-        flat = flat_deck(deck, assembly, choices)
+    deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
     with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
         read = ccx.export()
         model = _Model(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
         return model.imported(ccx, choices)
+
+
+def readable_by_calculix(
+    path: Path, *, density: dict[str, float] | None = None, contact: str = "refuse", skip: list[str] | str = "",
+    allow_includes_outside: bool = False,
+) -> None:  # fmt: skip
+    """Whether a deck can be written for CalculiX; it is not run.
+
+    Raises:
+        InputError: it cannot.
+    """
+    _flat(path, Choices(options=deck_options(density, contact, skip)), outside=allow_includes_outside)
+
+
+def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, Assembly, Flat]:
+    deck = read_for_engine(path, choices.options, outside=outside)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        return deck, assembly, flat_deck(deck, assembly, choices)
 
 
 def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
@@ -120,9 +135,17 @@ class _Model:
         """The whole model."""
         mapped = self._with_rotations(self.map)
         node, direction = self._missing(mapped)
-        S = ccx.probe(self.plain, node, direction) if len(node) else None
-        if S is not None and self.T is not None:
-            S = sp.csr_array(S @ self.T)
+        S = None
+        if len(node):
+            # What the boundary holds in global axes follows nothing; springs tell the rest.
+            held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
+            probed = np.flatnonzero(~held)
+            S = sp.csr_array((len(node), len(self.plain.node)))
+            if len(probed):
+                found = ccx.probe(self.plain, node[probed], direction[probed])
+                into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
+                S = sp.csr_array(into @ found)
+            S = S if self.T is None else sp.csr_array(S @ self.T)
         return self._joined(mapped, node, direction, S, choices)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
@@ -189,6 +212,11 @@ class _Model:
                 "the ground, equations that hold the body, or elements C3D8R that are distorted, whose hourglass "
                 "stiffness resists rotation there; own assembly has not that defect [engine-rotation]"
             )
+        if self.deck.dialects == {"abaqus"}:
+            warnings.append(
+                "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
+                "are those of CalculiX [formulation-differs]"
+            )
         for (code, plain), count in self.deck.replaced.items():
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
         notes += _notes(self.deck, choices)
@@ -226,11 +254,11 @@ class _Model:
             xyz.append(places)
             if self.expanded is not None:
                 sets = self._expanded_sets(sets, keys, len(nodes), row, named)
-        K = self.read.K
-        for i in np.flatnonzero(at < 0).tolist():
-            coupled = at[K.indices[K.indptr[i] : K.indptr[i + 1]]]
-            at[i] = coupled[coupled >= 0].min(initial=2**62)
-        at[at == 2**62] = 0
+        K, none = self.read.K, np.iinfo(np.int64).max
+        full = np.flatnonzero(np.diff(K.indptr))
+        coupled = np.full(len(at), none)
+        coupled[full] = np.minimum.reduceat(np.where(at < 0, none, at)[K.indices], K.indptr[full])
+        at[at < 0] = np.where(coupled == none, 0, coupled)[at < 0]
         whole = Nodes(ids=np.concatenate(ids), xyz=np.vstack(xyz), sets=sets)
         return whole, at
 

@@ -14,6 +14,8 @@ from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, DeckRea
 from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
 from morembs.importers.abaqus_words import CONTACT, MATERIAL, STRUCTURAL
 from morembs.importers.deck_options import DeckOptions
+from morembs.importers.formulations import dialects_of_comments
+from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
 
 Ints = NDArray[np.int64]
@@ -28,6 +30,8 @@ _PLAIN = {
     "B31H": "B31", "B31OS": "B31", "B32H": "B32", "B32OS": "B32", "B33": "B31", "PIPE31": "B31", "PIPE32": "B32",
     "T3D2H": "T3D2", "T3D3H": "T3D3",
 }  # fmt: skip
+# Bytes at the begin of a deck whose comments may name the program that wrote it.
+_HEAD = 1 << 16
 # Elements without stiffness and mass.
 _EMPTY = ("SFM3D",)
 _PLANE = ("CPE", "CPS", "CAX", "SAX", "MAX", "B21", "B22", "T2D", "CGAX", "PIPE21", "PIPE22")
@@ -60,6 +64,8 @@ def read_for_engine(path: Path, options: DeckOptions, *, outside: bool = False) 
         if reader.open and reader.open != ["STEP"]:
             raise InputError(f"{path.name} ends inside *{reader.open[-1]}; the file may be cut off")
     _refuse_others(deck)
+    with open_text(path) as file:
+        deck.dialects |= dialects_of_comments(file.read(_HEAD)) | ({"abaqus"} if deck.parts else set())
     return deck
 
 

@@ -27,7 +27,7 @@ NEAR = 1e-3
 # Residual of rigid motion against what cancels above which an assignment is wrong.
 STRAINED = 1e-9
 # Shift of the scaled stiffness and how often it is taken back: eigenvalues above the shift converge.
-_PROXIMAL, _ROUNDS = 1e-7, 40
+_PROXIMAL, _ROUNDS, _SETTLED = 1e-7, 40, 1e-13
 # Residual of rows that were told by their rigid motion, and how far around others the dofs may be that they follow.
 LEFT, _RINGS = 1e-8, 4
 
@@ -159,14 +159,18 @@ class _Solved:
 
     def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
         """Rows by what their rigid motion is; those that it does not explain relative to others."""
-        exact, open_groups = self.R.copy(), []
+        exact, untold = self.R.copy(), list[int]()
         taken: set[tuple[int, int]] = set()
-        for g in np.flatnonzero(~self.known):
+        # Modes inside elements and across sections, most of all: they stay where they are.
+        resting = np.maximum.reduceat(np.abs(self.R).max(axis=1), self.edges[:-1]) < NEAR * min(1.0, 1.0 / self.length)
+        rows = (resting & ~self.known)[self.given.group]
+        self.owner[rows], self.component[rows], self.place[rows], exact[rows] = 0, SCALAR, self.center, 0.0
+        for g in np.flatnonzero(~self.known & ~resting):
             own = slice(self.edges[g], self.edges[g + 1])
             label, axes = int(self.of_group[g]), self.given.component[own]
             what = self._told(self.R[own], axes, _candidates(label, xyz, expanded), taken, turns=label in turning)
             if what is None:
-                open_groups.append(g)
+                untold.append(int(g))
                 continue
             owner, place, components = what
             self.owner[own], self.place[own], self.component[own] = owner, place, components
@@ -178,8 +182,8 @@ class _Solved:
         force = np.abs(self.K @ exact).max(axis=1)
         wrong = force > LEFT * (abs(self.K) @ np.abs(exact)).max(axis=1)
         bad = np.unique(self.given.group[wrong & ~self.known[self.given.group]])
-        open_groups = np.union1d(open_groups, bad).astype(np.int64)
-        change = self._relative(open_groups) if len(open_groups) else None
+        rest = np.union1d(np.array(untold, dtype=np.int64), bad)
+        change = self._relative(rest) if len(rest) else None
         return replace(self.given, owner=self.owner, component=self.component, place=self.place, change=change)
 
     def _told(
@@ -188,9 +192,6 @@ class _Solved:
     ) -> tuple[int, Floats, Ints] | None:  # fmt: skip
         """Owner, place and components of rows with the rigid motion ``seen`` (k, 6)."""
         nowhere = np.full(3, np.nan)
-        small = NEAR * min(1.0, 1.0 / self.length)
-        if np.abs(seen).max() < small:
-            return 0, self.center, np.full(len(axes), SCALAR)
         turned = np.eye(3)[axes]
         if turns or (np.abs(seen[:, :3]).max() < NEAR and np.abs(seen[:, 3:] * self.length - turned).max() < NEAR):
             return 0, nowhere, axes + 3
@@ -259,7 +260,10 @@ def _motion(K: sp.csr_array, R: Floats, known: NDArray[np.bool_]) -> Floats:
     factor = sla.splu(sp.csc_array(scaled + _PROXIMAL * sp.eye_array(len(rest), format="csc")))
     found = R[rest] * size
     for _ in range(_ROUNDS):
-        found = found + factor.solve(right - scaled @ found)
+        step = factor.solve(right - scaled @ found)
+        found = found + step
+        if np.abs(step).max() < _SETTLED * np.abs(found).max():
+            break
     return np.asarray(found / size)
 
 
