@@ -2,10 +2,13 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup mumps demo test lint benchmark attack clean
+.PHONY: setup test-setup mumps demo test lint benchmark attack clean
 
 setup:
 	@bash scripts/setup.sh
+
+test-setup: setup
+	@bash scripts/setup.sh tests
 
 mumps: setup
 	@bash scripts/mumps.sh
@@ -15,7 +18,7 @@ demo: setup
 	@$(RUN)/morembs reduce pipelines/connecting_rod.toml
 
 # As many workers as cores, so one thread for each.
-test: setup lint
+test: test-setup lint
 	@OPENBLAS_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: setup

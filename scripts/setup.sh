@@ -8,27 +8,13 @@ cd "$(dirname "$0")/.."
 packages=(libmumps-seq-dev libsuitesparse-dev libmetis-dev libopenblas0-pthread
           libopenblas-dev python3-venv libglu1-mesa libgl1 libxrender1 libxcursor1
           libxfixes3 libxext6 libxft2 libfontconfig1 libxinerama1 libgomp1)
-# CalculiX, which some tests compare with; they are skipped without it.
-optional=(calculix-ccx)
+# What some tests compare with, or look at pages with; they are skipped without it. Only set up for the tests.
+optional=(calculix-ccx chromium)
 venv=.venv
 stamp=$venv/.morembs-setup
 fingerprint=$(cat scripts/setup.sh pyproject.toml | sha256sum | cut -d' ' -f1)
 
-if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$fingerprint" ] && [ -x "$venv/bin/morembs" ]; then
-    exit 0
-fi
-
-missing=()
-missing_optional=()
 is_installed() { dpkg-query -W -f='${Status}' "$1" 2>/dev/null | grep -q 'ok installed'; }
-if command -v dpkg-query >/dev/null; then
-    for package in "${packages[@]}"; do
-        is_installed "$package" || missing+=("$package")
-    done
-    for package in "${optional[@]}"; do
-        is_installed "$package" || missing_optional+=("$package")
-    done
-fi
 install_packages() {
     local as_root=()
     command -v apt-get >/dev/null || return 1
@@ -41,14 +27,28 @@ install_packages() {
         && "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
             apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
+if [ "${1:-}" = tests ] && command -v dpkg-query >/dev/null; then
+    # Each on its own, so that a package that a distribution does not have keeps no other from being installed.
+    for package in "${optional[@]}"; do
+        is_installed "$package" || install_packages "$package" 2>/dev/null \
+            || echo "setup: not installed, tests with it are skipped: $package"
+    done
+fi
+
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$fingerprint" ] && [ -x "$venv/bin/morembs" ]; then
+    exit 0
+fi
+
+missing=()
+if command -v dpkg-query >/dev/null; then
+    for package in "${packages[@]}"; do
+        is_installed "$package" || missing+=("$package")
+    done
+fi
 if [ ${#missing[@]} -gt 0 ] && ! install_packages "${missing[@]}"; then
     echo "setup: these Debian packages are missing and cannot be installed from here: ${missing[*]}"
     echo "setup: morembs works without them, with the MUMPS that comes with its Python packages. To add them:"
     echo "setup:   sudo apt-get install ${missing[*]}"
-fi
-# On their own, so that a package that a distribution does not have keeps no other from being installed.
-if [ ${#missing_optional[@]} -gt 0 ] && ! install_packages "${missing_optional[@]}" 2>/dev/null; then
-    echo "setup: not installed, tests that compare with it are skipped: ${missing_optional[*]}"
 fi
 
 python=${PYTHON:-python3}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -95,7 +96,15 @@ def unchanged(part: Part, manifest: Manifest) -> Ended | None:
 
 
 def _jobs_below(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.rglob("*.toml")) if _is_job(path)]
+    return sorted((path for path in folder.rglob("*.toml") if _is_job(path)), key=_as_counted)
+
+
+def _as_counted(path: Path) -> list[list[tuple[int, str]]]:
+    """The order of paths, by the numbers in them: part2 before part10."""
+    return [
+        [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", name)]
+        for name in path.parts
+    ]
 
 
 def _is_job(path: Path) -> bool:

@@ -57,6 +57,18 @@ def read_grid(path: Path) -> Grid:
     return grid
 
 
+def stored_modes(path: Path, body: str, count: int) -> Floats:
+    """Shapes (k, n, 3) of the first elastic modes of a body, at most ``count`` of them.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    with reading(path, "a body file") as file:
+        held = file.get("VTKHDF/PointData", {})
+        names = [name for number in range(1, count + 1) if (name := f"{body}_mode_{number:03d}") in held]
+        return np.array([held[name][()] for name in names], dtype=float).reshape(len(names), -1, 3)
+
+
 def stored_recovery(path: Path, body: str, *, stress: bool = True) -> Recovery | None:
     """Recovery of the body named ``body`` in a file, None if it has none; without ``stress`` of displacements only.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.cli.messages import echo, print_json, printing, tell
-from morembs.cli.terminal import EPILOG, AsJson, Changes, Quiet, messages
+from morembs.cli.terminal import EPILOG, AsJson, Changes, Quiet, Report, messages
 from morembs.progress import duration_words
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def batch(
     ],
     workers: Annotated[int | None, typer.Option("--jobs", "-j", help="How many run at once at most.")] = None,
     changes: Changes = None,
+    report: Report = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Run all, those that are up to date too.")] = False,
     check_only: Annotated[bool, typer.Option("--check-only", help="Check those that are due, run none.")] = False,
     manifest: Annotated[Path | None, typer.Option(help="What was done, batch.manifest beside the jobs.")] = None,
@@ -41,13 +42,25 @@ def batch(
 ) -> None:
     """Run many jobs beside each other; those whose results are up to date are left alone."""
     from morembs.batches.run import batch as run
+    from morembs.cli.page import Entry, check_report, write_report
 
     with messages():
+        check_report(report)
         with _shown(quiet) as listener:
             records = run(
                 jobs, changes=changes or (), workers=workers, manifest=manifest, fresh=fresh, check_only=check_only,
                 listener=listener,
             )  # fmt: skip
+        if report is not None:
+            entries = [
+                Entry(
+                    name=record.name, job=record.job, state=record.state, message=record.message, output=record.output,
+                    seconds=record.seconds or sum(record.facts.get("seconds", {}).values()) or None,
+                    peak_memory_bytes=record.facts.get("job_peak_memory_bytes"),
+                )
+                for record in records
+            ]  # fmt: skip
+            write_report(report, entries, ", ".join(job.resolve().name for job in jobs))
         with printing([record.output for record in records if record.state == "done"]):
             if as_json:
                 print_json([asdict(record) for record in records])

@@ -70,9 +70,10 @@ def _table(known: Sequence[Certified]) -> Any:
         residue = np.asarray(values["residue_deviation"], dtype=float)
         mac = np.asarray(values["mode_mac"], dtype=float)[np.isfinite(residue)]
         table.add_row(
-            certified.name, str(certified.order), *("-" if kind == "sampled" else _limit(limit[1]) for limit in limits),
+            certified.name, str(certified.order),
+            *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
             "-" if kind == "sampled" else f"{worst[2]:,.6g}",
-            "-" if kind == "sampled" else _limit(np.max(values["block_limit"], initial=0.0)),
+            "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
             f"{float(values['static_error']):.1e}", _largest(values["mode_deviation"]), _largest(residue),
             f"{mac.min():.4f}" if len(mac) else "-", kind,
         )  # fmt: skip
@@ -86,8 +87,8 @@ def _largest(deviations: Any) -> str:
     return f"{known.max():.1e}" if len(known) else "-"
 
 
-def _limit(value: float) -> str:
-    """Never less than ``value``."""
+def upwards(value: float) -> str:
+    """A limit in words, never less than ``value``."""
     if not np.isfinite(value):
         return "unbounded"
     shown = f"{value:.1e}"

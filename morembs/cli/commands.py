@@ -25,6 +25,7 @@ from morembs.cli.terminal import (
     Done,
     Jobs,
     Quiet,
+    Report,
     each_job,
     leave_with_input,
     messages,
@@ -44,8 +45,9 @@ app = typer.Typer(
 
 @app.command(epilog=EPILOG)
 def reduce(
-    jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
-) -> None:
+    jobs: Jobs, changes: Changes = None, report: Report = None, as_json: AsJson = False, quiet: Quiet = False,
+    attached: Attached = False,
+) -> None:  # fmt: skip
     """Reduce the models of job files and write their bodies."""
     from morembs.cli.report import print_result, result_json
     from morembs.jobs.job import load_job
@@ -56,22 +58,23 @@ def reduce(
 
     def work(path: Path, progress: Progress) -> Done:
         job = load_job(path, changes or ())
-        told: list[str] = []
+        shown: list[str] = []
 
         def tell(sentence: str) -> None:
-            told.append(sentence)
+            shown.append(sentence)
             warn(sentence)
 
         result = run_job(job, progress, tell)
-        return result_json(result), lambda: print_result(console(), result, told)
+        return result_json(result), lambda: print_result(console(), result, shown)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
 
 
 @app.command(epilog=EPILOG)
 def compare(
     job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
+    report: Report = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -96,16 +99,20 @@ def compare(
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
-        compared = contenders(run_job(loaded, progress, warn))
+        result = run_job(loaded, progress, warn)
+        compared = contenders(result)
         if picture is not None:
             draw_contenders(picture, compared, path.name)
         document = {
             "job": str(path),
+            "output": str(loaded.output),
+            "seconds": {stage.name: stage.seconds for stage in result.stages},
+            "job_peak_memory_bytes": result.peak_memory_bytes,
             "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
         }
         return document, lambda: print_contenders(console(), str(path), compared)
 
-    each_job([job], as_json, work, quiet)
+    each_job([job], as_json, work, quiet, report=report)
 
 
 @app.command(epilog=EPILOG)

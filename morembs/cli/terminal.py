@@ -38,6 +38,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on 
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
 ]
+Report = Annotated[Path | None, typer.Option(help="Write a report of all: an .html file.")]
 Attached = Annotated[bool, typer.Option(hidden=True, help="End when standard input does.")]
 
 # Plain values for JSON, and what prints them for people.
@@ -171,9 +172,15 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
 
 
 def each_job(
-    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None
-) -> None:
+    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None,
+    report: Path | None = None,
+) -> None:  # fmt: skip
     """Do ``work`` for each job but for those that are ``refused``: place among the jobs -> reason."""
+    if report is not None:
+        from morembs.cli.page import check_report
+
+        with messages():
+            check_report(report)
     documents: list[dict[str, Any]] = []
     failed: list[Failure] = []
     reasons = refused or {}
@@ -187,6 +194,10 @@ def each_job(
             documents.append({"job": str(path), "error": failed[-1].message})
         # The next job shall not hold, nor report, what this one needed.
         release()
+    if report is not None:
+        with messages(failed), progress_line(quiet) as progress:
+            progress.stage("write report")
+            _write_report(report, documents)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json(documents if len(jobs) > 1 else documents[0])
@@ -201,6 +212,20 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
     if not as_json:
         with printing(_written(document)):
             show()
+
+
+def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
+    from morembs.cli.page import Entry, write_report
+
+    entries = [
+        Entry(
+            name=Path(document["job"]).stem, job=document["job"], state="failed" if "error" in document else "done",
+            message=document.get("error", ""), output=document.get("output", ""),
+            seconds=sum(document.get("seconds", {}).values()), peak_memory_bytes=document.get("job_peak_memory_bytes"),
+        )
+        for document in documents
+    ]  # fmt: skip
+    write_report(report, entries, ", ".join(entry.name for entry in entries))
 
 
 def _written(document: Mapping[str, Any]) -> list[str]:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
-from morembs.certificate.certify import Certificate
+from morembs.body.stored import StoredBodies
+from morembs.body.vtkhdf_series import Grid, read_grid, stored_modes
 from morembs.certificate.response import full_response, reduced_response
+from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
@@ -48,7 +52,7 @@ class Shapes:
     """Elastic eigenmodes of a reduced body on the skin of the model.
 
     ``points`` (n, 3) in m, ``triangles`` (nt, 3) rows of them, ``motion`` (k, n, 3) displacements of any
-    scale, ``frequencies_hz`` (k,).
+    scale, ``frequencies_hz`` (k,); ``interfaces`` their points (3,) in m by name.
     """
 
     body: str
@@ -56,6 +60,13 @@ class Shapes:
     triangles: Ints
     motion: Floats
     frequencies_hz: Floats
+    interfaces: Mapping[str, Floats] = field(default_factory=dict)
+
+
+def recommended(limits: Mapping[str, float | None]) -> str:
+    """Of the limits of the errors of some bodies the name of the smallest, the first where none is known."""
+    known = {name: limit for name, limit in limits.items() if limit is not None}
+    return min(known, key=lambda name: known[name]) if known else next(iter(limits))
 
 
 def frequency_response(
@@ -86,7 +97,10 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
         frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
-        bound={name: _steps(certificate) for name, certificate in known.items() if len(certificate.cells_hz)},
+        bound={
+            name: _steps(certificate.cells_hz, certificate.cell_limit, certificate.measure)
+            for name, certificate in known.items() if len(certificate.cells_hz)
+        },
         measure=first.measure,
         # Of a tolerance in another measure a line would tell nothing.
         tolerance={
@@ -96,10 +110,9 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
     )  # fmt: skip
 
 
-def _steps(certificate: Certificate) -> Floats:
+def _steps(cells_hz: Floats, limit: Floats, measure: str) -> Floats:
     """(2, 2 nc) ends of the cells and their limits by the measure of the certificate."""
-    limit = certificate.cell_limit[:, MEASURES.index(certificate.measure)]
-    return np.stack([certificate.cells_hz.ravel(), np.repeat(limit, 2)])
+    return np.stack([cells_hz.ravel(), np.repeat(limit[:, MEASURES.index(measure)], 2)])
 
 
 def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
@@ -116,14 +129,75 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     return Shapes(
         body=reduced.name, points=mesh.nodes.xyz[rows], triangles=np.searchsorted(rows, triangles),
         motion=motion.T.reshape(-1, len(rows), 3), frequencies_hz=np.sqrt(np.maximum(values[shown], 0)) / (2 * np.pi),
+        interfaces={interface.name: interface.point for interface in problem.interfaces},
     )  # fmt: skip
 
 
+def stored_shapes(path: Path, stored: StoredBodies, body: str) -> Shapes | None:
+    """The same of a body file; None if it keeps no cells or no shapes."""
+    grid = read_grid(path) if len(stored.node_ids) else None
+    motion = stored_modes(path, body, SHOWN_MODES)
+    triangles = np.empty((0, 3), dtype=np.int64) if grid is None else _triangles(_faces(grid))
+    if grid is None or not len(triangles) or not len(motion):
+        return None
+    rows, renumbered = np.unique(triangles, return_inverse=True)
+    own = stored.bodies[body]
+    return Shapes(
+        body=body, points=grid.points[rows], triangles=renumbered.reshape(-1, 3), motion=motion[:, rows],
+        frequencies_hz=own.frequencies_hz[own.rigid_count :][: len(motion)],
+        interfaces={name: interface.point for name, interface in stored.interfaces.items()},
+    )  # fmt: skip
+
+
+def stored_response(stored: StoredBodies) -> FrequencyResponse | None:
+    """The response that the certificates of a body file were made with, None without one."""
+    known = {name: body.certificate for name, body in stored.bodies.items() if body.certificate is not None}
+    if not known:
+        return None
+    first = next(iter(known.values()))
+    return FrequencyResponse(
+        frequencies_hz=first["frequencies_hz"], full=first["full"], length=float("nan"),
+        reduced={name: values["reduced"] for name, values in known.items()},
+        error={name: values["error"] for name, values in known.items()},
+        bound={
+            name: _steps(values["cells_hz"], values["cell_limit"], str(values["measure"]))
+            for name, values in known.items() if "cell_limit" in values
+        },
+        measure=str(first.get("measure", "pointwise")),
+    )  # fmt: skip
+
+
+def _faces(grid: Grid) -> dict[str, Ints]:
+    """The outer faces of the cells of a body file, which are faces themselves or solids."""
+    faces: dict[str, list[Ints]] = {}
+    blocks = []
+    for vtk in np.unique(grid.types):
+        cells = np.flatnonzero(grid.types == vtk)
+        size = int(grid.offsets[cells[0] + 1] - grid.offsets[cells[0]])
+        nodes = grid.connectivity[grid.offsets[cells][:, None] + np.arange(size)]
+        for name, kind in FACES.items():
+            if kind.vtk == vtk:
+                faces.setdefault(name, []).append(nodes)
+        blocks += [ElementBlock(type=name, nodes=nodes, ids=cells) for name, kind in TYPES.items() if kind.vtk == vtk]
+    if blocks:
+        nodes = Nodes(ids=np.arange(len(grid.points)), xyz=grid.points)
+        for name, outer in outer_faces(Mesh(nodes=nodes, blocks=tuple(blocks))).items():
+            faces.setdefault(name, []).append(outer)
+    return {name: np.concatenate(parts) for name, parts in faces.items()}
+
+
+# Corners of the triangles that a face is drawn with, by the number of its nodes in VTK order.
+_DRAWN = {
+    3: ((0, 1, 2),),
+    4: ((0, 1, 2), (0, 2, 3)),
+    6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    8: ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
+}
+
+
 def _triangles(faces: Mapping[str, Ints]) -> Ints:
-    """Corner triangles (nt, 3) of faces; a quadrilateral gives two."""
+    """Triangles (nt, 3) of faces, through their middle nodes too."""
     parts = [np.empty((0, 3), dtype=np.int64)]
-    for kind, nodes in faces.items():
-        parts.append(nodes[:, :3])
-        if kind.startswith("quad"):
-            parts.append(nodes[:, [0, 2, 3]])
+    for nodes in faces.values():
+        parts += [nodes[:, corners] for corners in _DRAWN[min(nodes.shape[1], 8)]]
     return np.concatenate(parts)

@@ -91,6 +91,7 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     from morembs.jobs.picture import save
 
@@ -119,6 +120,8 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
         panel.set_yscale("log")
         if label == "seconds":
             panel.set_xscale("log")
+        else:
+            panel.xaxis.set_major_locator(MaxNLocator(5, integer=label == "reduced coordinates"))
         panel.set_xlabel(label)
         panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)

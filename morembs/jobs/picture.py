@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import TriMesh
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
@@ -62,15 +63,16 @@ def save(figure: Figure, path: Path) -> None:
 def _fill(
     figure: Figure, bodies: Sequence[ElasticBody], shapes: Shapes | None, response: FrequencyResponse | None
 ) -> None:
-    source, first = bodies[0].part.source or "model", bodies[0]
+    source = bodies[0].part.source or "model"
+    first = next((body for body in bodies if shapes is not None and body.name == shapes.body), bodies[0])
     heights = [0.3] + [4.2] * (shapes is not None) + [4.6] * (response is not None)
     head, *rows = list(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).ravel())
     title = f"{source}, reduced to {first.reduced.order} coordinates ({first.name})"
     head.text(0.025, 0.25, title, ha="left", va="center", fontweight="bold", fontsize=12)
     if shapes is not None:
-        _draw_shapes(rows.pop(0), shapes)
+        draw_shapes(rows.pop(0), shapes)
     if response is not None:
-        _draw_response(rows.pop(0), response)
+        draw_response(rows.pop(0), response)
 
 
 def viewed_axes(points: Floats) -> Floats:
@@ -90,33 +92,57 @@ def viewed_axes(points: Floats) -> Floats:
     return np.asarray(about_x @ about_y @ axes)
 
 
-def _draw_shapes(figure: SubFigure, shapes: Shapes) -> None:
-    """The undeformed body in grey and the mode on it, coloured by its displacement."""
+def draw_shapes(figure: Figure | SubFigure, shapes: Shapes) -> None:
+    """The undeformed body in grey and the mode on it, coloured by its displacement; its interfaces on the first."""
     count = len(shapes.motion)
     rows = 1 if count == 1 else 2
     axes = figure.subplots(rows, -(-count // rows), squeeze=False)
     figure.subplots_adjust(left=0.02, right=0.90, top=0.90, bottom=0.03, wspace=0.04, hspace=0.16)
-    frame = viewed_axes(shapes.points)
-    points = (shapes.points - shapes.points.mean(axis=0)) @ frame.T
-    largest = EXAGGERATION * float(np.ptp(points, axis=0).max())
     for number, panel in enumerate(axes.ravel()):
         panel.set_axis_off()
-        if number >= count:
-            continue
-        motion = shapes.motion[number] @ frame.T
-        size = np.linalg.norm(motion, axis=1)
-        # Which way a mode points has no meaning: its largest motion goes upwards or to the viewer.
-        sign = 1.0 if motion[size.argmax(), 1:].sum() >= 0 else -1.0
-        moved = points + sign * largest / size.max() * motion
-        _paint(panel, points, shapes.triangles, None)
-        _paint(panel, moved, shapes.triangles, size / size.max())
-        panel.set_aspect("equal")
-        panel.autoscale_view()
-        panel.set_title(f"mode {number + 1}: {shapes.frequencies_hz[number]:,.1f} Hz")
+        if number < count:
+            _draw_mode(panel, shapes, number)
+            panel.set_title(f"mode {number + 1}: {shapes.frequencies_hz[number]:,.1f} Hz")
+    _mark_interfaces(axes[0, 0], shapes)
     colors = figure.add_axes((0.925, 0.14, 0.012, 0.64))
     bar = figure.colorbar(ScalarMappable(cmap=COLORS), cax=colors, ticks=[0, 0.5, 1])
     bar.set_label("displacement / largest")
     bar.outline.set_visible(False)
+
+
+def draw_first(figure: Figure, shapes: Shapes) -> None:
+    """The first mode alone, for a small picture."""
+    panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    panel.set_axis_off()
+    _draw_mode(panel, shapes, 0)
+
+
+def _draw_mode(panel: Axes, shapes: Shapes, number: int) -> None:
+    points, frame = _seen(shapes)
+    largest = EXAGGERATION * float(np.ptp(points, axis=0).max())
+    motion = shapes.motion[number] @ frame.T
+    size = np.linalg.norm(motion, axis=1)
+    # Which way a mode points has no meaning: its largest motion goes upwards or to the viewer.
+    sign = 1.0 if motion[size.argmax(), 1:].sum() >= 0 else -1.0
+    moved = points + sign * largest / size.max() * motion
+    _paint(panel, points, shapes.triangles, None)
+    _paint(panel, moved, shapes.triangles, size / size.max())
+    panel.set_aspect("equal")
+    panel.autoscale_view()
+
+
+def _seen(shapes: Shapes) -> tuple[Floats, Floats]:
+    """The points about their middle in the frame of the picture, and that frame."""
+    frame = viewed_axes(shapes.points)
+    return (shapes.points - shapes.points.mean(axis=0)) @ frame.T, frame
+
+
+def _mark_interfaces(panel: Axes, shapes: Shapes) -> None:
+    _, frame = _seen(shapes)
+    for name, point in shapes.interfaces.items():
+        x, y, _ = (point - shapes.points.mean(axis=0)) @ frame.T
+        panel.plot(x, y, "o", color="white", markeredgecolor=FULL_COLOR, markersize=4)
+        panel.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
 
 
 def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floats | None) -> None:
@@ -127,22 +153,23 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     seen = np.flatnonzero(normal[:, 2] > 0)
     order = seen[np.argsort(corners[seen, :, 2].mean(axis=1), kind="stable")]
     if size is None:
-        colors = np.tile(to_rgba(REST_COLOR), (len(order), 1))
+        colors = np.tile(to_rgba(REST_COLOR), (3 * len(order), 1))
     else:
         shade = 0.62 + 0.38 * np.clip(normal[order] @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
-        colors = np.asarray(COLORS(size[triangles[order]].mean(axis=1)))
-        colors[:, :3] *= shade[:, None]
-    panel.add_collection(
-        PolyCollection(
-            list(corners[order, :, :2]), facecolors=colors, edgecolors=colors, linewidths=0.2, rasterized=True
-        )
-    )  # fmt: skip
+        colors = np.asarray(COLORS(size[triangles[order]].ravel()))
+        colors[:, :3] *= np.repeat(shade, 3)[:, None]
+    # Each triangle has corners of its own, so that edges of the body stay sharp; drawn in one call.
+    x, y = corners[order, :, :2].reshape(-1, 2).T
+    skin = TriMesh(Triangulation(x, y, np.arange(len(x)).reshape(-1, 3)), rasterized=True)
+    skin.set_facecolor(cast(Any, colors))
+    panel.add_collection(skin)
+    panel.update_datalim(np.column_stack([x, y]))
 
 
-def _draw_response(figure: SubFigure, response: FrequencyResponse) -> None:
+def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> None:
     """The size of the transfer functions above, the relative error of the reduced ones below."""
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
-    figure.subplots_adjust(left=0.085, right=0.975, top=0.92, bottom=0.115, hspace=0.2)
+    figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.115, hspace=0.2)
     hz = response.frequencies_hz
     upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=2.4, label="full model")
     for number, name in enumerate(response.reduced):

@@ -17,7 +17,14 @@ from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
 from morembs.importers.model_file import read_model
-from morembs.jobs.compare import FrequencyResponse, Shapes, certified_response, frequency_response, mode_shapes
+from morembs.jobs.compare import (
+    FrequencyResponse,
+    Shapes,
+    certified_response,
+    frequency_response,
+    mode_shapes,
+    recommended,
+)
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
@@ -137,7 +144,7 @@ def _run(
         ):
             with watch.stage("response"):
                 response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
-        shapes = mode_shapes(problem, bodies[0].reduced) if job.picture is not None else None
+        shapes = mode_shapes(problem, _shown(bodies).reduced) if job.picture is not None else None
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
     with watch.stage("write"):
@@ -224,6 +231,12 @@ def _delivered(
                 )
             )  # fmt: skip
         return tuple(bodies)
+
+
+def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
+    """The body whose modes are drawn."""
+    limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
+    return next(body for body in bodies if body.name == recommended(limits))
 
 
 def _certified_band(job: Job) -> Sequence[float] | None:

@@ -188,7 +188,8 @@ def orthonormal_pair(
     norms = np.sqrt(np.maximum(np.diag(gram).real, 0.0))
     start = norms if reference is None else reference
     keep = (norms > least * start) & (norms > 0)
-    Q, MQ = (None if one is None else one[:, keep] / norms[keep] for one in (W, MW))
+    Q = W[:, keep] / norms[keep]
+    MQ = None if MW is None else MW[:, keep] / norms[keep]
     return _by_gram(Q, M, least, gram[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]), MQ)
 
 

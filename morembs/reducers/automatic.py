@@ -44,12 +44,16 @@ RAISED = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class AutoReducer(OfResponses):
-    """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
+    """The smallest body whose transfer matrix is within a tolerance over a band.
 
-    ``tolerance`` bounds the error by ``measure`` ("envelope", "peak" or "pointwise") at every frequency of the band,
-    certified as in ``certify``; ``damping_floor`` as there. ``static_exact`` keeps the static responses to interface
-    loads, ``inertia_loads`` those to the inertia of a moving frame (of a model that is held somewhere they are followed
-    in any case).
+    Args:
+        band_hz: [low, high], the band that is certified.
+        tolerance: error of the transfer matrix, by ``measure``, at every frequency of the band.
+        static_exact: keep the static responses to interface loads, so that statics at the interfaces are exact.
+        inertia_loads: also follow the inertia loads of a moving frame; of a model that is held somewhere they are
+            followed in any case.
+        measure: "envelope", "peak" or "pointwise".
+        damping_floor: ratio of critical damping that is assumed, as in ``certify``.
     """
 
     method: ClassVar[str] = "auto"

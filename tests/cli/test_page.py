@@ -1,0 +1,112 @@
+"""The report: what it says, that it needs nothing else, and that a browser shows and sorts it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from typer.testing import CliRunner
+
+from morembs.cli import commands as cli
+from morembs.cli.page import Entry, write_report
+from morembs.jobs.compare import recommended
+from tests.support import decks
+
+RUNNER = CliRunner()
+BROWSER = shutil.which("chromium")
+
+
+class Page(HTMLParser):
+    """The links, sources and ids of a page, its text, and the names of its rows in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.sources: list[str] = []
+        self.ids: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.links += [given["href"]] if "href" in given else []
+        self.sources += [given["src"]] if "src" in given else []
+        self.ids += [given["id"]] if "id" in given else []
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    @property
+    def rows(self) -> list[str]:
+        return [link.removeprefix("#part-") for link in self.links if link.startswith("#part-")]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of two parts, one of which failed."""
+    folder = tmp_path_factory.mktemp("report")
+    for name, cells in (('a <b>&"x', decks.BEAM[:12]), ("long", decks.BEAM)):
+        (folder / name).mkdir()
+        job = {"certify": "band_hz = [0, 4000]", "reduce2": 'name = "worse"\nmethod = "guyan"'}
+        decks.folder(folder / name, job, decks.deck(cells)).rename(folder / name / f"{name}.toml")
+    (folder / "wrong.toml").write_text(decks.job({"model": 'mesh = "nothing.inp"\nunits = "m-kg-s"'}))
+    jobs = [folder / 'a <b>&"x' / 'a <b>&"x.toml', folder / "wrong.toml", folder / "long" / "long.toml"]
+    path = folder / "night.html"
+    done = RUNNER.invoke(cli.app, ["reduce", *map(str, jobs), "--report", str(path), "-q"])
+    assert done.exit_code == 2, done.stderr
+    return path
+
+
+def test_a_report_says_what_was_made_and_needs_no_other_file(report: Path) -> None:
+    text = report.read_text()
+    page = Page(text)
+    assert page.sources and all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert not re.search(r"https?://|@import|url\(", text)
+    for link in page.links:
+        assert link[1:] in page.ids if link.startswith("#") else (report.parent / unquote(link)).is_file()
+    words = " ".join(page.texts)
+    assert 'a <b>&"x' in page.texts and "nothing.inp" in words and "craig-bampton" in words and "proven" in words
+    assert len(text) < 3 * 500_000  # three parts
+
+
+def test_the_body_that_is_shown_is_the_best(report: Path) -> None:
+    assert "modes of cb of long" in report.read_text()
+    assert recommended({"a": None, "b": 0.2, "c": 0.1}) == "c"
+    assert recommended({"a": None, "b": None}) == "a"
+
+
+def test_a_body_that_is_gone_is_a_failure_in_the_report(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_report(path, [Entry(name="x", job="x.toml", output=str(tmp_path / "x.h5"), state="done")], "x")
+    assert "no such file" in path.read_text()
+
+
+@pytest.mark.parametrize(("name", "said"), [("night.txt", "ends in .html"), ("nowhere/night.html", "does not exist")])
+def test_where_no_report_can_be_written_nothing_is_run(tmp_path: Path, name: str, said: str) -> None:
+    job = decks.folder(tmp_path)
+    done = RUNNER.invoke(cli.app, ["reduce", str(job), "--report", str(tmp_path / name)])
+    assert done.exit_code == 2 and said in done.stderr and not (tmp_path / "part.h5").exists()
+
+
+@pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
+def test_a_browser_shows_the_report_and_sorts_it(report: Path, tmp_path: Path) -> None:
+    def shown(clicks: str) -> tuple[Page, str]:
+        page = tmp_path / "page.html"
+        page.write_text(report.read_text().replace("</body>", f"<script>{clicks}</script></body>"))
+        done = subprocess.run(
+            [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0",
+             f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return Page(done.stdout), "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+
+    dofs = "Array.from(document.querySelectorAll('#parts th')).find(th => th.textContent === 'dofs').click();"
+    page, faults = shown("")
+    assert page.rows == ["1", "2", "3"] and not faults
+    assert shown(dofs)[0].rows == ["1", "3", "2"]  # failed parts come last
+    assert shown(dofs + dofs)[0].rows == ["3", "1", "2"]
