@@ -9,17 +9,19 @@ import scipy.linalg as sl
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks import certificates as campaign
 from morembs.body.file import read_body
 from morembs.certificate.certify import certify
 from morembs.cli import app
 from morembs.cli.report import print_result, result_json
-from morembs.errors import InputError, MorembsError
+from morembs.errors import InputError, MorembsError, SolverError
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer
 from morembs.responses.band import band_frequencies
+from morembs.responses.measures import MEASURES
 from tests.certificate.test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
 from tests.support.meshes import steel
 
@@ -55,6 +57,24 @@ def test_the_tolerance_holds(name, damping):
             assert body.recipe["orders"][body.recipe["family"]] == body.order - 6
             orders.append(body.order)
         assert orders == sorted(orders) and orders[0] < orders[-1]
+
+
+@pytest.mark.parametrize(("number", "measure"), [(6, "pointwise"), (14, "envelope")])
+def test_a_tolerance_that_a_body_just_holds_is_not_refused(number, measure):
+    """Limits that are sharp to a few per cent lay above tolerances that the search had found to hold."""
+    its = campaign.drawn(np.random.default_rng([1, number]), number)
+    with its.problem as problem:
+        body = AutoReducer(band_hz=[0.0, its.high], tolerance=1e-2, measure=measure).reduce(problem)
+        assert 0.99e-2 < body.recipe["certified"] <= 1e-2
+        omega, error = campaign.dense_errors(problem, body, (0.0, its.high))
+        assert len(omega) > 20_000 and error[:, MEASURES.index(measure)].max() <= 1e-2
+
+
+def test_a_band_far_above_all_modes_is_refused_for_that():
+    model, interfaces = ends("average", n=(2, 1, 1))
+    why = r"band ends at 9e\+11 Hz, and the highest mode .* lower the upper end"
+    with Problem(model, interfaces, damping=DAMPINGS["rayleigh"]) as problem, pytest.raises(SolverError, match=why):
+        AutoReducer(band_hz=[0.0, 9e11], tolerance=1e-2).reduce(problem)
 
 
 def galerkin(problem, V, omega, scale):
