@@ -13,6 +13,7 @@ from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_constraints import Constraints, point_value
 from morembs.importers.abaqus_deck import Rows, values
+from morembs.importers.abaqus_equations import mpc_sums
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
 from morembs.importers.deck_options import DeckOptions
@@ -121,6 +122,10 @@ class _Writer:
             self._masses(placed, card, rows)
         elif word == "EQUATION":
             out.equation(placed, card, rows)
+        elif word == "RIGID BODY":
+            self._rigid_body(placed, card)
+        elif word == "MPC":
+            self._mpc(placed, card, rows)
         elif word == "KINEMATIC COUPLING":
             self._kinematic_coupling(placed, card, rows)
         elif word == "DISTRIBUTING COUPLING":
@@ -141,11 +146,12 @@ class _Writer:
         if card.keyword == "SPRING":
             numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
             axial = any(one.code == "SPRINGA" and one.number in numbers for one in self.assembly.discrete)
-            if axial and (len(rows) == 1 or "NONLINEAR" in card.options):
-                # The line of directions, which a spring along its axis has empty.
-                rows = [[], *rows]
-        if card.keyword == "RIGID BODY":
-            self._rigid_body(placed, card)
+            if axial and len(rows) > 1 and not any("." in text for text in rows[0]):
+                # The line of directions, which one along its axis has none of.
+                rows = rows[1:]
+            # CalculiX knows a stiffness by its decimal point.
+            first = [] if axial else rows[:1]
+            rows = [*first, *([numeral(value) for value in values(row, card)] for row in rows[len(first) :])]
         if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
@@ -181,13 +187,51 @@ class _Writer:
         self.flat.deck.card(placed, card, rows)
 
     def _rigid_body(self, placed: Placed, card: Card) -> None:
-        options = card.options
-        if options.get("REF NODE"):
-            reference = self.assembly.one_node(placed, options["REF NODE"])
-            if options.get("ROT NODE"):
-                self.flat.turning[self.assembly.one_node(placed, options["ROT NODE"]) + 1] = reference + 1
+        """The card on nodes alone: CalculiX stops at elements of shells, and gives a body without reference no mass."""
+        options, out = dict(card.options), self.flat.deck
+        sets = [options[key] for key in ("NSET", "TIE NSET", "PIN NSET") if options.get(key)]
+        own = [self.assembly.nodes_of(placed, text) for text in sets]
+        if options.get("ELSET"):
+            own.append(self.assembly.nodes_of_elements(self.assembly.elements_of(placed, options["ELSET"])))
+        if not own:
+            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
+        if not options.get("REF NODE"):
+            raise InputError(f"{card} names no reference node; give it one: REF NODE=")
+        reference = self.assembly.one_node(placed, options["REF NODE"])
+        nodes = np.setdiff1d(np.concatenate(own), reference)
+        out.followers.update(nodes.tolist())
+        kept = {"NSET": out.new_set("n", nodes), "REF NODE": str(reference + 1)}
+        if options.get("ROT NODE"):
+            turning = self.assembly.one_node(placed, options["ROT NODE"])
+            self.flat.turning[turning + 1] = reference + 1
+            kept["ROT NODE"] = str(turning + 1)
+        else:
+            self.flat.bodies.append(reference + 1)
+        out.body.append((3, "*RIGID BODY, " + ", ".join(f"{key}={value}" for key, value in kept.items())))
+
+    def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Types that CalculiX has not or has otherwise: BEAM as a coupling, LINK, PIN, TIE and LINEAR as equations."""
+        beams: dict[int, list[Ints]] = {}
+        others = []
+        for row in rows:
+            kind = row[0].upper() if row else ""
+            if kind == "BEAM":
+                follow, lead = (self.assembly.nodes_of(placed, text) for text in row[1:3])
+                if len(lead) not in (1, len(follow)):
+                    raise InputError(f"{card} BEAM: {row[2]!r} has {len(lead)} nodes; expected one, or one for each")
+                for i, node in enumerate(follow):
+                    beams.setdefault(int(lead[i if len(lead) > 1 else 0]), []).append(np.array([node]))
+            elif kind in ("LINK", "PIN", "TIE", "LINEAR"):
+                for title, terms in mpc_sums(self.assembly, placed, card, row):
+                    if any(component > 2 for _, component, _ in terms):
+                        raise InputError(f"{title} joins rotations, of which CalculiX has none; give BEAM or PIN")
+                    self.flat.deck.terms([(node + 1, c + 1, a) for node, c, a in terms if a])
             else:
-                self.flat.bodies.append(reference + 1)
+                others.append(row)
+        for reference, nodes in beams.items():
+            self._kinematic(reference, np.concatenate(nodes), [])
+        if others:
+            self.flat.deck.card(placed, card, others)
 
     def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
         turned = not np.array_equal(placed.rotation, np.eye(3))
@@ -227,6 +271,7 @@ class _Writer:
         """*COUPLING with *KINEMATIC, whose rotations CalculiX makes of displacements alone."""
         out, name = self.flat.deck, f"KS{next(self._couplings)}"
         own = out.new_set("n", np.setdiff1d(nodes, reference))
+        out.followers.update(nodes.tolist())
         held = sorted({d for row in rows for d in range(int(row[0]), int(row[-1]) + 1) if d < 4} if rows else {1, 2, 3})
         self.flat.bodies.append(reference + 1)
         out.surfaces.append(f"*SURFACE, NAME={name}, TYPE=NODE\n{own}")
@@ -249,8 +294,7 @@ class _Writer:
             self.flat.average = self._constraints.found.average
             return
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        nodes, _ = self._constraints.surface(placed, card.need("SURFACE"), card)
-        self._kinematic(reference, nodes, rows)
+        self._kinematic(reference, self.flat.deck.nodes_of_surface(placed, card.need("SURFACE"), card), rows)
 
     def _distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Weights of nodes at the node of an element DCOUP3D."""

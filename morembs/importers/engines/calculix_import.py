@@ -20,7 +20,7 @@ from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import DofMap, Mesh, Nodes
-from morembs.model.constraints import Equations
+from morembs.model.constraints import AverageElement, Equations
 from morembs.model.fe_model import SCALAR
 
 Floats = NDArray[np.float64]
@@ -29,6 +29,8 @@ FOLLOWS = "constraints of CalculiX"
 BOUNDARY = ("drop", "keep")
 # Sums below this part of their terms are round-off; CalculiX writes 14 digits.
 _ROUNDED = 1e-12
+# Difference of the masses along the axes above which it is told.
+UNEVEN = 1e-6
 # Above all internal numbers of nodes.
 _MADE = 1 << 40
 
@@ -163,6 +165,7 @@ class _Model:
     def _missing(self, mapped: RowMap) -> tuple[Ints, Ints]:
         """Label and direction 1..3 of dofs of solids and reference nodes that have no row."""
         wanted = self.solid.copy()
+        wanted[list(self.flat.deck.followers)] = True
         wanted[np.array([*self.flat.bodies, *self.flat.turning.values()], dtype=np.int64) - 1] = True
         if self.expanded is not None:
             # A node of a shell or beam is not in the model; those that it became are.
@@ -178,7 +181,7 @@ class _Model:
     ) -> Imported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
-        notes, warnings = [*flat.notes], [*flat.warnings]
+        notes, warnings = [*flat.notes], [*flat.warnings, *flat.deck.reversed]
         averaged = [nodes_of([*flat.average, *flat.masses])]
         extra = np.unique(np.concatenate([
             np.flatnonzero(np.isin(np.arange(len(assembly.ids)) + 1, mapped.owner)), node - 1, *averaged,
@@ -204,8 +207,16 @@ class _Model:
         order, K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
         equations = () if S is None else (_equations(S, dependent, dof_node, dof_component),)
         del order
-        average, masses = on_rows(flat.average, row), on_rows(flat.masses, row)
+        average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
+        masses = on_rows(flat.masses, row)
         surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
+        moves = (mapped.component[:, None] == np.arange(3)).astype(float)
+        along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
+        if np.ptp(along) > UNEVEN * along.max() and not choices.keep:
+            warnings.append(
+                f"the mass of what CalculiX wrote is {along[0]:.6g}, {along[1]:.6g} and {along[2]:.6g} along x, y and z: "
+                "equations that hold some of it, or rows that went to wrong nodes; then please report it [engine-map]"
+            )
         if self.strain > STRAINED and not choices.keep:
             warnings.append(
                 f"rigid motion strains the stiffness that CalculiX wrote by {self.strain:.1e} of its terms: springs to "
@@ -225,6 +236,22 @@ class _Model:
             equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
             notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
         )  # fmt: skip
+
+    def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
+        """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
+        if self.expanded is None:
+            return on_rows([item], row)[0]
+        nodes, weights = [], []
+        mine = np.flatnonzero((mapped.owner < 0) & (mapped.component == 0))
+        parent = self.expanded.parent[np.searchsorted(self.expanded.nodes, -mapped.owner[mine])]
+        for node, weight in zip(item.nodes.tolist(), item.weights.tolist(), strict=True):
+            became = at[mine[parent == node + 1]]
+            own = became if len(became) and not self.solid[node] else row[[node]]
+            nodes.append(own)
+            weights.append(np.full(len(own), weight / len(own)))
+        return replace(
+            item, reference=int(row[item.reference]), nodes=np.concatenate(nodes), weights=np.concatenate(weights)
+        )
 
     def _with_own_nodes(
         self, nodes: Nodes, row: Ints, mapped: RowMap, named: dict[str, Ints], named_by: NDArray[np.bool_]
