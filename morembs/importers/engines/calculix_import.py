@@ -214,7 +214,7 @@ class _Model:
         along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
         if np.ptp(along) > UNEVEN * along.max() and not choices.keep:
             warnings.append(
-                f"the mass of what CalculiX wrote is {along[0]:.6g}, {along[1]:.6g} and {along[2]:.6g} along x, y and z: "
+                f"the mass of what CalculiX wrote is {along[0]:.6g}, {along[1]:.6g}, {along[2]:.6g} along x, y and z: "
                 "equations that hold some of it, or rows that went to wrong nodes; then please report it [engine-map]"
             )
         if self.strain > STRAINED and not choices.keep:
