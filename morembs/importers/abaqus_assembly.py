@@ -104,7 +104,7 @@ class Assembly:
     def _shifts(self, labels: list[Ints], what: str) -> list[int]:
         """What to add to the labels of each scope so that each is there once."""
         together = np.concatenate(labels)
-        if len(np.unique(together)) == len(together):
+        if not _repeats(together):
             return [0] * len(labels)
         step = 10 ** len(str(int(together.max(initial=1))))
         if step * len(labels) > 2**62:
@@ -287,7 +287,7 @@ class Assembly:
                 for named in sets[name.upper()]
                 for part in named.parts
             ]
-            self._cache[key] = np.unique(np.concatenate(pieces)) if pieces else _NONE
+            self._cache[key] = _ascending(np.concatenate(pieces)) if pieces else _NONE
         return self._cache[key]
 
     def _part(self, kind: str, placed: Placed, part: Members, name: str, seen: tuple[str, ...]) -> Ints:
@@ -374,6 +374,16 @@ class Assembly:
         raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s")
 
 
+def _repeats(labels: Ints) -> bool:
+    """Whether a label is there twice."""
+    return len(_ascending(labels)) < len(labels)
+
+
+def _ascending(labels: Ints) -> Ints:
+    """Each label once; those of most files ascend already."""
+    return labels if (labels[1:] > labels[:-1]).all() else np.unique(labels)
+
+
 def _of(placed: Placed) -> str:
     return f" of the instance {placed.name!r}" if placed.name else ""
 
@@ -382,7 +392,7 @@ def _gathered(placed: Placed, deck: str) -> tuple[Ints, Floats]:
     """Labels and coordinates of a scope as they are written."""
     ids = np.concatenate([_NONE, *(a for scope in placed.contents for a in scope.node_ids)])
     xyz = np.concatenate([np.empty((0, 3)), *(a for scope in placed.contents for a in scope.xyz)])
-    if len(ids) and (len(np.unique(ids)) != len(ids) or ids.min() < 1):
+    if len(ids) and (_repeats(ids) or ids.min() < 1):
         raise InputError(f"{deck} defines some nodes{_of(placed)} twice, or below 1; expected unique node labels")
     return ids, xyz
 
