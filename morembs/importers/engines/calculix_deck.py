@@ -18,19 +18,12 @@ from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, label
 from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck
-from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node_lines, numeral, sixteen
+from morembs.model import Mesh, Nodes
 from morembs.model.handedness import right_handed
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-# CalculiX takes this many characters of a number, and entries of a line of a set or an element.
-_DIGITS, _ENTRIES, _PER_ELEMENT = 20, 16, 10
-# Types by shape and formulation, as ``formulations`` has them for CalculiX.
-_CODES = {
-    ("tet4", "full"): "C3D4", ("tet10", "full"): "C3D10", ("wedge6", "reduced"): "C3D6", ("wedge15", "full"): "C3D15",
-    ("hex8", "full"): "C3D8", ("hex8", "mean-strain"): "C3D8R", ("hex8", "incompatible"): "C3D8I",
-    ("hex20", "full"): "C3D20", ("hex20", "reduced"): "C3D20R",
-}  # fmt: skip
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
@@ -50,18 +43,8 @@ _HOLD = {
     "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
     "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
 }  # fmt: skip
-# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
-_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
-
-
 _NONE = np.empty(0, dtype=np.int64)
-
-
-def numeral(value: float) -> str:
-    """A number in the characters that CalculiX reads."""
-    text = repr(float(value))
-    return text if len(text) <= _DIGITS else f"{value:.12e}"
 
 
 @dataclass(eq=False)
@@ -99,7 +82,7 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.blocks, self.masses), *self.defined,
+            [*node_lines(self.assembly), nodes, *element_lines(self.assembly, self.blocks, self.masses), *self.defined,
              *self.surfaces, *body, extra, *self.steps, step, ""]
         )  # fmt: skip
 
@@ -119,7 +102,7 @@ class FlatDeck:
             fields = [
                 self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)
             ]
-            data += [", ".join(fields[i : i + _ENTRIES]) for i in range(0, len(fields), _ENTRIES)] or [""]
+            data += [", ".join(fields[i : i + ENTRIES]) for i in range(0, len(fields), ENTRIES)] or [""]
         return "\n".join([head, *data])
 
     def _option(self, placed: Placed, card: Card, key: str, text: str) -> str:
@@ -166,7 +149,7 @@ class FlatDeck:
     def new_set(self, kind: str, rows: Ints) -> str:
         """A set of nodes or elements (counted from 0) under a name of its own."""
         name, word = f"{kind.upper()}S{len(self.defined) + 1}", "NSET" if kind == "n" else "ELSET"
-        self.defined.append("\n".join([f"*{word}, {word}={name}", *_sixteen(rows + 1)]))
+        self.defined.append("\n".join([f"*{word}, {word}={name}", *sixteen(rows + 1)]))
         return name
 
     def surface(self, placed: Placed, text: str, card: Card) -> str:
@@ -281,40 +264,3 @@ def _keys(corners: Ints) -> Ints:
     key = np.full((len(corners), 4), -1, dtype=np.int64)
     key[:, : corners.shape[1]] = np.sort(corners, axis=1)
     return key
-
-
-def _sixteen(labels: Ints) -> list[str]:
-    entries = list(map(str, labels.tolist()))
-    return [", ".join(entries[i : i + _ENTRIES]) + "," for i in range(0, len(entries), _ENTRIES)]
-
-
-def _nodes(assembly: Assembly) -> list[str]:
-    rows = zip(range(1, len(assembly.ids) + 1), assembly.xyz.tolist(), strict=True)
-    return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
-
-
-def _elements(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: set[int]) -> list[str]:
-    """All elements in the order of their numbers, of point masses some."""
-    lines, number = [], 1
-
-    def block(code: str, nodes: Ints) -> None:
-        nonlocal number
-        lines.append(f"*ELEMENT, TYPE={code}")
-        for row in (nodes + 1).tolist():
-            entries = [str(number), *map(str, row)]
-            lines.extend(
-                ", ".join(entries[i : i + _PER_ELEMENT]) + ("," if i + _PER_ELEMENT < len(entries) else "")
-                for i in range(0, len(entries), _PER_ELEMENT)
-            )
-            number += 1
-
-    for part in blocks:
-        block(_CODES[part.type, part.formulation], part.nodes)
-    for one in assembly.discrete:
-        if one.code in _DISCRETE or one.number in masses:
-            number = one.number + 1
-            block(one.code, np.array([one.nodes]))
-    number = 1 + assembly.solids + len(assembly.discrete)
-    for code, _, nodes in assembly.others:
-        block(code, nodes)
-    return lines

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +12,14 @@ from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_constraints import Constraints, point_value
 from morembs.importers.abaqus_deck import Rows, values
-from morembs.importers.abaqus_equations import mpc_sums
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
 from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.engines.calculix_ties import Flat, Ties
 from morembs.importers.imported import PointMass
 from morembs.importers.problems import Problem
-from morembs.model.constraints import AverageElement
 
 Ints = NDArray[np.int64]
 # Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
@@ -46,23 +44,6 @@ class Choices:
     preload: int = 0
 
 
-@dataclass(eq=False)
-class Flat:
-    """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
-    rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
-    nodes whose conditions are in axes ``turned`` by *TRANSFORM; what is to be said."""
-
-    deck: FlatDeck
-    constraints: Constraints
-    average: list[AverageElement] = field(default_factory=list)
-    bodies: list[int] = field(default_factory=list)
-    turning: dict[int, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    masses: list[PointMass] = field(default_factory=list)
-    turned: set[int] = field(default_factory=set)
-
-
 def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     """The deck that CalculiX reads.
 
@@ -79,7 +60,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     for placed, card, rows in writer.cards():
         with deck.problems.collected(card, (f"--skip {card.keyword}",)):
             writer.take(placed, card, rows)
-    writer.couplings()
+    writer.ties.couplings(writer.places)
     writer.steps()
     writer.materials()
     deck.problems.refuse()
@@ -89,8 +70,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
 class _Writer:
     def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
         self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
-        self._constraints, self.options = flat.constraints, choices.options
-        self._couplings = count(1)
+        self.options, self.ties = choices.options, Ties(assembly, flat)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
@@ -115,7 +95,7 @@ class _Writer:
             if card.options.get("TYPE", "").upper() == "TEMPERATURE":
                 out.card(placed, card, rows)
         elif word == "CONTACT PAIR":
-            self._glue(placed, card, rows)
+            self.ties.glue(placed, card, rows)
         elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
             flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
         elif word in ("MASS", "ROTARY INERTIA"):
@@ -123,13 +103,13 @@ class _Writer:
         elif word == "EQUATION":
             out.equation(placed, card, rows)
         elif word == "RIGID BODY":
-            self._rigid_body(placed, card)
+            self.ties.rigid_body(placed, card)
         elif word == "MPC":
-            self._mpc(placed, card, rows)
+            self.ties.mpc(placed, card, rows)
         elif word == "KINEMATIC COUPLING":
-            self._kinematic_coupling(placed, card, rows)
+            self.ties.kinematic_coupling(placed, card, rows)
         elif word == "DISTRIBUTING COUPLING":
-            self._distributing(placed, card, rows)
+            self.ties.distributing(placed, card, rows)
         elif word == "SOLID SECTION":
             self._section(placed, card, rows)
         elif word in _PLAIN and word not in _IN_STEPS:
@@ -186,53 +166,6 @@ class _Writer:
             return
         self.flat.deck.card(placed, card, rows)
 
-    def _rigid_body(self, placed: Placed, card: Card) -> None:
-        """The card on nodes alone: CalculiX stops at elements of shells, and gives a body without reference no mass."""
-        options, out = dict(card.options), self.flat.deck
-        sets = [options[key] for key in ("NSET", "TIE NSET", "PIN NSET") if options.get(key)]
-        own = [self.assembly.nodes_of(placed, text) for text in sets]
-        if options.get("ELSET"):
-            own.append(self.assembly.nodes_of_elements(self.assembly.elements_of(placed, options["ELSET"])))
-        if not own:
-            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
-        if not options.get("REF NODE"):
-            raise InputError(f"{card} names no reference node; give it one: REF NODE=")
-        reference = self.assembly.one_node(placed, options["REF NODE"])
-        nodes = np.setdiff1d(np.concatenate(own), reference)
-        out.followers.update(nodes.tolist())
-        kept = {"NSET": out.new_set("n", nodes), "REF NODE": str(reference + 1)}
-        if options.get("ROT NODE"):
-            turning = self.assembly.one_node(placed, options["ROT NODE"])
-            self.flat.turning[turning + 1] = reference + 1
-            kept["ROT NODE"] = str(turning + 1)
-        else:
-            self.flat.bodies.append(reference + 1)
-        out.body.append((3, "*RIGID BODY, " + ", ".join(f"{key}={value}" for key, value in kept.items())))
-
-    def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """Types that CalculiX has not or has otherwise: BEAM as a coupling, LINK, PIN, TIE and LINEAR as equations."""
-        beams: dict[int, list[Ints]] = {}
-        others = []
-        for row in rows:
-            kind = row[0].upper() if row else ""
-            if kind == "BEAM":
-                follow, lead = (self.assembly.nodes_of(placed, text) for text in row[1:3])
-                if len(lead) not in (1, len(follow)):
-                    raise InputError(f"{card} BEAM: {row[2]!r} has {len(lead)} nodes; expected one, or one for each")
-                for i, node in enumerate(follow):
-                    beams.setdefault(int(lead[i if len(lead) > 1 else 0]), []).append(np.array([node]))
-            elif kind in ("LINK", "PIN", "TIE", "LINEAR"):
-                for title, terms in mpc_sums(self.assembly, placed, card, row):
-                    if any(component > 2 for _, component, _ in terms):
-                        raise InputError(f"{title} joins rotations, of which CalculiX has none; give BEAM or PIN")
-                    self.flat.deck.terms([(node + 1, c + 1, a) for node, c, a in terms if a])
-            else:
-                others.append(row)
-        for reference, nodes in beams.items():
-            self._kinematic(reference, np.concatenate(nodes), [])
-        if others:
-            self.flat.deck.card(placed, card, others)
-
     def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
         turned = not np.array_equal(placed.rotation, np.eye(3))
         if turned and card.keyword == "ORIENTATION" and rows:
@@ -253,53 +186,6 @@ class _Writer:
             self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
         else:
             self.deck.noted["BOUNDARY"] = 1
-
-    def _glue(self, placed: Placed, card: Card, rows: Rows) -> None:
-        adjust = card.options.get("ADJUST", "")
-        options = {"NAME": f"contact {len(self.flat.warnings)}"}
-        if adjust[:1].isdigit() or adjust[:1] == ".":
-            options["POSITION TOLERANCE"] = adjust
-        self.flat.deck.card(placed, Card("TIE", options, card.file), [row[:2] for row in rows])
-        self.flat.warnings.append(f"*{card.keyword} was glued as *TIE does [contact-tied]")
-
-    def _kinematic_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
-        for row in rows:
-            nodes = self.assembly.nodes_of(placed, row[0])
-            self._kinematic(self.assembly.one_node(placed, card.need("REF NODE")), nodes, [row[1:]] if row[1:] else [])
-
-    def _kinematic(self, reference: int, nodes: Ints, rows: Rows) -> None:
-        """*COUPLING with *KINEMATIC, whose rotations CalculiX makes of displacements alone."""
-        out, name = self.flat.deck, f"KS{next(self._couplings)}"
-        own = out.new_set("n", np.setdiff1d(nodes, reference))
-        out.followers.update(nodes.tolist())
-        held = sorted({d for row in rows for d in range(int(row[0]), int(row[-1]) + 1) if d < 4} if rows else {1, 2, 3})
-        self.flat.bodies.append(reference + 1)
-        out.surfaces.append(f"*SURFACE, NAME={name}, TYPE=NODE\n{own}")
-        dofs = "\n".join(f"{d}, {d}" for d in held)
-        text = f"*COUPLING, REF NODE={reference + 1}, SURFACE={name}, CONSTRAINT NAME={name}\n*KINEMATIC\n{dofs}"
-        out.body.append((5, text))
-
-    def couplings(self) -> None:
-        """*COUPLING with *KINEMATIC for CalculiX, with *DISTRIBUTING as average elements."""
-        for placed in self.places:
-            for scope in placed.contents:
-                for card, _, kind, kind_rows in scope.constraints:
-                    self._coupling(placed, card, kind, [row for row in kind_rows if row])
-
-    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
-        if kind is None:
-            raise InputError(f"{card} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
-        if kind.keyword == "DISTRIBUTING":
-            self._constraints.coupling(placed, card, kind, rows)
-            self.flat.average = self._constraints.found.average
-            return
-        reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        self._kinematic(reference, self.flat.deck.nodes_of_surface(placed, card.need("SURFACE"), card), rows)
-
-    def _distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """Weights of nodes at the node of an element DCOUP3D."""
-        self._constraints.distributing_coupling(placed, card, rows)
-        self.flat.average = self._constraints.found.average
 
     def steps(self) -> None:
         """The boundary that the first step holds, or the steps of a preload."""
