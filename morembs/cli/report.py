@@ -213,7 +213,7 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
     frequencies = [body.frequencies_hz[body.reduced.rigid_count :] for body in bodies]
     if elastic is not None:
-        frequencies = [_beside(elastic, own) if RESPONSES.intersection(body.reduced.mode_kind) else own
+        frequencies = [beside(elastic, own) if RESPONSES.intersection(body.reduced.mode_kind) else own
                        for body, own in zip(bodies, frequencies, strict=True)]  # fmt: skip
     for number in range(rows):
         row = [str(number + 1)] + ([] if elastic is None else [f"{elastic[number]:,.2f}"])
@@ -230,7 +230,7 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     return table
 
 
-def _beside(full: Floats, own: Floats) -> Floats:
+def beside(full: Floats, own: Floats) -> Floats:
     """(k,) of ``own`` frequencies (n,), ascending, the one that stands for each of ``full`` (k,), nan where none does:
     bodies that follow responses have modes of no load neither in number nor in order."""
     found, first = np.full(len(full), np.nan), 0

@@ -25,6 +25,7 @@ from morembs.body.file import read_body
 from morembs.cli import commands as cli
 from morembs.cli import screen, terminal
 from morembs.cli.certificates import Certified
+from morembs.cli.report import beside
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import viewed_axes
@@ -344,6 +345,15 @@ def test_stages_are_reported(tmp_path: Path) -> None:
     listener = Heard()
     result = run_job(load_job(folder(tmp_path)), listener)
     assert [stage.name for stage in result.stages] == [s for s in listener.stages if not s.startswith("writing")]
+
+
+def test_rows_of_frequencies_stand_for_the_same_modes() -> None:
+    """Bodies that follow responses have no modes that no load excites: their third may be the fifth of the model."""
+    full = np.array([100.0, 110.0, 110.5, 200.0, 300.0])
+    assert beside(full, np.array([100.1, 110.4, 299.0, 400.0])).tolist() == pytest.approx(
+        [100.1, 110.4, np.nan, np.nan, 299.0], nan_ok=True
+    )
+    assert np.isnan(beside(full, np.zeros(0))).all()
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,7 @@ def test_comparison_marks_the_front_and_draws_it(compare, tmp_path):
     assert contenders["free-interface"]["static_error"] < 1e-8 < 1e-3 < contenders["modal"]["static_error"]
     assert {name for name, contender in contenders.items() if contender["best"]} == {"guyan", "modal"}
     for contender in contenders.values():
+        assert contender["measure"] == "envelope"
         assert contender["error"] <= contender["bound"] * (1 + 1e-6) and contender["seconds"] >= 0
     assert (tmp_path / "front.png").read_bytes()[1:4] == b"PNG" and (tmp_path / "rod.h5").exists()
 
@@ -84,6 +85,8 @@ def test_comparison_prints_a_table(compare):
     done = compare("band_hz = [0, 8000]\npoints = 6\nbound = false")
     assert done.exit_code == 0
     assert "* guyan" in done.stdout and "held, median" in done.stdout
+    # Without limits all figures are of samples, and the legend names their measure.
+    assert "by the measure of the certificate (pointwise); mean, pointwise:" in done.stdout.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
