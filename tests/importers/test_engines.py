@@ -185,7 +185,8 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     shells.write_text(PLATE)
     other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
     assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
-    done = CliRunner().invoke(app, [*line, "--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)])
+    line += ["--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)]
+    done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.stderr
     assert "read as abaqus (calculix)" in done.stdout and "[density-given]" in done.stdout
     assert "1 *CONTACT PAIR left out as asked" in done.stdout and "[hybrid-as-plain]" in done.stdout
