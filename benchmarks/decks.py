@@ -27,6 +27,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 from morembs.errors import MorembsError
+from morembs.importers import import_file
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import import_with_calculix
 from morembs.importers.to_model import model_of
@@ -123,6 +124,13 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
     result["own_constraints"] = bool(_CONSTRAINED.search(path.read_text(errors="replace")))
     if model.dependent is not None:
         result["follows"] = float(np.abs(model.dependent.S @ R - R).max() / np.abs(R).max())
+    kilograms = float(R[:, 0] @ (model.M @ R[:, 0]))
+    try:
+        own = model_of(import_file(path, options={"density": DENSITY, "contact": "skip", "dialect": "calculix"}))
+        along = (own.dofs.component == 0).astype(float)
+        result["mass"] = abs(kilograms / float(along @ (own.M @ along)) - 1)
+    except MorembsError:
+        pass  # own assembly does not take it
     if model.size > limit:
         return result
     try:
@@ -166,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
             given.json.write_text(json.dumps(results, indent=1))
     taken = [one for one in results if "error" not in one]
     print(f"{len(taken)} of {len(results)} imported ({100 * len(taken) / max(len(results), 1):.1f} %)")
-    for key, most in (("rigid", 1e-9), ("follows", 1e-12), ("frequency", 1e-6)):
+    for key, most in (("rigid", 1e-9), ("follows", 1e-12), ("mass", 1e-6), ("frequency", 1e-6)):
         values = [one[key] for one in taken if key in one]
         print(f"{key}: {sum(v <= most for v in values)} of {len(values)} within {most:g}; worst "
               f"{max(values, default=0):.1e}")  # fmt: skip

@@ -109,7 +109,7 @@ def import_abaqus(
         discrete=on_rows(got.discrete, row),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
         notes=(*_notes(deck), *assembly.notes, *found.notes, *got.notes),
-        warnings=(*_skipped(deck), *got.warnings, *found.warnings, *said),
+        warnings=(*skipped_warnings(deck), *got.warnings, *found.warnings, *said),
         incomplete=lacking,
     )
 
@@ -120,7 +120,7 @@ def _known(dialect: str) -> str:
     return dialect
 
 
-def _skipped(deck: Deck) -> list[str]:
+def skipped_warnings(deck: Deck) -> list[str]:
     """What was left out as asked, a sentence each."""
     warnings = []
     for what, count in deck.skipped.items():

@@ -330,6 +330,11 @@ class Assembly:
             start += len(block.nodes)
         chosen = set(numbers[numbers >= start].tolist())
         rows += [np.array(element.nodes) for element in self.discrete if element.number in chosen]
+        start += len(self.discrete)
+        for _, ids, nodes in self.others:
+            own = numbers[(numbers >= start) & (numbers < start + len(ids))] - start
+            rows.append(np.unique(nodes[own]))
+            start += len(ids)
         return np.unique(np.concatenate(rows))
 
     def _found(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:

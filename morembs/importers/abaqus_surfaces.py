@@ -65,7 +65,7 @@ class Surfaces:
                 return
             surface = self._union([self.of(placed, text, card) for row in rows for text in row if text])
         else:
-            surface = self._of_nodes(placed, rows, card) if kind == "NODE" else self._of_faces(placed, rows, card)
+            surface = self._of_nodes(placed, rows, card) if kind == "NODE" else self.of_faces(placed, rows, card)
         self._named[id(placed), name.upper()] = surface
         clash = placed.name and (several or name in self.nodes)
         self.nodes[f"{placed.name}.{name}" if clash else name] = surface.nodes
@@ -100,7 +100,8 @@ class Surfaces:
         nodes = np.flatnonzero(inside)
         return Surface(nodes, weight[nodes])
 
-    def _of_faces(self, placed: Placed, rows: Rows, card: Card) -> Surface:
+    def of_faces(self, placed: Placed, rows: Rows, card: Card) -> Surface:
+        """The surface of sides of solids that data lines name."""
         weight = np.zeros(len(self.assembly.ids))
         inside = np.zeros(len(weight), dtype=bool)
         found: list[tuple[str, Ints]] = []

@@ -191,8 +191,8 @@ class Problem(Closing):
         Of use between two reductions that share nothing, where memory is short. Modes stay.
         """
         self.close()
-        for made in ("statics", "elastic", "internal"):
-            self.__dict__.pop(made, None)
+        for name in ("statics", "elastic", "internal"):
+            self.__dict__.pop(name, None)
 
     def _rigid_motions(self) -> tuple[Floats, Floats]:
         """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.

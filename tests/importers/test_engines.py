@@ -30,6 +30,10 @@ TIED = (
     f"{STEEL}*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n*SOLID SECTION,ELSET=B,MATERIAL=STEEL\n"
     "*TIE,NAME=T,POSITION TOLERANCE=0.1\nSB,SA\n*RIGID BODY,NSET=BOT,REF NODE=30\n"
 )
+SHELL = (
+    "*NODE\n1,0,0,1\n2,1,0,1\n3,1,1,1\n4,0,1,1\n*ELEMENT,TYPE=S4R,ELSET=E\n1,1,2,3,4\n"
+    f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.01\n"
+)
 LINE = "*NODE\n1,0,0,0\n2,.5,0,0\n3,1,0,0\n4,1.5,0,0\n5,2,0,0\n"
 BEAM = (
     f"{LINE}*ELEMENT,TYPE=B32,ELSET=E\n1,1,2,3\n2,3,4,5\n{STEEL}"
@@ -108,7 +112,19 @@ def test_ties_and_rigid_bodies_are_read_off_by_springs(run):
      3 * 7850 + 70.0),
     (solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
      "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n", 2 * 7850),
-], ids=["B32", "B32 with knots", "B31", "trusses", "S4 with knots", "distributing", "kinematic"])  # fmt: skip
+    # Nodes 1 to 4 of the block are its end at x = 0.
+    (solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,-1,.5,.5\n*MPC\n" + "".join(
+        f"BEAM,{node},99\n" for node in (1, 2, 3, 4)), 3 * 7850),
+    (solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,0,0,0\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n*MASS,ELSET=P\n"
+     "70.\n*MPC\nPIN,99,1\n", 3 * 7850 + 70.0),
+    (SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE"), 0.01 * 7850),
+    (SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S\nE,SPOS\n*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n"
+     "*KINEMATIC\n", 0.01 * 7850),
+    (SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S,TYPE=NODE\n1\n2\n3\n4\n*COUPLING,REF NODE=99,SURFACE=S,"
+     "CONSTRAINT NAME=C\n*DISTRIBUTING\n1,6\n", 0.01 * 7850),
+    (TIED.replace("2,11,12,13,14,15,16,17,18", "2,15,16,17,18,11,12,13,14").replace("B,S1", "B,S2"), 1.25 * 7850),
+], ids=["B32", "B32 with knots", "B31", "trusses", "S4 with knots", "distributing", "kinematic", "MPC BEAM", "MPC PIN",
+        "membrane", "kinematic shell", "distributing shell", "left-handed"])  # fmt: skip
 def test_kinds_of_decks_have_free_rigid_motion_and_their_mass(tmp_path, deck, kg):
     assert_free(imported(tmp_path, deck), kg)
 
@@ -159,7 +175,8 @@ def test_a_preload_stiffens_as_ccx_says(tmp_path):
 
 @needs_ccx
 def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
-    (tmp_path / "deck.inp").write_text(TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n"))
+    text = TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n").replace("C3D8", "C3D8H")
+    (tmp_path / "deck.inp").write_text(text + "*CONTACT PAIR,INTERACTION=I\nSB,SA\n")
     model, kept = tmp_path / "part.model.h5", tmp_path / "kept"
     line = ["import", str(tmp_path / "deck.inp"), "--engine", "calculix", "-o", str(model)]
     refused = CliRunner().invoke(app, line)
@@ -168,9 +185,11 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     shells.write_text(PLATE)
     other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
     assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
-    done = CliRunner().invoke(app, [*line, "--density", "7850", "--check", "--keep-files", str(kept)])
+    line += ["--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)]
+    done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.stderr
     assert "read as abaqus (calculix)" in done.stdout and "[density-given]" in done.stdout
+    assert "1 *CONTACT PAIR left out as asked" in done.stdout and "[hybrid-as-plain]" in done.stdout
     assert {"model.sti", "probe.inp", "model.output.txt"} <= {path.name for path in kept.iterdir()}
     (tmp_path / "job.toml").write_text(
         f'[model]\nfile = "{model}"\n[[interface]]\nname = "top"\nnodes = "ids:15,16,17,18"\ncoupling = "rigid"\n'

@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_deck import Rows
+from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, label
-from morembs.importers.abaqus_surfaces import FACES
+from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node_lines, numeral, sixteen
+from morembs.model import Mesh, Nodes
+from morembs.model.handedness import right_handed
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-# CalculiX takes this many characters of a number, and entries of a line of a set or an element.
-_DIGITS, _ENTRIES, _PER_ELEMENT = 20, 16, 10
-# Types by shape and formulation, as ``formulations`` has them for CalculiX.
-_CODES = {
-    ("tet4", "full"): "C3D4", ("tet10", "full"): "C3D10", ("wedge6", "reduced"): "C3D6", ("wedge15", "full"): "C3D15",
-    ("hex8", "full"): "C3D8", ("hex8", "mean-strain"): "C3D8R", ("hex8", "incompatible"): "C3D8I",
-    ("hex20", "full"): "C3D20", ("hex20", "reduced"): "C3D20R",
-}  # fmt: skip
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
@@ -48,22 +43,16 @@ _HOLD = {
     "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
     "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
 }  # fmt: skip
-# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
-_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
-
-
-def numeral(value: float) -> str:
-    """A number in the characters that CalculiX reads."""
-    text = repr(float(value))
-    return text if len(text) <= _DIGITS else f"{value:.12e}"
+_NONE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(eq=False)
 class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
-    ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds.
+    ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds,
+    ``followers`` rows of nodes that follow others.
     """
 
     assembly: Assembly
@@ -75,9 +64,13 @@ class FlatDeck:
     body: list[tuple[int, str]] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
     masses: set[int] = field(default_factory=set)
+    followers: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.labels = self.assembly.element_labels()
+        nodes = Nodes(ids=self.assembly.ids, xyz=self.assembly.xyz)
+        mesh = right_handed(Mesh(nodes=nodes, blocks=tuple(self.assembly.blocks)))
+        self.blocks, self.reversed = mesh.blocks, mesh.warnings
         self.held = np.zeros((len(self.assembly.ids), 3), dtype=bool)
 
     @property
@@ -89,8 +82,8 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces,
-             *body, extra, *self.steps, step, ""]
+            [*node_lines(self.assembly), nodes, *element_lines(self.assembly, self.blocks, self.masses), *self.defined,
+             *self.surfaces, *body, extra, *self.steps, step, ""]
         )  # fmt: skip
 
     def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
@@ -109,7 +102,7 @@ class FlatDeck:
             fields = [
                 self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)
             ]
-            data += [", ".join(fields[i : i + _ENTRIES]) for i in range(0, len(fields), _ENTRIES)] or [""]
+            data += [", ".join(fields[i : i + ENTRIES]) for i in range(0, len(fields), ENTRIES)] or [""]
         return "\n".join([head, *data])
 
     def _option(self, placed: Placed, card: Card, key: str, text: str) -> str:
@@ -156,7 +149,7 @@ class FlatDeck:
     def new_set(self, kind: str, rows: Ints) -> str:
         """A set of nodes or elements (counted from 0) under a name of its own."""
         name, word = f"{kind.upper()}S{len(self.defined) + 1}", "NSET" if kind == "n" else "ELSET"
-        self.defined.append("\n".join([f"*{word}, {word}={name}", *_sixteen(rows + 1)]))
+        self.defined.append("\n".join([f"*{word}, {word}={name}", *sixteen(rows + 1)]))
         return name
 
     def surface(self, placed: Placed, text: str, card: Card) -> str:
@@ -166,6 +159,21 @@ class FlatDeck:
         if ("s", id(where), name.upper()) in self.names:
             return self.names["s", id(where), name.upper()]
         return self._surface(where, own, rows, name)
+
+    def nodes_of_surface(self, placed: Placed, text: str, card: Card) -> Ints:
+        """Rows of the nodes of a surface, of shells those"""
+        where, own, rows = self._find_surface(placed, text, card)
+        if own.options.get("TYPE", "ELEMENT").upper() == "NODE":
+            return np.unique(np.concatenate([self.assembly.nodes_of(where, row[0]) for row in rows]))
+        surfaces = Surfaces(self.assembly)
+        found = [_NONE]
+        for row in rows:
+            numbers = self.assembly.elements_of(where, row[0])
+            if (numbers < self.assembly.solids).all():
+                found.append(surfaces.of_faces(where, [row], own).nodes)
+            else:
+                found.append(self.assembly.nodes_of_elements(numbers))
+        return np.unique(np.concatenate(found))
 
     def _find_surface(self, placed: Placed, text: str, card: Card) -> tuple[Placed, Card, Rows]:
         scope, rest = self.assembly.split(placed, text)
@@ -183,30 +191,30 @@ class FlatDeck:
             raise InputError(f"{card} {text!r} combines others; list their faces in one surface")
         lines = []
         for row in rows:
-            if kind == "e" and (len(row) < 2 or not row[1]):
-                lines += self._free_sides(placed, row[0])
+            if kind == "e" and (len(row) < 2 or not row[1] or (self.reversed and row[1][:2].upper() != "SP")):
+                lines += self._sides(placed, row, card)
             else:
                 lines.append(", ".join([self.group(kind, placed, row[0]), *(row[1:] if kind == "e" else [])]))
         word = "NODE" if kind == "n" else "ELEMENT"
         self.surfaces.append("\n".join([f"*SURFACE, NAME={name}, TYPE={word}", *lines]))
         return name
 
-    def _free_sides(self, placed: Placed, text: str) -> list[str]:
-        """Element and side of the faces of some solids that no other element has."""
-        wanted = self.assembly.elements_of(placed, text)
-        keys, numbers, sides, start = [], [], [], 0
-        for part in self.assembly.blocks:
+    def _sides(self, placed: Placed, row: list[str], card: Card) -> list[str]:
+        """Element and side of the faces of solids that a line names, of free ones where it names no side."""
+        wanted = self.assembly.elements_of(placed, row[0])
+        faces = [nodes for _, nodes in Surfaces(self.assembly).of_faces(placed, [row], card).faces if len(nodes)]
+        named = [_keys(nodes[:, : 3 if nodes.shape[1] in (3, 6) else 4]) for nodes in faces]
+        keys, numbers, sides, start = [np.concatenate([np.empty((0, 4), dtype=np.int64), *named])], [], [], 0
+        for part in self.blocks:
             for side, corners in enumerate(FACES[part.type[0]]):
-                key = np.full((len(part.nodes), 4), -1, dtype=np.int64)
-                key[:, : len(corners)] = np.sort(part.nodes[:, corners], axis=1)
-                keys.append(key)
-                numbers.append(start + np.arange(len(key)))
-                sides.append(np.full(len(key), side + 1))
+                keys.append(_keys(part.nodes[:, corners]))
+                numbers.append(start + np.arange(len(part.nodes)))
+                sides.append(np.full(len(part.nodes), side + 1))
             start += len(part.nodes)
-        _, group, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
-        number, side_of = np.concatenate(numbers), np.concatenate(sides)
-        free = np.flatnonzero((times[group.ravel()] == 1) & np.isin(number, wanted))
-        return [f"{number[i] + 1}, S{side_of[i]}" for i in free.tolist()]
+        _, group = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+        group, number, side_of = group.ravel(), np.concatenate(numbers), np.concatenate(sides)
+        given = np.isin(group[len(keys[0]) :], group[: len(keys[0])]) & np.isin(number, wanted)
+        return [f"{number[i] + 1}, S{side_of[i]}" for i in np.flatnonzero(given).tolist()]
 
     def boundary(self, placed: Placed, card: Card, rows: Rows) -> str:
         """*BOUNDARY that holds its dofs at zero."""
@@ -229,12 +237,16 @@ class FlatDeck:
             at += 1
             nodes = [self.assembly.nodes_of(placed, text) for text in flat[: 3 * count : 3]]
             for each in range(max(map(len, nodes), default=0)):
-                terms = []
-                for k, own in enumerate(nodes):
-                    row = own[min(each, len(own) - 1)] + 1
-                    terms.append(f"{row}, {flat[3 * k + 1]}, {numeral(float(flat[3 * k + 2]))}")
-                lines = [", ".join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
-                self.body.append((1, "\n".join(["*EQUATION", str(count), *lines])))
+                rows_of = [int(own[min(each, len(own) - 1)]) + 1 for own in nodes]
+                dofs = [int(text) for text in flat[1 : 3 * count : 3]]
+                self.terms(list(zip(rows_of, dofs, values(flat[2 : 3 * count : 3], card), strict=True)))
+
+    def terms(self, terms: list[tuple[int, int, float]]) -> None:
+        """One equation of terms (label, dof from 1, coefficient)."""
+        self.followers.add(terms[0][0] - 1)
+        texts = [f"{label}, {dof}, {numeral(value)}" for label, dof, value in terms]
+        lines = [", ".join(texts[i : i + 4]) for i in range(0, len(texts), 4)]
+        self.body.append((1, "\n".join(["*EQUATION", str(len(texts)), *lines])))
 
 
 def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
@@ -247,38 +259,8 @@ def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
     return [(int(fields[0]), int(fields[-1]))]
 
 
-def _sixteen(labels: Ints) -> list[str]:
-    entries = list(map(str, labels.tolist()))
-    return [", ".join(entries[i : i + _ENTRIES]) + "," for i in range(0, len(entries), _ENTRIES)]
-
-
-def _nodes(assembly: Assembly) -> list[str]:
-    rows = zip(range(1, len(assembly.ids) + 1), assembly.xyz.tolist(), strict=True)
-    return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
-
-
-def _elements(assembly: Assembly, masses: set[int]) -> list[str]:
-    """All elements in the order of their numbers, of point masses some."""
-    lines, number = [], 1
-
-    def block(code: str, nodes: Ints) -> None:
-        nonlocal number
-        lines.append(f"*ELEMENT, TYPE={code}")
-        for row in (nodes + 1).tolist():
-            entries = [str(number), *map(str, row)]
-            lines.extend(
-                ", ".join(entries[i : i + _PER_ELEMENT]) + ("," if i + _PER_ELEMENT < len(entries) else "")
-                for i in range(0, len(entries), _PER_ELEMENT)
-            )
-            number += 1
-
-    for part in assembly.blocks:
-        block(_CODES[part.type, part.formulation], part.nodes)
-    for one in assembly.discrete:
-        if one.code in _DISCRETE or one.number in masses:
-            number = one.number + 1
-            block(one.code, np.array([one.nodes]))
-    number = 1 + assembly.solids + len(assembly.discrete)
-    for code, _, nodes in assembly.others:
-        block(code, nodes)
-    return lines
+def _keys(corners: Ints) -> Ints:
+    """Corners (n, 3 or 4) of faces as rows (n, 4) that are the same for the same face."""
+    key = np.full((len(corners), 4), -1, dtype=np.int64)
+    key[:, : corners.shape[1]] = np.sort(corners, axis=1)
+    return key

@@ -39,7 +39,7 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
         return None
     parent: dict[int, int] = {}
     knots: list[int] = []
-    trusses, others = set[int](), set[int]()
+    hinged, others = set[int](), set[int]()
     lines = iter(topology.read_text(errors="replace").splitlines())
     for line in lines:
         knot, head = _KNOT.search(line), _LABEL.search(line)
@@ -57,7 +57,7 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
         table = _BECOMES.get((head[1][0], len(own)))
         if table is None or len(numbers) <= max(max(places) for places in table):
             raise InputError(f"{topology.name} has an element {head[1]} of {len(own)} nodes, which is not known here")
-        (trusses if head[1][0] == "T" else others).update(own)
+        (hinged if head[1][0] in "TM" else others).update(own)
         for label, places in zip(own, table, strict=True):
             parent |= {numbers[place]: label for place in places}
     if not parent:
@@ -65,7 +65,7 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
     nodes = np.array(sorted(parent), dtype=np.int64)
     return Expanded(
         nodes=nodes, xyz=_places(result, nodes), parent=np.array([parent[node] for node in nodes.tolist()]),
-        knots=np.array(knots, dtype=np.int64), hinges=np.array(sorted(trusses - others), dtype=np.int64),
+        knots=np.array(knots, dtype=np.int64), hinges=np.array(sorted(hinged - others), dtype=np.int64),
     )  # fmt: skip
 
 

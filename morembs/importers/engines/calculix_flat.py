@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,9 @@ from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
 from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.engines.calculix_ties import Flat, Ties
 from morembs.importers.imported import PointMass
 from morembs.importers.problems import Problem
-from morembs.model.constraints import AverageElement
 
 Ints = NDArray[np.int64]
 # Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
@@ -45,23 +44,6 @@ class Choices:
     preload: int = 0
 
 
-@dataclass(eq=False)
-class Flat:
-    """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
-    rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
-    nodes whose conditions are in axes ``turned`` by *TRANSFORM; what is to be said."""
-
-    deck: FlatDeck
-    constraints: Constraints
-    average: list[AverageElement] = field(default_factory=list)
-    bodies: list[int] = field(default_factory=list)
-    turning: dict[int, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    masses: list[PointMass] = field(default_factory=list)
-    turned: set[int] = field(default_factory=set)
-
-
 def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     """The deck that CalculiX reads.
 
@@ -78,7 +60,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     for placed, card, rows in writer.cards():
         with deck.problems.collected(card, (f"--skip {card.keyword}",)):
             writer.take(placed, card, rows)
-    writer.couplings()
+    writer.ties.couplings(writer.places)
     writer.steps()
     writer.materials()
     deck.problems.refuse()
@@ -88,8 +70,7 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
 class _Writer:
     def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
         self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
-        self._constraints, self.options = flat.constraints, choices.options
-        self._couplings = count(1)
+        self.options, self.ties = choices.options, Ties(assembly, flat)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
@@ -114,17 +95,21 @@ class _Writer:
             if card.options.get("TYPE", "").upper() == "TEMPERATURE":
                 out.card(placed, card, rows)
         elif word == "CONTACT PAIR":
-            self._glue(placed, card, rows)
+            self.ties.glue(placed, card, rows)
         elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
             flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
         elif word in ("MASS", "ROTARY INERTIA"):
             self._masses(placed, card, rows)
         elif word == "EQUATION":
             out.equation(placed, card, rows)
+        elif word == "RIGID BODY":
+            self.ties.rigid_body(placed, card)
+        elif word == "MPC":
+            self.ties.mpc(placed, card, rows)
         elif word == "KINEMATIC COUPLING":
-            self._kinematic_coupling(placed, card, rows)
+            self.ties.kinematic_coupling(placed, card, rows)
         elif word == "DISTRIBUTING COUPLING":
-            self._distributing(placed, card, rows)
+            self.ties.distributing(placed, card, rows)
         elif word == "SOLID SECTION":
             self._section(placed, card, rows)
         elif word in _PLAIN and word not in _IN_STEPS:
@@ -141,11 +126,12 @@ class _Writer:
         if card.keyword == "SPRING":
             numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
             axial = any(one.code == "SPRINGA" and one.number in numbers for one in self.assembly.discrete)
-            if axial and (len(rows) == 1 or "NONLINEAR" in card.options):
-                # The line of directions, which a spring along its axis has empty.
-                rows = [[], *rows]
-        if card.keyword == "RIGID BODY":
-            self._rigid_body(placed, card)
+            if axial and len(rows) > 1 and not any("." in text for text in rows[0]):
+                # The line of directions, which one along its axis has none of.
+                rows = rows[1:]
+            # CalculiX knows a stiffness by its decimal point.
+            first = [] if axial else rows[:1]
+            rows = [*first, *([numeral(value) for value in values(row, card)] for row in rows[len(first) :])]
         if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
@@ -180,15 +166,6 @@ class _Writer:
             return
         self.flat.deck.card(placed, card, rows)
 
-    def _rigid_body(self, placed: Placed, card: Card) -> None:
-        options = card.options
-        if options.get("REF NODE"):
-            reference = self.assembly.one_node(placed, options["REF NODE"])
-            if options.get("ROT NODE"):
-                self.flat.turning[self.assembly.one_node(placed, options["ROT NODE"]) + 1] = reference + 1
-            else:
-                self.flat.bodies.append(reference + 1)
-
     def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
         turned = not np.array_equal(placed.rotation, np.eye(3))
         if turned and card.keyword == "ORIENTATION" and rows:
@@ -209,53 +186,6 @@ class _Writer:
             self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
         else:
             self.deck.noted["BOUNDARY"] = 1
-
-    def _glue(self, placed: Placed, card: Card, rows: Rows) -> None:
-        adjust = card.options.get("ADJUST", "")
-        options = {"NAME": f"contact {len(self.flat.warnings)}"}
-        if adjust[:1].isdigit() or adjust[:1] == ".":
-            options["POSITION TOLERANCE"] = adjust
-        self.flat.deck.card(placed, Card("TIE", options, card.file), [row[:2] for row in rows])
-        self.flat.warnings.append(f"*{card.keyword} was glued as *TIE does [contact-tied]")
-
-    def _kinematic_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
-        for row in rows:
-            nodes = self.assembly.nodes_of(placed, row[0])
-            self._kinematic(self.assembly.one_node(placed, card.need("REF NODE")), nodes, [row[1:]] if row[1:] else [])
-
-    def _kinematic(self, reference: int, nodes: Ints, rows: Rows) -> None:
-        """*COUPLING with *KINEMATIC, whose rotations CalculiX makes of displacements alone."""
-        out, name = self.flat.deck, f"KS{next(self._couplings)}"
-        own = out.new_set("n", np.setdiff1d(nodes, reference))
-        held = sorted({d for row in rows for d in range(int(row[0]), int(row[-1]) + 1) if d < 4} if rows else {1, 2, 3})
-        self.flat.bodies.append(reference + 1)
-        out.surfaces.append(f"*SURFACE, NAME={name}, TYPE=NODE\n{own}")
-        dofs = "\n".join(f"{d}, {d}" for d in held)
-        text = f"*COUPLING, REF NODE={reference + 1}, SURFACE={name}, CONSTRAINT NAME={name}\n*KINEMATIC\n{dofs}"
-        out.body.append((5, text))
-
-    def couplings(self) -> None:
-        """*COUPLING with *KINEMATIC for CalculiX, with *DISTRIBUTING as average elements."""
-        for placed in self.places:
-            for scope in placed.contents:
-                for card, _, kind, kind_rows in scope.constraints:
-                    self._coupling(placed, card, kind, [row for row in kind_rows if row])
-
-    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
-        if kind is None:
-            raise InputError(f"{card} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
-        if kind.keyword == "DISTRIBUTING":
-            self._constraints.coupling(placed, card, kind, rows)
-            self.flat.average = self._constraints.found.average
-            return
-        reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        nodes, _ = self._constraints.surface(placed, card.need("SURFACE"), card)
-        self._kinematic(reference, nodes, rows)
-
-    def _distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """Weights of nodes at the node of an element DCOUP3D."""
-        self._constraints.distributing_coupling(placed, card, rows)
-        self.flat.average = self._constraints.found.average
 
     def steps(self) -> None:
         """The boundary that the first step holds, or the steps of a preload."""

@@ -36,8 +36,8 @@ LEFT, _RINGS = 1e-8, 4
 class Expanded:
     """What CalculiX made of shells and beams: places of the ``nodes`` (n,) by their internal numbers, ascending, in
     ``xyz`` (n, 3), and the ``parent`` (n,) label of each. ``knots`` are labels of parents that have dofs of their own,
-    displacements and rotations, which all that they became follows; ``hinges`` those of trusses alone, which keep
-    their displacements beside those of the expanded nodes."""
+    displacements and rotations, which all that they became follows; ``hinges`` those of trusses and membranes alone,
+    which keep their displacements beside those of the expanded nodes."""
 
     nodes: Ints
     xyz: Floats
@@ -124,19 +124,23 @@ def _by_count(
     start = np.searchsorted(expanded.parent[order], np.arange(expanded.parent.max(initial=0) + 2))
     by_label = np.argsort(of_group, kind="stable")
     edges = np.flatnonzero(np.diff(of_group[by_label], prepend=-1))
+    hinges = set(expanded.hinges.tolist())
     for own in np.split(by_label, edges[1:]):
         parent = of_group[own[0]]
         if parent + 1 >= len(start):
             continue
         nodes = expanded.nodes[order[start[parent] : start[parent + 1]]]
+        if parent in hinges:
+            own = own[owner[own] == 0]
         if surely and not full[own].all():
             continue
         if len(own) == len(nodes) + 1 and prefix[own[0]]:
             owner[own[0]], known[own[0]] = parent, True
             own = own[1:]
         if len(own) == len(nodes) or not surely:
+            # Where some follow, they are the first.
             own = own[owner[own] == 0][: len(nodes)]
-            owner[own], known[own] = -nodes[: len(own)], True
+            owner[own], known[own] = -nodes[len(nodes) - len(own) :], True
 
 
 class _Solved:
@@ -149,16 +153,17 @@ class _Solved:
         self.center, self.length = center, length
         self.owner, self.component, self.place = given.owner.copy(), given.component.copy(), given.place.copy()
         self.edges = np.searchsorted(given.group, np.arange(len(of_group) + 1))
+        self.R = np.zeros((len(self.owner), 6))
         rows = known[given.group]
-        R = np.zeros((len(rows), 6))
-        R[rows] = rigid_motion((self.place[rows] - center) / length, self.component[rows])
+        self.R[rows] = rigid_motion((self.place[rows] - center) / length, self.component[rows])
         likely = np.flatnonzero(~rows & np.isin(of_group[given.group], list(made)))
-        R[likely, 3 + self.component[likely]] = 1.0 / length
-        R[~rows] = _motion(K, R, rows)
-        self.R = R
+        self.R[likely, 3 + self.component[likely]] = 1.0 / length
 
     def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
         """Rows by what their rigid motion is; those that it does not explain relative to others."""
+        self._expect(xyz, expanded, turning)
+        rows = self.known[self.given.group]
+        self.R[~rows] = _motion(self.K, self.R, rows)
         exact, untold = self.R.copy(), list[int]()
         taken: set[tuple[int, int]] = set()
         # Modes inside elements and across sections, most of all: they stay where they are.
@@ -185,6 +190,21 @@ class _Solved:
         rest = np.union1d(np.array(untold, dtype=np.int64), bad)
         change = self._relative(rest) if len(rest) else None
         return replace(self.given, owner=self.owner, component=self.component, place=self.place, change=change)
+
+    def _expect(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> None:
+        """Rigid motion of expanded nodes where K leaves it open: the first nodes of a label follow, the others stay."""
+        open_groups = np.flatnonzero(~self.known & (self.of_group <= len(xyz)))
+        seen: dict[int, list[int]] = {}
+        for g in open_groups.tolist():
+            if int(self.of_group[g]) not in turning:
+                seen.setdefault(int(self.of_group[g]), []).append(g)
+        for label, groups in seen.items():
+            places = _candidates(label, xyz, expanded)[-len(groups) :]
+            for g, (_, place) in zip(groups[-len(places) :], places, strict=True):
+                own = slice(self.edges[g], self.edges[g + 1])
+                axes = self.given.component[own]
+                at = np.tile((place - self.center) / self.length, (len(axes), 1))
+                self.R[own] = rigid_motion(at, axes)
 
     def _told(
         self, seen: Floats, axes: Ints, candidates: list[tuple[int, Floats]], taken: set[tuple[int, int]], *,

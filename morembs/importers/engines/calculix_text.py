@@ -1,0 +1,66 @@
+"""Nodes, elements and sets as CalculiX reads them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.model import ElementBlock
+
+Ints = NDArray[np.int64]
+# CalculiX takes this many characters of a number, and entries of a line of a set or an element.
+_DIGITS, ENTRIES, _PER_ELEMENT = 20, 16, 10
+# Types by shape and formulation, as ``formulations`` has them for CalculiX.
+_CODES = {
+    ("tet4", "full"): "C3D4", ("tet10", "full"): "C3D10", ("wedge6", "reduced"): "C3D6", ("wedge15", "full"): "C3D15",
+    ("hex8", "full"): "C3D8", ("hex8", "mean-strain"): "C3D8R", ("hex8", "incompatible"): "C3D8I",
+    ("hex20", "full"): "C3D20", ("hex20", "reduced"): "C3D20R",
+}  # fmt: skip
+# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
+_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
+
+
+def numeral(value: float) -> str:
+    """A number in the characters that CalculiX reads."""
+    text = repr(float(value))
+    return text if len(text) <= _DIGITS else f"{value:.12e}"
+
+
+def sixteen(labels: Ints) -> list[str]:
+    """Data lines of a set."""
+    entries = list(map(str, labels.tolist()))
+    return [", ".join(entries[i : i + ENTRIES]) + "," for i in range(0, len(entries), ENTRIES)]
+
+
+def node_lines(assembly: Assembly) -> list[str]:
+    """All nodes with labels from 1."""
+    rows = zip(range(1, len(assembly.ids) + 1), assembly.xyz.tolist(), strict=True)
+    return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
+
+
+def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: set[int]) -> list[str]:
+    """All elements in the order of their numbers, of point masses some."""
+    lines, number = [], 1
+
+    def block(code: str, nodes: Ints) -> None:
+        nonlocal number
+        lines.append(f"*ELEMENT, TYPE={code}")
+        for row in (nodes + 1).tolist():
+            entries = [str(number), *map(str, row)]
+            lines.extend(
+                ", ".join(entries[i : i + _PER_ELEMENT]) + ("," if i + _PER_ELEMENT < len(entries) else "")
+                for i in range(0, len(entries), _PER_ELEMENT)
+            )
+            number += 1
+
+    for part in blocks:
+        block(_CODES[part.type, part.formulation], part.nodes)
+    for one in assembly.discrete:
+        if one.code in _DISCRETE or one.number in masses:
+            number = one.number + 1
+            block(one.code, np.array([one.nodes]))
+    number = 1 + assembly.solids + len(assembly.discrete)
+    for code, _, nodes in assembly.others:
+        block(code, nodes)
+    return lines
