@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
-from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
+from morembs.importers.abaqus_deck import SOLIDS, Deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.abaqus_reader import read_deck
 from morembs.importers.deck_options import deck_options, lacking_problems
 from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows
@@ -108,7 +109,7 @@ def import_abaqus(
         discrete=on_rows(got.discrete, row),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
         notes=(*_notes(deck), *assembly.notes, *found.notes, *got.notes),
-        warnings=(*_skipped(deck), *got.warnings, *found.warnings, *said),
+        warnings=(*skipped_warnings(deck), *got.warnings, *found.warnings, *said),
         incomplete=lacking,
     )
 
@@ -119,7 +120,7 @@ def _known(dialect: str) -> str:
     return dialect
 
 
-def _skipped(deck: Deck) -> list[str]:
+def skipped_warnings(deck: Deck) -> list[str]:
     """What was left out as asked, a sentence each."""
     warnings = []
     for what, count in deck.skipped.items():

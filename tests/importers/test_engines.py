@@ -175,7 +175,8 @@ def test_a_preload_stiffens_as_ccx_says(tmp_path):
 
 @needs_ccx
 def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
-    (tmp_path / "deck.inp").write_text(TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n"))
+    text = TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n").replace("C3D8", "C3D8H")
+    (tmp_path / "deck.inp").write_text(text + "*CONTACT PAIR,INTERACTION=I\nSB,SA\n")
     model, kept = tmp_path / "part.model.h5", tmp_path / "kept"
     line = ["import", str(tmp_path / "deck.inp"), "--engine", "calculix", "-o", str(model)]
     refused = CliRunner().invoke(app, line)
@@ -184,9 +185,11 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     shells.write_text(PLATE)
     other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
     assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
-    done = CliRunner().invoke(app, [*line, "--density", "7850", "--check", "--keep-files", str(kept)])
+    line += ["--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)]
+    done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.stderr
     assert "read as abaqus (calculix)" in done.stdout and "[density-given]" in done.stdout
+    assert "1 *CONTACT PAIR left out as asked" in done.stdout and "[hybrid-as-plain]" in done.stdout
     assert {"model.sti", "probe.inp", "model.output.txt"} <= {path.name for path in kept.iterdir()}
     (tmp_path / "job.toml").write_text(
         f'[model]\nfile = "{model}"\n[[interface]]\nname = "top"\nnodes = "ids:15,16,17,18"\ncoupling = "rigid"\n'

@@ -15,8 +15,9 @@ from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
 from morembs.importers.deck_options import DeckOptions
-from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
+from morembs.importers.engines.calculix_deck import CARDS, FlatDeck
 from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.engines.calculix_text import numeral
 from morembs.importers.engines.calculix_ties import Flat, Ties
 from morembs.importers.imported import PointMass
 from morembs.importers.problems import Problem

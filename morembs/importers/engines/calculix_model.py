@@ -8,7 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_deck import SOLIDS
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.calculix_matrices import CalculixMatrices
 from morembs.importers.engines.calculix import Ccx
@@ -16,6 +18,7 @@ from morembs.importers.engines.calculix_flat import Choices
 from morembs.importers.engines.calculix_read import EngineDeck
 from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
 from morembs.importers.engines.calculix_ties import Flat
+from morembs.importers.formulations import deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.constraints import AverageElement, Equations
@@ -135,12 +138,24 @@ class Exported:
         solid = 0 if mesh is None else len(mesh.nodes)
         dof_node, dof_component = at, mapped.component
         dependent = row[node - 1], direction - 1
-        order, K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
+        K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
         equations = () if S is None else (_equations(S, dependent, dof_node, dof_component),)
-        del order
         average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
         masses = on_rows(flat.masses, row)
         surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
+        warnings += self._told(mapped, choices)
+        notes += _notes(self.deck, choices)
+        return Imported(
+            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
+            equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
+            notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
+        )  # fmt: skip
+
+    def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
+        """In what the model differs from others of its deck, a sentence each."""
+        solids = {code: count for code, count in self.deck.counts.items() if code in SOLIDS and "H" in code}
+        hybrid = deck_warnings(solids, "calculix", guessed=False)
+        warnings = [*skipped_warnings(self.deck), *(said for said in hybrid if said.endswith("[hybrid-as-plain]"))]
         moves = (mapped.component[:, None] == np.arange(3)).astype(float)
         along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
         if np.ptp(along) > UNEVEN * along.max() and not choices.keep:
@@ -161,12 +176,7 @@ class Exported:
             )
         for (code, plain), count in self.deck.replaced.items():
             warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
-        notes += _notes(self.deck, choices)
-        return Imported(
-            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
-            equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
-            notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
-        )  # fmt: skip
+        return warnings
 
     def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
         """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
@@ -223,12 +233,12 @@ class Exported:
     def _expanded_sets(
         self, sets: dict[str, Ints], keys: Ints, start: int, row: Ints, named: dict[str, Ints]
     ) -> dict[str, Ints]:
-        assert_known = self.expanded
-        if assert_known is None:
+        """Sets with the expanded nodes, which are at the rows from ``start`` on, of the nodes that they hold."""
+        expanded = self.expanded
+        if expanded is None:
             return sets
-        which = np.searchsorted(assert_known.nodes, keys)
-        inside = (keys < _MADE) & (which < len(assert_known.nodes))
-        parent = np.where(inside, assert_known.parent[np.minimum(which, len(assert_known.nodes) - 1)], 0)
+        which = np.minimum(np.searchsorted(expanded.nodes, keys), len(expanded.nodes) - 1)
+        parent = np.where(expanded.nodes[which] == keys, expanded.parent[which], 0)
         result = dict(sets)
         for name, rows in named.items():
             members = start + np.flatnonzero(np.isin(parent, rows + 1))
@@ -252,7 +262,7 @@ def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
 
 def _ordered(
     read: CalculixMatrices, node: Ints, component: Ints, dependent: tuple[Ints, Ints], solid: int
-) -> tuple[Ints, sp.csr_array, sp.csr_array, DofMap]:
+) -> tuple[sp.csr_array, sp.csr_array, DofMap]:
     """K and M with empty rows for dependent dofs, those of the first ``solid`` nodes in front, node by node."""
     size = len(node)
     nodes, components = np.concatenate([node, dependent[0]]), np.concatenate([component, dependent[1]])
@@ -261,7 +271,7 @@ def _ordered(
     grown = [sp.csr_array((A.data, A.indices, np.concatenate([A.indptr, np.full(len(nodes) - size, A.indptr[-1])])),
                           shape=(len(nodes),) * 2) for A in (read.K, read.M)]  # fmt: skip
     K, M = (sp.csr_array(A[order][:, order]) for A in grown)
-    return order, K, M, DofMap(node=nodes[order], component=components[order])
+    return K, M, DofMap(node=nodes[order], component=components[order])
 
 
 def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, component: Ints) -> Equations:
