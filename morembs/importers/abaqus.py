@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
-from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
+from morembs.importers.abaqus_deck import SOLIDS, Deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.abaqus_reader import read_deck
 from morembs.importers.deck_options import deck_options, lacking_problems
 from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
-from morembs.importers.abaqus_keywords import (
-    Card,
-    cards,
-    element_numbers,
-    fields,
-    label,
-    members,
-    node_rows,
-    number,
-)  # fmt: skip
-from morembs.importers.abaqus_words import (
-    CONSTRAINTS,
-    CONTACT,
-    GAPS,
-    MATERIAL,
-    NOTED,
-    OF_OTHER_ELEMENTS,
-    PROPERTIES,
-    SILENT,
-    STRUCTURAL,
-    WHY_REFUSED,
-)
+from morembs.importers.abaqus_keywords import Card, number
 from morembs.importers.deck_options import DeckOptions
-from morembs.importers.formulations import dialect_of, dialects_of_comments, meaning_of
-from morembs.importers.includes import open_text
-from morembs.importers.problems import Problem, Problems
+from morembs.importers.formulations import meaning_of
+from morembs.importers.problems import Problems
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = list[list[str]]
 NODES = {"tet4": 4, "tet10": 10, "hex8": 8, "hex20": 20, "hex27": 27, "wedge6": 6, "wedge15": 15}
-_KINDS = {
+KINDS = {
     "C3D4": "tet4", "C3D10": "tet10", "C3D8": "hex8", "C3D20": "hex20", "C3D27": "hex27", "C3D6": "wedge6",
     "C3D15": "wedge15",
 }  # fmt: skip
@@ -52,20 +26,12 @@ _VARIANTS = {
     "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS", "T", "RT", "HT", "RHT", "IT"), "C3D6": ("H", "T", "HT"),
     "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"), "C3D27": ("H", "R", "RH"), "C3D15": ("H",),
 }  # fmt: skip
-SOLIDS = _KINDS | {code + end: _KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
-POINTS = ("MASS", "ROTARYI")
+SOLIDS = KINDS | {code + end: KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
 # Elements on single nodes, with how many they have.
 DISCRETE = {
     "MASS": 1, "ROTARYI": 1, "DCOUP3D": 1, "SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "DASHPOT1": 1, "DASHPOT2": 2,
     "DASHPOTA": 2,
 }  # fmt: skip
-_BEAMS = re.compile(r"B3([123])")
-_PLANES = re.compile(r"(?:S|CPS|CPE|CPEG|CAX|M3D|T3D|T2D|R3D|STRI|SFM3D|DC3D|F3D|AC3D|COH3D|SC|GK3D|CONN3D)(\d\d?)")
-_OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
-# Elements that have neither stiffness nor mass.
-_EMPTY = ("SFM3D",)
-# Bytes at the begin of a deck whose comments may name the program that wrote it.
-_HEAD = 1 << 16
 
 
 @dataclass
@@ -148,323 +114,9 @@ class Deck:
         return SOLIDS[code], meaning.formulation, meaning.mass
 
 
-def read_deck(
-    path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None
-) -> Deck:
-    """The deck of a file; ``outside`` allows to include files from beyond its folder.
-
-    ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
-    parts is taken for one of CalculiX. What a model cannot carry is among the ``problems`` of the deck.
-
-    Raises:
-        InputError: the text is not an input deck.
-    """
-    options = options or DeckOptions()
-    deck = Deck(path.name, options, Problems(path.name, options.flags))
-    with deck.problems.ending():
-        reader = DeckReader(deck)
-        for card, pieces in cards(path, outside=outside):
-            reader.take(card, pieces)
-        if reader.open == ["STEP"]:
-            # Nothing of a step is applied, so its end does not matter.
-            reader.open.clear()
-            deck.noted["END STEP"] = 0
-        if reader.open:
-            raise InputError(
-                f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
-                f"(*END {reader.open[-1]} is missing); the file may be cut off"
-            )
-    _others(deck)
-    with open_text(path) as file:
-        deck.dialects |= dialects_of_comments(file.read(_HEAD))
-    told = deck.dialects if dialect == "auto" else {dialect}
-    deck.guessed = len(told) != 1
-    deck.dialect = ("abaqus" if deck.parts else "calculix") if deck.guessed else next(iter(told))
-    return deck
-
-
-def _others(deck: Deck) -> None:
-    """A problem where there are elements that a model cannot carry; those to be skipped are counted."""
-    unknown = {code: n for code, n in deck.counts.items() if code not in SOLIDS and code not in DISCRETE and n}
-    for code in list(unknown):
-        if code.startswith(_EMPTY):
-            deck.noted[f"ELEMENT, TYPE={code}"] = unknown.pop(code)
-        elif deck.options.skips(code) or (code in GAPS and deck.options.contact == "skip"):
-            deck.skipped[f"elements {code}"] = unknown.pop(code)
-    if not unknown:
-        return
-    listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
-    gaps = set(unknown) <= GAPS
-    flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
-    deck.problems.add(
-        Problem(
-            what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(_KINDS)} and "
-            f"their variants), {', '.join(DISCRETE)}; take the others out of the deck, or leave them out with "
-            f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
-            f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
-            file=deck.name, keyword="ELEMENT", flags=flags,
-        )
-    )  # fmt: skip
-
-
-class DeckReader:
-    """Puts each card where it belongs."""
-
-    def __init__(self, deck: Deck) -> None:
-        self.deck = deck
-        self.open: list[str] = []
-        self.scope = deck.top
-        self.material: list[tuple[Card, Rows]] | None = None
-
-    def take(self, card: Card, pieces: Iterator[bytes]) -> None:
-        """One card with its data; what keeps it from being read is a problem of the deck, unless nothing makes sense
-        after it."""
-        word, deck = card.keyword, self.deck
-        told = dialect_of(word, card.options)
-        deck.dialects |= {told} if told else set()
-        if word == "STEP":
-            self._begin(word, card)
-        if self.open and self.open[-1] == "STEP":
-            if word == "END STEP":
-                self.open.pop()
-            deck.in_steps[word] = deck.in_steps.get(word, 0) + 1
-        elif word in STRUCTURAL:
-            self._structure(card, pieces)
-        elif word in ("NODE", "ELEMENT"):
-            {"NODE": self._nodes, "ELEMENT": self._elements}[word](card, pieces)
-        elif deck.options.skips(word):
-            deck.skipped[f"*{word}"] = deck.skipped.get(f"*{word}", 0) + 1
-        elif word in NOTED or word in OF_OTHER_ELEMENTS:
-            deck.noted[word] = deck.noted.get(word, 0) + 1
-        elif word not in SILENT:
-            with deck.problems.collected(card):
-                self._rest(card, pieces)
-
-    def _rest(self, card: Card, pieces: Iterator[bytes]) -> None:
-        word = card.keyword
-        if word in MATERIAL and self.material is not None:
-            self.material.append((card, fields(b"".join(pieces))))
-        elif word in ("NSET", "ELSET"):
-            self._set(card, pieces)
-        elif word == "MATERIAL":
-            self._material(card)
-            _refuse_data(card, pieces)
-        else:
-            self._small(card, fields(b"".join(pieces)))
-
-    def _begin(self, word: str, card: Card) -> None:
-        allowed = {"PART": [], "ASSEMBLY": [], "INSTANCE": ["ASSEMBLY"], "STEP": []}[word]
-        if self.open != allowed:
-            where = f"inside *{self.open[-1]}" if self.open else "outside of an *ASSEMBLY"
-            raise InputError(f"{card} stands {where}; check that each part, instance and step is ended")
-        self.open.append(word)
-
-    def _structure(self, card: Card, pieces: Iterator[bytes]) -> None:
-        word, deck = card.keyword, self.deck
-        if word != "INSTANCE":
-            _refuse_data(card, pieces)
-        if word.startswith("END "):
-            if not self.open or self.open[-1] != word[4:]:
-                raise InputError(f"{card} ends what was not begun; check the order of the keywords")
-            self.open.pop()
-            self.scope = deck.top
-            return
-        self._begin(word, card)
-        if word == "ASSEMBLY":
-            return
-        name = card.need("NAME")
-        known = deck.parts if word == "PART" else deck.instances
-        if name.upper() in known:
-            raise InputError(f"{card}: the name {name!r} is given twice; expected each name once")
-        self.scope = Scope(name)
-        if word == "PART":
-            deck.parts[name.upper()] = self.scope
-        else:
-            part = card.options.get("PART", "")
-            if part and part.upper() not in deck.parts:
-                raise InputError(f"{card}: the instance {name!r} is of the part {part!r}, which is not defined")
-            deck.instances[name.upper()] = Instance(self.scope, part.upper(), card, fields(b"".join(pieces)))
-
-    def _nodes(self, card: Card, pieces: Iterator[bytes]) -> None:
-        system = card.options.get("SYSTEM", "R").upper()
-        if system not in ("R", "C"):
-            raise InputError(f"{card} uses SYSTEM={system}; expected R (rectangular) or C (cylindrical)")
-        for piece in pieces:
-            ids, xyz = node_rows(piece, card) if piece else (np.empty(0, dtype=np.int64), np.empty((0, 3)))
-            if system == "C":
-                r, angle = xyz[:, 0], np.radians(xyz[:, 1])
-                xyz = np.column_stack([r * np.cos(angle), r * np.sin(angle), xyz[:, 2]])
-            self.scope.node_ids.append(ids)
-            self.scope.xyz.append(xyz)
-            join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
-
-    def _elements(self, card: Card, pieces: Iterator[bytes]) -> None:
-        code = card.options.get("TYPE", "").upper()
-        counts, name = self.deck.counts, card.options.get("ELSET", "")
-        counts.setdefault(code or "(none)", 0)
-        if code in SOLIDS:
-            for rows in _records(card, pieces, code):
-                counts[code] += len(rows)
-                self.scope.elements.setdefault(code, []).append(rows)
-                join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
-            return
-        count, missing, others = _nodes_of(code), 0, list[int]()
-        for row in fields(b"".join(pieces), ends=True):
-            if not row:
-                continue
-            here, open_end = len([text for text in row if text]), not row[-1]
-            if missing > 0:
-                missing -= here
-                continue
-            # Where nobody knows how many nodes a type has, a line that ends in a comma goes on.
-            missing = count + 1 - here if count else int(open_end)
-            counts[code or "(none)"] += 1
-            given = label(row[0])
-            if code in DISCRETE:
-                nodes = [text for text in row[1:] if text]
-                if given is None or len(nodes) != DISCRETE[code]:
-                    raise InputError(
-                        f"{card}: {', '.join(row)[:60]!r} was given; expected a label and "
-                        f"{'a node' if DISCRETE[code] == 1 else 'two nodes'}"
-                    )
-                self.scope.discrete.append((given, nodes, code))
-            elif given is not None:
-                others.append(given)
-            if given is not None:
-                join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
-        if others:
-            self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
-
-    def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
-        sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
-        name, instance = card.need(card.keyword), card.options.get("INSTANCE", "")
-        if "ELSET" in card.options and card.keyword == "NSET":
-            source = [card.options["ELSET"]] if card.options["ELSET"] else []
-            source += [text for row in fields(b"".join(pieces)) for text in row if text]
-            join(sets, name, Members(np.empty(0, dtype=np.int64), [], source, instance, of_elements=True))
-            return
-        join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
-        for piece in pieces:
-            if "GENERATE" in card.options:
-                ranges = [_range(row, card) for row in fields(piece) if row]
-                join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
-            elif piece:
-                join(sets, name, Members(*_split(piece, card), instance))
-
-    def _material(self, card: Card) -> None:
-        name = card.need("NAME")
-        if name.upper() in self.deck.materials:
-            raise InputError(f"{card}: the name {name!r} is given twice; expected each material once")
-        self.material = self.deck.materials.setdefault(name.upper(), [])
-
-    def _small(self, card: Card, rows: Rows) -> None:
-        word, scope = card.keyword, self.scope
-        if word == "SURFACE":
-            scope.surfaces.append((card, rows))
-        elif word in PROPERTIES:
-            if word == "SOLID SECTION" and len([row for row in rows if row]) > 1:
-                raise InputError(f"{card} has several data lines; expected one, its thickness, or none")
-            scope.properties.append((card, rows))
-        elif word == "ORIENTATION":
-            name = card.need("NAME").upper()
-            if name in scope.orientations:
-                raise InputError(f"{card}: the name {name!r} is given twice; expected each orientation once")
-            scope.orientations[name] = (card, rows)
-        elif word == "TRANSFORM":
-            scope.transforms.append((card, rows))
-        elif word in CONTACT:
-            self._contact(card, rows)
-        elif word in CONSTRAINTS:
-            scope.constraints.append((card, rows, None, []))
-        elif word in ("KINEMATIC", "DISTRIBUTING"):
-            if not scope.constraints or scope.constraints[-1][0].keyword != "COUPLING" or scope.constraints[-1][2]:
-                raise InputError(f"{card} has no *COUPLING before it; expected one for each")
-            scope.constraints[-1] = (*scope.constraints[-1][:2], card, rows)
-        else:
-            named = next((card.options[k] for k in ("NAME", "ELSET", "NSET") if card.options.get(k)), "")
-            why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-            what = (
-                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck, or leave it "
-                f"out with --skip {word!r}, if the model is right without it"
-            )
-            self.deck.problems.add(
-                Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(f"--skip {word}",))
-            )
-
-    def _contact(self, card: Card, rows: Rows) -> None:
-        """Contact is refused, left out, or glued."""
-        deck, contact = self.deck, self.deck.options.contact
-        if contact == "skip":
-            deck.skipped[f"*{card.keyword}"] = deck.skipped.get(f"*{card.keyword}", 0) + 1
-        elif contact == "tie" and card.keyword == "CONTACT PAIR":
-            self.scope.constraints.append((card, rows, None, []))
-        else:
-            pair = card.keyword == "CONTACT PAIR"
-            cure = "--contact skip leaves it out, --contact tie glues it" if pair else "--contact skip leaves it out"
-            what = f"{card} cannot be read: contact is not linear; {cure}"
-            deck.problems.add(
-                Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=("--contact skip",))
-            )
-
-
-def _nodes_of(code: str) -> int:
-    """Nodes of an element that is no solid, 0 where that is not known."""
-    if code in DISCRETE:
-        return DISCRETE[code]
-    beam = _BEAMS.match(code)
-    plane = _PLANES.match(code)
-    return (2, 3, 2)[int(beam.group(1)) - 1] if beam else int(plane.group(1)) if plane else 0
-
-
-def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
-    if any(piece.strip() for piece in pieces):
-        raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
-
-
 def join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
     if name:
         sets.setdefault(name.upper(), NamedSet(name)).parts.append(part)
-
-
-def _split(piece: bytes, card: Card) -> tuple[Ints, list[tuple[int, int, int]], list[str]]:
-    labels, names = members(piece, card)
-    return labels, [], names
-
-
-def _range(row: list[str], card: Card) -> tuple[int, int, int]:
-    parts = [label(text) for text in row]
-    if len(parts) in (2, 3) and None not in parts:
-        first, last, step = (int(p or 0) for p in [*parts, 1][:3])
-        if step > 0 and last >= first:
-            return first, last, step
-    raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected first label, last label and step")
-
-
-def _records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[Ints]:
-    """Label and nodes (k, width) of elements; each must begin on a line of its own."""
-    width = 1 + NODES[SOLIDS[code]]
-    rest, rest_first = np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
-    for piece in pieces:
-        if not piece:
-            continue
-        values, first = element_numbers(piece, card)
-        values, first = np.concatenate([rest, values]), np.concatenate([rest_first, first])
-        whole = len(values) // width * width
-        rows = values[:whole].reshape(-1, width)
-        shifted = np.flatnonzero(~first[:whole].reshape(-1, width)[:, 0])
-        if len(shifted):
-            near = rows[max(int(shifted[0]) - 1, 0), 0]
-            raise InputError(
-                f"{card}, TYPE={code}: the element {near} does not have {width - 1} nodes; expected a label and "
-                f"{width - 1} nodes (a multiple of {width} numbers), each element on a line of its own"
-            )
-        rest, rest_first = values[whole:], first[whole:]
-        yield rows
-    if len(rest):
-        raise InputError(
-            f"{card}, TYPE={code}: the block does not hold a multiple of {width} numbers (label and {width - 1} nodes "
-            f"for each element): {len(rest)} are left over; the file may be cut off"
-        )
 
 
 def values(row: list[str], card: Card) -> list[float]:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, DeckReader, Members, Rows, Scope, join
+from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
 from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
+from morembs.importers.abaqus_reader import DeckReader
 from morembs.importers.abaqus_words import CONTACT, MATERIAL, STRUCTURAL
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialects_of_comments
