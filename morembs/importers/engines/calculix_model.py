@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
 from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import SOLIDS
@@ -70,19 +71,27 @@ class Exported:
     def imported(self, ccx: Ccx, choices: Choices) -> Imported:
         """The whole model."""
         mapped = self._with_rotations(self.map)
-        node, direction = self._missing(mapped)
-        S = None
-        if len(node):
-            # What the boundary holds in global axes follows nothing; springs tell the rest.
-            held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
-            probed = np.flatnonzero(~held)
-            S = sp.csr_array((len(node), len(self.plain.node)))
-            if len(probed):
-                found = ccx.probe(self.plain, node[probed], direction[probed])
-                into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
-                S = sp.csr_array(into @ found)
-            S = S if self.T is None else sp.csr_array(S @ self.T)
+        try:
+            node, direction, S = self._followers(ccx, mapped, outside=True)
+        except InputError:
+            # A spring on a node without elements may bring its other dofs to life; such nodes are left out then.
+            node, direction, S = self._followers(ccx, mapped, outside=False)
         return self._joined(mapped, node, direction, S, choices)
+
+    def _followers(self, ccx: Ccx, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints, sp.csr_array | None]:
+        """Label and direction of dofs without rows, and S (k, N), how they follow those that have one."""
+        node, direction = self._missing(mapped, outside=outside)
+        if not len(node):
+            return node, direction, None
+        # What the boundary holds in global axes follows nothing; springs tell the rest.
+        held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
+        probed = np.flatnonzero(~held)
+        S = sp.csr_array((len(node), len(self.plain.node)))
+        if len(probed):
+            found = ccx.probe(self.plain, node[probed], direction[probed])
+            into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
+            S = sp.csr_array(into @ found)
+        return node, direction, S if self.T is None else sp.csr_array(S @ self.T)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
         """Rotations of rigid bodies at their reference nodes, where each has its own three."""
@@ -96,10 +105,11 @@ class Exported:
         place[turns] = self.assembly.xyz[owner[turns] - 1]
         return replace(mapped, owner=owner, place=place)
 
-    def _missing(self, mapped: RowMap) -> tuple[Ints, Ints]:
-        """Label and direction 1..3 of dofs of solids and reference nodes that have no row."""
+    def _missing(self, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints]:
+        """Label and direction 1..3 of dofs of solids and reference nodes that have no row, of nodes ``outside`` of
+        elements too that follow others."""
         wanted = self.solid.copy()
-        wanted[list(self.flat.deck.followers)] = True
+        wanted[list(self.flat.deck.followers if outside else [])] = True
         wanted[np.array([*self.flat.bodies, *self.flat.turning.values()], dtype=np.int64) - 1] = True
         if self.expanded is not None:
             # A node of a shell or beam is not in the model; those that it became are.
@@ -116,10 +126,8 @@ class Exported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
         notes, warnings = [*flat.notes], [*flat.warnings, *flat.deck.reversed]
-        averaged = [nodes_of([*flat.average, *flat.masses])]
-        extra = np.unique(np.concatenate([
-            np.flatnonzero(np.isin(np.arange(len(assembly.ids)) + 1, mapped.owner)), node - 1, *averaged,
-        ]).astype(np.int64))  # fmt: skip
+        deck, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
+        extra = np.unique(np.concatenate([deck, node - 1, others]).astype(np.int64))
         named = {
             name: assembly.members("node", placed, own) for name, (placed, own) in assembly.named("node").items()
         }
@@ -136,10 +144,9 @@ class Exported:
             named_by[S.indices] = True
         nodes, at = self._with_own_nodes(nodes, row, mapped, named, named_by)
         solid = 0 if mesh is None else len(mesh.nodes)
-        dof_node, dof_component = at, mapped.component
         dependent = row[node - 1], direction - 1
-        K, M, dofs = _ordered(self.read, dof_node, dof_component, dependent, solid)
-        equations = () if S is None else (_equations(S, dependent, dof_node, dof_component),)
+        K, M, dofs = _ordered(self.read, at, mapped.component, dependent, solid)
+        equations = () if S is None else (_equations(S, dependent, at, mapped.component),)
         average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
         masses = on_rows(flat.masses, row)
         surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
@@ -153,9 +160,8 @@ class Exported:
 
     def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
         """In what the model differs from others of its deck, a sentence each."""
-        solids = {code: count for code, count in self.deck.counts.items() if code in SOLIDS and "H" in code}
-        hybrid = deck_warnings(solids, "calculix", guessed=False)
-        warnings = [*skipped_warnings(self.deck), *(said for said in hybrid if said.endswith("[hybrid-as-plain]"))]
+        hybrid = {code: count for code, count in self.deck.counts.items() if code in SOLIDS and "H" in code}
+        warnings = [*skipped_warnings(self.deck), *deck_warnings(hybrid, "calculix", guessed=False)]
         moves = (mapped.component[:, None] == np.arange(3)).astype(float)
         along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
         if np.ptp(along) > UNEVEN * along.max() and not choices.keep:
