@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from morembs.certificate.limits import ErrorLimits, body_response, checked_sharp
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
 from morembs.errors import InputError
+from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -21,6 +23,7 @@ from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.krylov_space import static_response
 from morembs.responses.layout import Layout
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.summary import error_words, summarised
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -31,6 +34,7 @@ HELD = 0.02
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate(ErrorLimits):
     """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
@@ -86,6 +90,29 @@ class Certificate(ErrorLimits):
     def limit(self) -> Limit:
         """The limit of ``measure``."""
         return self.limits[self.measure]
+
+    @property
+    def words(self) -> str:
+        """The largest error, in words."""
+        return error_words(self.measure, self.limit.upper, self.error, self.band_hz, self.kind)
+
+    def to_xarray(self) -> Any:
+        """The curves as an ``xarray.Dataset`` over ``frequency_hz``: full, reduced, error, bound, reference_error.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional("xarray", "to_xarray")
+        names = ("full", "reduced", "error", "bound", "reference_error")
+        return xarray.Dataset(
+            {name: ("frequency_hz", getattr(self, name)) for name in names}, {"frequency_hz": self.frequencies_hz}
+        )
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "error": self.words, "static error": f"{self.static_error:.1e}", "modes in the band":
+            len(self.mode_frequencies_hz), "damping floor": self.damping_floor or None, "notes": "; ".join(self.notes),
+        }  # fmt: skip
 
 
 def certify(

@@ -15,12 +15,14 @@ from morembs.responses.measures import MEASURES, SHARPNESS, Limit, compare
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
+from morembs.summary import summarised, upwards
 
 Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorLimits:
     """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
@@ -32,6 +34,10 @@ class ErrorLimits:
     cells_hz: Floats
     cell_limit: Floats
     notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def _facts(self) -> dict[str, object]:
+        upper = ", ".join(f"{name} {upwards(limit.upper)}" for name, limit in self.limits.items())
+        return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
 def checked_sharpness(sharpness: float) -> None:

@@ -6,9 +6,15 @@ both models carry exactly, would hide every difference at low frequency.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
+from morembs.interface import Interface
+from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -16,6 +22,7 @@ from morembs.responses.reference import reference_model
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 
 
 def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
@@ -47,3 +54,30 @@ def full_response(
         SolverError: the error does not fall below ``tolerance``.
     """
     return reference_model(problem, omega, tolerance=tolerance, progress=progress).response(omega)
+
+
+def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interface]) -> Any:
+    """A response H (nf, m, m) as an ``xarray.DataArray`` with the dimensions ``frequency_hz``, ``motion`` and ``load``.
+
+    Motions and loads are named as ``big_end x``, ``big_end rotation z``, or ``bore 1207 x`` (1207 is a row of the
+    nodes) where an interface exposes its nodes; m or rad per N or Nm.
+
+    Args:
+        frequencies_hz: (nf,) of the response, which is computed at 2 pi times these.
+        interfaces: those of the problem or part, in their order.
+
+    Raises:
+        InputError: xarray is not installed, or shapes that do not fit each other.
+    """
+    xarray = optional("xarray", "to_xarray")
+    names = []
+    for interface in interfaces:
+        for component, node in zip(*interface.kind.columns(interface), strict=True):
+            names.append(" ".join([interface.name, *([str(node)] if node >= 0 else []), MOTIONS[component]]))
+    expected = (len(frequencies_hz), len(names), len(names))
+    if np.shape(H) != expected:
+        raise InputError(f"H has the shape {np.shape(H)}; expected {expected} of these frequencies and interfaces")
+    return xarray.DataArray(
+        H, dims=("frequency_hz", "motion", "load"), name="H",
+        coords={"frequency_hz": np.asarray(frequencies_hz), "motion": names, "load": names},
+    )  # fmt: skip

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import PAIRS
 from morembs.model import frozen
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 AXES = "xyz"
@@ -64,6 +65,7 @@ class Envelope:
         return limits
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stiffening:
     """Geometric stiffness per unit load, for n elastic coordinates of one floating frame, symmetric matrices.

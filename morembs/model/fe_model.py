@@ -15,6 +15,7 @@ from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
 from morembs.model.material import Material
+from morembs.summary import summarised
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -27,6 +28,7 @@ SYMMETRIC = 1e-8
 LARGEST = 1e75
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nodes:
     """Nodes of a model.
@@ -49,7 +51,11 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def _facts(self) -> dict[str, object]:
+        return {"count": len(self), "sets": list(self.sets)}
 
+
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElementBlock:
     """Elements of one type.
@@ -70,6 +76,7 @@ class ElementBlock:
         object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
@@ -90,7 +97,20 @@ class Mesh:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
         refuse_far(self.nodes, self.source or "the mesh")
 
+    @property
+    def element_count(self) -> int:
+        """Number of elements of all blocks."""
+        return sum(len(block.ids) for block in self.blocks)
 
+    def _facts(self) -> dict[str, object]:
+        kinds = ", ".join(f"{len(block.ids):,} {block.type}" for block in self.blocks)
+        return {
+            "nodes": len(self.nodes), "elements": kinds or 0, "node sets": list(self.nodes.sets),
+            "element sets": list(self.element_sets), "source": self.source, "warnings": len(self.warnings) or None,
+        }  # fmt: skip
+
+
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DofMap:
     """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..5.
@@ -114,6 +134,10 @@ class DofMap:
     def __len__(self) -> int:
         return len(self.node)
 
+    def _facts(self) -> dict[str, object]:
+        turns = int((self.component > 2).sum())
+        return {"displacements": len(self) - turns, "rotations": turns, "nodes": len(np.unique(self.node))}
+
     @cached_property
     def is_solid(self) -> bool:
         """True where the dofs are x, y, z of node 0, 1, 2, ... and nothing else."""
@@ -133,6 +157,7 @@ class DofMap:
         return table[rows]
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FEModel:
     """M u'' + D u' + K u = f of a finite-element model, in SI units.
@@ -184,6 +209,13 @@ class FEModel:
         """The rigid and average elements by name; each of them can serve as an interface."""
         elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
         return {element.name: element for element in elements}
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
+            "matrices": [name for name in ("K", "M", "D") if getattr(self, name) is not None],
+            "couplings": list(self.couplings), "source": self.source, "warnings": len(self.warnings) or None,
+        }  # fmt: skip
 
 
 def refuse_far(nodes: Nodes, source: str) -> None:

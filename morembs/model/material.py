@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
     """``stiffness`` (6, 6) in Pa and ``density`` in kg/m3 of the element set ``set``."""

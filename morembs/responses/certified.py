@@ -29,6 +29,7 @@ from morembs.responses.rational import Terms, squares
 from morembs.responses.reference import ReferenceSpace, reference_model, reference_space
 from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
+from morembs.summary import summarised, upwards
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -75,6 +76,7 @@ def checked_floor(given: float) -> float:
     return float(given)
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CertifiedReference:
     """Elastic part of the full model over ``band_hz``, forces and moments scaled by the radius of gyration.
@@ -101,6 +103,12 @@ class CertifiedReference:
     edges: Floats
     off: Floats
     proven: bool
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "band": list(self.band_hz), "modes": len(self.values), "error": upwards(float(self.off.max(initial=0.0))),
+            "proven": self.proven, "damping floor": self.floor or None,
+        }  # fmt: skip
 
     def standard(self, symmetric: bool = True) -> Standard:
         """What bodies, ``symmetric`` or not, are measured against."""

@@ -21,13 +21,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import morembs
+from morembs.body.drawing import viewed_axes
 from morembs.body.file import read_body
 from morembs.cli import commands as cli
 from morembs.cli import screen, terminal
 from morembs.cli.certificates import Certified
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
-from morembs.jobs.picture import viewed_axes
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
 from tests.support.commands import said
