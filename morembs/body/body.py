@@ -11,6 +11,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.body.stress_shapes import Recovery
+from morembs.body.vtkhdf import VTK_VERTEX, Cells
+from morembs.body.vtkhdf_series import Grid
 from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -32,15 +34,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NODE_CHOICES = ("all", "skin", "interfaces")
-VTK_VERTEX = 1
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """Cells of one VTK type: ``connectivity`` (nc, k) rows of the selected nodes."""
-
-    vtk: int
-    connectivity: Ints
 
 
 @summarised
@@ -72,6 +65,17 @@ class Part:
             "mass": f"{self.mass:.4g} kg", "centre of mass": self.center_of_mass, "nodes": len(self.nodes),
             "interfaces": [each.name for each in self.interfaces], "source": self.source,
         }  # fmt: skip
+
+    def grid(self) -> Grid:
+        """The cells as VTK keeps them."""
+        sizes = [np.full(len(cells.connectivity), cells.connectivity.shape[1]) for cells in self.cells]
+        types = [np.full(len(cells.connectivity), cells.vtk, dtype=np.uint8) for cells in self.cells]
+        links = [cells.connectivity.ravel() for cells in self.cells]
+        return Grid(
+            points=self.nodes.xyz, connectivity=np.concatenate([np.zeros(0, dtype=np.int64), *links]),
+            offsets=np.cumsum(np.concatenate([[0], *sizes]), dtype=np.int64),
+            types=np.concatenate([np.zeros(0, dtype=np.uint8), *types]),
+        )  # fmt: skip
 
 
 @summarised
@@ -132,9 +136,11 @@ class ElasticBody:
         from matplotlib.figure import Figure
 
         from morembs.body.drawing import draw_shapes
-        from morembs.body.shapes import body_shapes
+        from morembs.body.shapes import shapes_on
 
-        shapes = body_shapes(self, modes)
+        part, frequencies_hz = self.part, self.frequencies_hz[self.reduced.rigid_count :]
+        points = {interface.name: interface.point for interface in part.interfaces}
+        shapes = shapes_on(part.grid(), self.name, self.modes(modes), frequencies_hz, points)
         if shapes is None:
             raise InputError(
                 f'{self.name} has no elastic modes or no elements to show them on; keep nodes = "all" or "skin" of a '

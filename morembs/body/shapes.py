@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body.body import ElasticBody
 from morembs.body.stored import StoredBodies
 from morembs.body.vtkhdf_series import Grid, read_grid, stored_modes
 from morembs.model import ElementBlock, Mesh, Nodes
@@ -65,27 +64,10 @@ def stored_shapes(path: Path, stored: StoredBodies, body: str) -> Shapes | None:
     own = stored.bodies[body]
     frequencies_hz = own.frequencies_hz[own.rigid_count :]
     points = {name: interface.point for name, interface in stored.interfaces.items()}
-    return grid and _shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
+    return grid and shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
 
 
-def body_shapes(body: ElasticBody, count: int = SHOWN_MODES) -> Shapes | None:
-    """The same of a body in memory, on the nodes that it keeps."""
-    part = body.part
-    sizes = [np.full(len(cells.connectivity), cells.connectivity.shape[1]) for cells in part.cells]
-    types = [np.full(len(cells.connectivity), cells.vtk, dtype=np.uint8) for cells in part.cells]
-    if not sizes:
-        return None
-    grid = Grid(
-        points=part.nodes.xyz, connectivity=np.concatenate([cells.connectivity.ravel() for cells in part.cells]),
-        offsets=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]), types=np.concatenate(types),
-    )  # fmt: skip
-    motion = body.modes(count)
-    frequencies_hz = body.frequencies_hz[body.reduced.rigid_count :]
-    points = {interface.name: interface.point for interface in part.interfaces}
-    return _shapes_on(grid, body.name, motion, frequencies_hz, points)
-
-
-def _shapes_on(
+def shapes_on(
     grid: Grid, body: str, motion: Floats, frequencies_hz: Floats, interfaces: Mapping[str, Floats]
 ) -> Shapes | None:
     """``motion`` (k, n, 3) of all nodes on the faces of ``grid``; None if there are neither modes nor faces."""
