@@ -111,7 +111,7 @@ class Children(Closing):
         """End those that run: they may clean up for some seconds, and are killed then."""
         for child in self._children:
             with suppress(OSError):
-                child.process.terminate()
+                _ask_to_end(child.process)
         end = time.monotonic() + _PATIENCE
         for child in self._children:
             try:
@@ -138,6 +138,14 @@ class Children(Closing):
             with suppress(OSError):
                 stream.close()
         self._news.put((child, "".join(printed)))
+
+
+def _ask_to_end(process: subprocess.Popen[str]) -> None:
+    """The end of its input asks too: on Windows ``terminate`` would leave it no time to clean up."""
+    if sys.platform == "win32" and process.stdin is not None:
+        process.stdin.close()
+    else:
+        process.terminate()
 
 
 def _finished(child: _Child, printed: str) -> Finished:

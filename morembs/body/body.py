@@ -88,6 +88,11 @@ class ElasticBody:
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
     rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
     ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads.
+
+    >>> body.reduced.order, body.floating.kind
+    (18, 'mean-axes')
+    >>> body
+    ElasticBody: name craig-bampton; order 18; elastic frequencies ...
     """
 
     part: Part
@@ -185,6 +190,9 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
 
     Raises:
         InputError: unknown choice, or skin of a model without elements.
+
+    >>> make_part(problem, "skin")
+    Part: mass 7.85 kg; centre of mass [0.2, 0.025, 0.025]; nodes 20; interfaces LEFT, RIGHT; source bar
     """
     model = problem.model
     rows, cells = _chosen(model, problem.interfaces, nodes)
@@ -233,6 +241,9 @@ def elastic_body(
     """Body of a reduced model: its frequencies and what it shares with others of the same part.
 
     ``floating`` by default has mean axes.
+
+    >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
+    (18,)
     """
     if floating is None and not why_not_floating(reduced):
         floating = floating_frame(problem, reduced)

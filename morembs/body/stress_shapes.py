@@ -122,6 +122,9 @@ def stress_recovery(
 
     Raises:
         InputError: as ``stress_operator``.
+
+    >>> stress_recovery(problem, reduced).stress.shape               # six components at 20 points
+    (120, 18)
     """
     model, budget = problem.model, problem.budget
     if operator is None:

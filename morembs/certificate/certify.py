@@ -54,6 +54,12 @@ class Certificate(ErrorLimits):
     ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
     criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
     whole cluster where modes are close. No mode is missing below ``verified_below_hz``.
+
+    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+    >>> certificate.limit.lower <= certificate.limit.upper
+    True
+    >>> certificate
+    Certificate: error at most ...
     """
 
     band_hz: tuple[float, float]
@@ -130,6 +136,10 @@ def certify(
     Raises:
         InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model.
         SolverError: the full response cannot be computed.
+
+    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+    >>> certificate.kind, certificate.measure
+    ('proven', 'envelope')
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")

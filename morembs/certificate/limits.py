@@ -27,7 +27,11 @@ ALIKE, STORED = 0.05, 5000
 class ErrorLimits:
     """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
     block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
-    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders."""
+    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders.
+
+    >>> error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
+    ErrorLimits: errors at most envelope ..., peak ..., pointwise ...
+    """
 
     limits: dict[str, Limit]
     block_limit: Floats
@@ -67,6 +71,10 @@ def error_limits(
 
     Raises:
         InputError: inputs that are not those of the problem.
+
+    >>> limits = error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
+    >>> sorted(limits.limits)
+    ['envelope', 'peak', 'pointwise']
     """
     problem = reference.problem
     if reduced.B.shape[1] != problem.B.shape[1]:

@@ -26,7 +26,13 @@ MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 
 
 def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
-    """Elastic part of H (nf, m, m) of a reduced model at ``omega`` (nf,) in rad/s."""
+    """Elastic part of H (nf, m, m) of a reduced model at ``omega`` (nf,) in rad/s.
+
+    >>> omega = 2 * np.pi * np.array([100.0, 1000.0])
+    >>> error = reduced_response(reduced, omega) - full_response(problem, omega)
+    >>> error.shape
+    (2, 12, 12)
+    """
     r = reduced.rigid_count
     if reduced.symmetric:
         E = reduced.modes()[1][:, r:]
@@ -52,6 +58,11 @@ def full_response(
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
         SolverError: the error does not fall below ``tolerance``.
+
+    >>> omega = 2 * np.pi * np.array([100.0, 1000.0])
+    >>> H = full_response(problem, omega)
+    >>> np.allclose(H, H.transpose(0, 2, 1))                         # Maxwell-Betti
+    True
     """
     return reference_model(problem, omega, tolerance=tolerance, progress=progress).response(omega)
 
@@ -68,6 +79,11 @@ def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interfa
 
     Raises:
         InputError: xarray is not installed, or shapes that do not fit each other.
+
+    >>> hz = np.array([100.0, 1000.0])
+    >>> H = to_xarray(reduced_response(reduced, 2 * np.pi * hz), hz, interfaces)
+    >>> complex(H.sel(frequency_hz=100.0, motion="RIGHT x", load="LEFT x").item()).real < 0
+    True
     """
     xarray = optional("xarray", "to_xarray")
     names = []

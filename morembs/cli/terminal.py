@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -53,7 +54,11 @@ def leave_with_input() -> None:
         with suppress(OSError, ValueError):
             while os.read(0, 4096):
                 pass
-        os.kill(os.getpid(), signal.SIGTERM)
+        if sys.platform == "win32":
+            # Another process cannot be asked to end there, and os.kill ends this one without cleaning up.
+            _thread.interrupt_main(signal.SIGTERM)
+        else:
+            os.kill(os.getpid(), signal.SIGTERM)
 
     Thread(target=wait, daemon=True).start()
 

@@ -55,6 +55,9 @@ class FloatingFrame:
     axes are those of the model). Coordinates of the reduced model are ``elastic`` (nr, n) @ q; ``rigid`` (nr, 6) are
     those of unit translations and rotations about the origin. ``Ke``, ``De`` (n, n); ``markers`` of all rigid and
     average interfaces. ``notes`` say what is not exact.
+
+    >>> body.floating.in_frame("tangent", ["LEFT"])
+    FloatingFrame: kind tangent; interfaces LEFT; elastic coordinates 12; mass 7.85; markers LEFT, RIGHT
     """
 
     kind: str
@@ -212,6 +215,9 @@ def floating_frame(
 
     Raises:
         InputError: a body that is held or whose equations are not symmetric (see ``floats``), or an impossible frame.
+
+    >>> floating_frame(problem, reduced, kind="chord", interfaces=["LEFT", "RIGHT"]).count
+    12
     """
     from morembs.linalg.columns import dot, multiply
 

@@ -38,6 +38,9 @@ class Envelope:
 
     Raises:
         InputError: a negative number or none.
+
+    >>> Envelope(acceleration=20.0, speed=100.0, share=0.05).speed
+    100.0
     """
 
     acceleration: float | None = None

@@ -30,6 +30,9 @@ class Interface:
     ``nodes`` (ns,) rows of ``Nodes.xyz``; ``point`` (3,) origin of the frame in m; ``axes`` (3, 3) its
     axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
     else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed.
+
+    >>> interfaces[0]
+    Interface: name LEFT; coupling rigid; nodes 4; point [0.0, 0.025, 0.025]; components 0, 1, 2, 3, 4, 5
     """
 
     name: str

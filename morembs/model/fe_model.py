@@ -35,6 +35,9 @@ class Nodes:
 
     ``ids`` (n,) labels of the file the model came from; ``xyz`` (n, 3) coordinates in m;
     ``sets`` maps a name to rows of ``xyz`` (not labels), sorted.
+
+    >>> nodes.sets["LEFT"]
+    array([0, 1, 2, 3])
     """
 
     ids: Ints
@@ -63,6 +66,9 @@ class ElementBlock:
     ``type`` is a name of ``morembs.model.elements.TYPES``; ``nodes`` (ne, k) rows of ``Nodes.xyz`` in VTK
     order; ``ids`` (ne,) labels of the file. ``formulation`` of the strain and rule of the ``mass`` are names of
     ``FORMULATIONS`` and ``MASSES`` in ``morembs.model.formulations``.
+
+    >>> ElementBlock(type="hex8", nodes=cells, ids=np.arange(1, 5)).nodes.shape
+    (4, 8)
     """
 
     type: str
@@ -85,6 +91,9 @@ class Mesh:
 
     Raises:
         InputError: coordinates beyond ``LARGEST``.
+
+    >>> mesh
+    Mesh: nodes 20; elements 4 hex8; node sets LEFT, RIGHT; source bar
     """
 
     nodes: Nodes
@@ -116,6 +125,12 @@ class DofMap:
     """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..5.
 
     Components 0, 1, 2 are displacements along x, y, z and 3, 4, 5 rotations about them.
+
+    >>> DofMap.translations(20)
+    DofMap: displacements 60; rotations 0; nodes 20
+    >>> model.dofs.of_nodes(np.array([0, 3]))
+    array([[ 0,  1,  2],
+           [ 9, 10, 11]])
     """
 
     node: Ints
@@ -172,6 +187,15 @@ class FEModel:
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
+
+    >>> model
+    FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar
+    >>> import scipy.sparse as sp
+    >>> springs = sp.csr_array(sp.diags_array([1e6] * 6))
+    >>> masses = sp.csr_array(sp.diags_array([2.0] * 6))
+    >>> two = Nodes(ids=np.array([1, 2]), xyz=np.array([[0.0, 0, 0], [1, 0, 0]]))
+    >>> FEModel(K=springs, M=masses, nodes=two, dofs=DofMap.translations(2)).size
+    6
     """
 
     K: sp.csr_array

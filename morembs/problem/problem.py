@@ -57,6 +57,10 @@ class Problem(Closing):
     Raises:
         InputError: interfaces that do not fit together, unconnected parts, or structural damping of a model that has
             a damping matrix.
+
+    >>> with Problem(model, interfaces, damping=Damping(modal=0.02)) as problem:
+    ...     problem.K.shape, problem.rigid.shape
+    ((48, 48), (48, 6))
     """
 
     def __init__(

@@ -41,6 +41,9 @@ class Trajectory:
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, times that do not ascend, no rotation.
+
+    >>> Trajectory(times=np.linspace(0, 1, 11), coordinates=np.zeros((11, 18)))
+    Trajectory: times 11 numbers; coordinates 11×18 numbers
     """
 
     times: Floats
@@ -131,6 +134,10 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
     Raises:
         InputError: no such file, another format, or what ``Trajectory`` refuses.
+
+    >>> np.savez("motion.npz", time=np.linspace(0, 1, 11), coordinates=np.zeros((11, 18)))
+    >>> read_trajectory("motion.npz").coordinates.shape
+    (11, 18)
     """
     place = Path(path)
     if not place.is_file():

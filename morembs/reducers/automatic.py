@@ -49,6 +49,10 @@ class AutoReducer(OfResponses):
     certified as in ``certify``; ``damping_floor`` as there. ``static_exact`` keeps the static responses to interface
     loads, ``inertia_loads`` those to the inertia of a moving frame (of a model that is held somewhere they are followed
     in any case).
+
+    >>> auto = AutoReducer(band_hz=[0.0, 5000.0], tolerance=0.05).reduce(problem)
+    >>> auto.order < problem.K.shape[0]
+    True
     """
 
     method: ClassVar[str] = "auto"

@@ -21,7 +21,11 @@ from morembs.reducers.families import OfModes
 
 @dataclass(frozen=True, kw_only=True)
 class FreeInterface(OfModes):
-    """``modes`` free-free modes or all up to ``up_to_hz``, made statically exact at the interfaces."""
+    """``modes`` free-free modes or all up to ``up_to_hz``, made statically exact at the interfaces.
+
+    >>> FreeInterface(modes=6).reduce(problem).rigid_count
+    6
+    """
 
     method: ClassVar[str] = "free-interface"
 

@@ -53,6 +53,9 @@ class Irka(OfResponses):
     they came to rest (``converged``), the relative H2 error in the band of the first and of the kept model, and the
     shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper one). Without damping
     poles have no mirror images off the imaginary axis: H(s + delta) is approximated instead, delta in the recipe.
+
+    >>> Irka(order=6, band_hz=[0.0, 5000.0]).reduce(problem).rigid_count
+    6
     """
 
     method: ClassVar[str] = "irka"

@@ -18,7 +18,11 @@ from morembs.reducers.families import OfModes
 
 @dataclass(frozen=True, kw_only=True)
 class Modal(OfModes):
-    """Lowest modes; ``interfaces`` "free" (rigid modes are added) or "fixed" (none are left)."""
+    """Lowest modes; ``interfaces`` "free" (rigid modes are added) or "fixed" (none are left).
+
+    >>> Modal(modes=4).reduce(problem).mode_kind.count("elastic")
+    4
+    """
 
     method: ClassVar[str] = "modal"
     interfaces: str = "free"

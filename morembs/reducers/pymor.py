@@ -14,6 +14,8 @@ from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
+# Part of the largest entry by which a symmetric matrix may miss its transpose.
+ROUND_OFF = 1e-12
 
 
 def to_pymor(model: Problem | ReducedModel) -> Any:
@@ -24,6 +26,9 @@ def to_pymor(model: Problem | ReducedModel) -> Any:
 
     Raises:
         InputError: pyMOR is not installed, or damping that has no matrix (modal, or structural).
+
+    >>> to_pymor(held).order
+    42
     """
     iosys = optional("pymor.models.iosys", "to_pymor")
     if isinstance(model, ReducedModel):
@@ -51,11 +56,16 @@ def from_pymor(
     Args:
         V: (Nc, n) basis of the displacements in coupled dofs, such as ``reductor.V.to_numpy()``, by which a body
             expands its motion; None where only the matrices are needed, as in ``certify``.
-        W: (Nc, n) basis that the equations were tested with, where it is another.
+        W: (Nc, n) basis that the equations were tested with, where it is another. Without it, matrices that are
+            symmetric but for round-off are taken for those of a Galerkin projection.
         rigid_count: rigid-body modes that the coordinates span; those of a model that is not symmetric come first.
 
     Raises:
         InputError: pyMOR is not installed, outputs of velocities or a feedthrough, matrices that do not fit V.
+
+    >>> rom = to_pymor(reduced)                                      # or what a reductor of pyMOR gives
+    >>> from_pymor(rom, V=reduced.V, rigid_count=6).order
+    18
     """
     optional("pymor.models.iosys", "from_pymor")
     M, E, K, B, Cp, Cv, D = (_dense(A) for A in model.to_matrices())
@@ -64,7 +74,9 @@ def from_pymor(
     n = len(K)
     if V is not None and np.shape(V)[1:] != (n,):
         raise InputError(f"V has the shape {np.shape(V)}; expected (any, {n}), one column for each coordinate")
-    galerkin = W is None and np.array_equal(Cp, B.T)
+    galerkin = W is None and all(_alike(*pair) for pair in ((Cp, B.T), (M, M.T), (E, E.T), (K, K.T)))
+    if galerkin:
+        M, E, K, Cp = (M + M.T) / 2, (E + E.T) / 2, (K + K.T) / 2, B.T
     none = np.zeros((0, n))
     return ReducedModel(
         name=name, M=M, K=K, D=E, B=B, C=Cp, V=none if V is None else np.asarray(V, dtype=float),
@@ -72,6 +84,10 @@ def from_pymor(
         mode_kind=("foreign",) * n, rigid_count=rigid_count,
         recipe={"method": "pymor"},
     )  # fmt: skip
+
+
+def _alike(A: Floats, B: Floats) -> bool:
+    return A.shape == B.shape and bool(np.abs(A - B).max(initial=0.0) <= ROUND_OFF * np.abs(A).max(initial=0.0))
 
 
 def _dense(A: Any) -> Floats | None:

@@ -53,6 +53,11 @@ class StaticModesSwitching(Reducer):
     job); ``kind`` "path" puts its nodes in the order of a chain along which loads slide, "surface" leaves them as they
     are. ``directions`` are components 0..5 of loads at each node, or "normals" of the surface. ``band`` keeps pairs of
     nodes up to that many places apart, all pairs unless given. ``stress`` keeps the stress at the candidate nodes.
+
+    >>> row = "box:0.05,-1,-1,0.35,0.01,0.01"                       # a line of nodes along the bar
+    >>> switched = StaticModesSwitching(base="modal", base_options={"modes": 4}, candidates=row).reduce(held)
+    >>> switched.order
+    4
     """
 
     method: ClassVar[str] = "static-modes-switching"
