@@ -51,7 +51,8 @@ def draw_shapes(figure: Figure | SubFigure, shapes: Shapes) -> None:
         panel.set_axis_off()
         if number < count:
             _draw_mode(panel, shapes, number)
-            panel.set_title(f"mode {number + 1}: {shapes.frequencies_hz[number]:,.1f} Hz")
+            # A place for the title saves Matplotlib from laying out the axes, which are not shown, to find one.
+            panel.set_title(f"mode {number + 1}: {shapes.frequencies_hz[number]:,.1f} Hz", y=1.0)
     _mark_interfaces(axes[0, 0], shapes)
     colors = figure.add_axes((0.925, 0.14, 0.012, 0.64))
     bar = figure.colorbar(ScalarMappable(cmap=COLORS), cax=colors, ticks=[0, 0.5, 1])
