@@ -151,10 +151,9 @@ def _ask_to_end(process: subprocess.Popen[str]) -> None:
 def _finished(child: _Child, printed: str) -> Finished:
     code = child.process.returncode
     try:
-        held = json.loads(printed)
+        documents = json.loads(printed)
     except ValueError:
-        held = []
-    documents = held if isinstance(held, list) else [held]
+        documents = []
     message = _last_words(child.lines) or _how_it_ended(code)
     return Finished(
         parts=child.parts, code=code, documents=documents if len(documents) == len(child.parts) else [],

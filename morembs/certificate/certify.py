@@ -222,7 +222,7 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     elif not reference.proven:
         found.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
     if damping.is_modal:
-        found.append(f"modal damping acts on the {len(reference.values)} computed modes of the full model")
+        found.append(f"modal damping is that of the {len(reference.values)} modes of the reference model")
     # Where the frequency of a body is off, the table may give its mode another ratio.
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))

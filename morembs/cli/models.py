@@ -55,7 +55,7 @@ def import_model(
         formats = list_formats()
         with messages(), printing():
             if as_json:
-                print_json(formats)
+                print_json([{"name": name, "about": about} for name, about in formats.items()])
             else:
                 typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
         return
@@ -81,7 +81,7 @@ def import_model(
             done = run_import(job, check=check, strict=strict, progress=progress)
         with printing([str(done.path)]):
             if as_json:
-                print_json(_document(done))
+                print_json([_document(done)])
             else:
                 typer.echo("\n".join(_lines(done)))
 
@@ -113,5 +113,7 @@ def _lines(done: ImportResult) -> list[str]:
     lines += [f"note: {note}" for note in model.notes]
     if done.outlook is not None:
         lines.insert(1, f"the body: {done.outlook.words}")
-    lines += [f"warning: {text}" for text in done.warnings]
-    return lines + ([done.diagnosis.text()] if done.diagnosis is not None else [])
+    # An examination finds what is warned of without one, and says more.
+    found = "" if done.diagnosis is None else done.diagnosis.text()
+    lines += [f"warning: {text}" for text in done.warnings if text not in found]
+    return lines + ([found] if found else [])

@@ -34,7 +34,7 @@ EPILOG = (
 )
 
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print a list of JSON documents on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
@@ -205,7 +205,7 @@ def each_job(
             _write_report(report, documents)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
-            print_json(documents if len(jobs) > 1 else documents[0])
+            print_json(documents)
     if failed:
         raise typer.Exit(min(fault.code for fault in failed))
 
