@@ -25,7 +25,8 @@ def titled(console: Console, title: str, table: Table) -> None:
     console.print(f"\n[bold]{title}[/]", highlight=False, soft_wrap=True)
     for column in table.columns:
         texts = [str(column.header), *map(str, column.cells)]
-        column.min_width = max(len(word) for text in texts for word in [*text.split(), ""])
+        words = texts if column.no_wrap else [word for text in texts for word in text.split()]
+        column.min_width = max(map(len, words), default=0)
     width = console.width
     console.width = max(width, Measurement.get(console, console.options.update(width=WIDEST), table).minimum)
     console.print(table, crop=False)
@@ -40,7 +41,7 @@ def words(kinds: Sequence[str]) -> str:
 
 def plain_table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column(columns[0])
+    table.add_column(columns[0], no_wrap=True)
     for column in columns[1:]:
         table.add_column(column, justify="right")
     table.show_header = any(columns)

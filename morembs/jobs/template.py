@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers import read_mesh
@@ -18,6 +19,7 @@ from morembs.units import Units
 YOUNG, POISSON, DENSITY = 2.1e11, 0.3, 7850.0
 # Sets that become interfaces; others are named in a comment.
 INTERFACES = 2
+Selections = tuple[list[str], list[str]]
 
 
 def job_text(file: Path, folder: Path, units: Units) -> str:
@@ -33,12 +35,13 @@ def job_text(file: Path, folder: Path, units: Units) -> str:
     if is_model_file(file):
         model = read_model(file)
         head = _model(path, model)
-        choices = [f"coupling:{name}" for name in model.couplings] or _node_sets(model)
+        couplings = [f"coupling:{name}" for name in model.couplings]
+        choices = (couplings[:INTERFACES], couplings[INTERFACES:]) if couplings else _node_sets(model)
     else:
         mesh = read_mesh(file)
         head, choices = _mesh(path, mesh, units), _node_sets(mesh)
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
-    return "\n".join([*head, *_interfaces(choices), *_rest(name), ""])
+    return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
 
 
 def _mesh(path: str, mesh: Mesh, units: Units) -> list[str]:
@@ -62,24 +65,38 @@ def _model(path: str, model: FEModel) -> list[str]:
     return ["[model]", f"file = {_quoted(path)}        # {model.size:,} dofs at {len(model.nodes):,} nodes", ""]
 
 
-def _node_sets(source: Mesh | FEModel) -> list[str]:
-    """Node sets, the smallest first; those of most of the nodes are no interfaces."""
-    sets = {name: len(rows) for name, rows in source.nodes.sets.items() if 0 < len(rows) <= len(source.nodes) // 2}
-    return [f"set:{name}" for name in sorted(sets, key=lambda name: sets[name])]
+def _node_sets(source: Mesh | FEModel) -> Selections:
+    """Node sets: the smallest that can be interfaces together, and the others."""
+    nodes = source.nodes
+    fit, taken = [], np.zeros(len(nodes), dtype=bool)
+    for name, rows in sorted(nodes.sets.items(), key=lambda item: len(item[1])):
+        if len(rows) <= len(nodes) // 2 and not taken[rows].any() and _spread(nodes.xyz[rows]):
+            fit.append(name)
+            taken[rows] = True
+    chosen = fit[:INTERFACES]
+    return [f"set:{name}" for name in chosen], [f"set:{name}" for name in nodes.sets if name not in chosen]
 
 
-def _interfaces(choices: Sequence[str]) -> list[str]:
+def _spread(xyz: NDArray[np.float64]) -> bool:
+    """Whether points (n, 3) fix all six motions: three or more, not in a line."""
+    if len(xyz) < 3:
+        return False
+    size = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+    return bool(size[1] > 1e-6 * size[0])
+
+
+def _interfaces(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
     lines = ["# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"]
-    for choice in choices[:INTERFACES]:
+    for choice in chosen:
         kind, _, name = choice.partition(":")
         safe = "_".join(name.replace("/", "_").split()).lstrip(".") or "interface"
         lines += ["[[interface]]", f"name = {_quoted(safe)}", f"nodes = {_quoted(choice)}"]
         if kind == "set":
             lines += ['coupling = "rigid"         # or "average", "direct"']
         lines += [""]
-    if choices[INTERFACES:]:
-        lines += [f"# Other sets: {', '.join(choices[INTERFACES:])}", ""]
-    if not choices:
+    if others:
+        lines += [f"# There are too: {', '.join(others)}", ""]
+    if not chosen:
         lines += ["# [[interface]]", '# name = "tip"', '# nodes = "box:0,0,0,1,1,1"', ""]
     return lines
 
