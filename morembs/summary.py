@@ -23,8 +23,8 @@ SHOWN, LONGEST = 3, 70
 
 def summarised(kind: Class) -> Class:
     """Decorator: show what the method ``_facts`` of the class tells, name -> value; by default all fields."""
-    kind.__repr__ = _text
-    kind._repr_html_ = _table
+    for name, shown in (("__repr__", _text), ("_repr_html_", _table)):
+        setattr(kind, name, shown)
     return kind
 
 

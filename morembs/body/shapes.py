@@ -64,7 +64,9 @@ def stored_shapes(path: Path, stored: StoredBodies, body: str) -> Shapes | None:
     own = stored.bodies[body]
     frequencies_hz = own.frequencies_hz[own.rigid_count :]
     points = {name: interface.point for name, interface in stored.interfaces.items()}
-    return grid and shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
+    if grid is None:
+        return None
+    return shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
 
 
 def shapes_on(

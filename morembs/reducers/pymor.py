@@ -68,8 +68,9 @@ def from_pymor(
     18
     """
     optional("pymor.models.iosys", "from_pymor")
-    M, E, K, B, Cp, Cv, D = (_dense(A) for A in model.to_matrices())
-    if np.any(Cv) or np.any(D):
+    *given, Cv, D = model.to_matrices()
+    M, E, K, B, Cp = (_dense(A) for A in given)
+    if any(A is not None and np.any(_dense(A)) for A in (Cv, D)):
         raise InputError("the pyMOR model has outputs of velocities or a feedthrough; give one whose y is Cp u alone")
     n = len(K)
     if V is not None and np.shape(V)[1:] != (n,):
@@ -90,7 +91,5 @@ def _alike(A: Floats, B: Floats) -> bool:
     return A.shape == B.shape and bool(np.abs(A - B).max(initial=0.0) <= ROUND_OFF * np.abs(A).max(initial=0.0))
 
 
-def _dense(A: Any) -> Floats | None:
-    if A is None:
-        return None
+def _dense(A: Any) -> Floats:
     return np.asarray(A.toarray() if sp.issparse(A) else A, dtype=float)
