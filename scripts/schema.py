@@ -1,4 +1,4 @@
-"""Writes the tables of docs from those that writers, readers and checks of files go by.
+"""Writes the tables of docs from those that writers, readers and checks of files go by, and from the reducers.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -6,14 +6,18 @@ A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is 
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 
 from morembs.body import tables
 from morembs.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
+from morembs.options import in_toml
+from morembs.reducers import REDUCERS, Reducer
 from morembs.storage.table import KINDS, Row, Table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,12 +65,44 @@ def meaning(row: Row) -> str:
     return "; ".join(words for words in (row.doc or row.about, row.when) if words)
 
 
+def keys() -> Iterator[str]:
+    """Rows in Markdown of the keys of all reducers, whose docstrings say what they mean."""
+    for method in REDUCERS.own:
+        reducer = REDUCERS[method]
+        words = arguments(reducer)
+        first = f"`{method}`"
+        for field in fields(reducer):
+            yield f"| {first} | `{field.name}` | {default(field)} | {words[field.name]} |"
+            first = ""
+        if first:
+            yield f"| {first} | | | it has no keys |"
+
+
+def arguments(reducer: type[Reducer]) -> dict[str, str]:
+    """What its docstring says of each option, or that of the class which it comes from."""
+    words: dict[str, str] = {}
+    for holder in reversed(reducer.__mro__):
+        _, _, text = (inspect.cleandoc(holder.__doc__ or "")).partition("Args:\n")
+        for name, meaning in re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", text, re.MULTILINE):
+            words[name] = re.sub(r"\s+", " ", meaning).replace("``", "`").rstrip(".")
+    return words
+
+
+def default(field: Field[object]) -> str:
+    """As it stands in a job."""
+    value = field.default if field.default_factory is MISSING else field.default_factory()
+    return "" if value is MISSING else "none" if value in (None, [], {}) else f"`{in_toml(value)}`".replace("'", '"')
+
+
 def renewed(text: str) -> str:
     """A page with its tables as they are now."""
 
     def table(match: re.Match[str]) -> str:
-        rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
-        head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+        if match[1] == "reducers":
+            head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
+        else:
+            head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+            rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
         return "\n".join([f"<!-- table: {match[1]} -->", *head, *rows, "<!-- end -->"])
 
     return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)

@@ -1,8 +1,6 @@
 """The Python example of the README runs as it stands."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +8,7 @@ import pytest
 
 from morembs.body.file import read_body
 from morembs.importers.model_file import read_model
+from tests.support.processes import morembs, python
 
 ROOT = Path(__file__).parent.parent
 
@@ -18,7 +17,8 @@ def test_python_example(tmp_path):
     code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
     assert len(code.strip().splitlines()) < 15
     code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    done = python(code, tmp_path)
+    assert done.code == 0, done.errors
     body = read_body(tmp_path / "conrod.h5").bodies["cb30"]
     assert np.linalg.matrix_rank(body.stiffness_matrix, tol=1e-9 * np.abs(body.stiffness_matrix).max()) == 42 - 6
     assert body.frequencies_hz[6] > 1000
@@ -27,14 +27,15 @@ def test_python_example(tmp_path):
 def blocks(document):
     """Python of a page of docs."""
     text = (ROOT / "docs" / document).read_text()
-    return [one.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
-            for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]  # fmt: skip
+    return [block.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
+            for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]  # fmt: skip
 
 
 def printed(code, folder):
     """Numbers that ``code`` prints, line by line."""
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, capture_output=True, text=True)
-    return [list(map(float, re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", line))) for line in done.stdout.splitlines()]
+    done = python(code, folder)
+    assert done.code == 0, done.errors
+    return [list(map(float, re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", line))) for line in done.output.splitlines()]
 
 
 def test_switching_example(tmp_path):
@@ -66,22 +67,22 @@ def test_import_example(tmp_path):
     """The first command of docs/formats.md needs nothing but the repository; others name files of the reader."""
     text = (ROOT / "docs" / "formats.md").read_text()
     first, *others = re.search(r"```\n(morembs import.*?)```", text, re.DOTALL).group(1).splitlines()
-    command = first.replace("data/", f"{ROOT}/data/").split()
-    subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, check=True)
+    name, *arguments = first.replace("data/", f"{ROOT}/data/").split()
+    assert name == "morembs" and morembs(*arguments, folder=tmp_path).code == 0
     assert read_model(tmp_path / "conrod.model.h5").size == 10_956
     for word in " ".join(others).split():
         assert "." not in word or word.startswith("part.model") or word.partition(".")[0].isupper(), word
 
 
-def test_solver_example():
+def test_solver_example(tmp_path):
     """The example of docs/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
     code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "solvers.md").read_text(), re.DOTALL).group(1)
     code = code.replace("solver.negative_eigenvalues", "print(solver.negative_eigenvalues", 1).replace(
         "eye_array(1000))    #", "eye_array(1000)))  #"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    done = python(code, tmp_path)
     exact = 2 - 2 * np.cos(np.arange(1, 1001) * np.pi / 1001)
-    assert int(done.stdout.split()[-1]) == int((exact < 0.5).sum())
+    assert int(done.output.split()[-1]) == int((exact < 0.5).sum())
 
 
 def test_documents_that_are_named_exist():

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 from morembs import stopping
@@ -30,12 +29,21 @@ def console() -> None:
     stopping.end_with(FAULT)
     code = _run(ends=True)
     stopping.end_with(code)
+    _print_the_rest()
     if calls_running():
         # A library still computes in another thread; ending as usual would take its memory from under it.
-        with suppress(OSError):
-            sys.stdout.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _print_the_rest() -> None:
+    """Empty the buffer of standard output; what cannot be printed is dropped, of which the user knows already."""
+    if sys.stdout is not None:
+        try:
+            sys.stdout.flush()
+        except OSError:
+            # The interpreter flushes once more, and would complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(*, ends: bool) -> int:
@@ -89,6 +97,9 @@ def _work(arguments: Sequence[str]) -> None:
                 with printing():
                     print_json(documents)
     else:
+        import typer.main
+
         from morembs.cli.commands import app
 
-        app()
+        # Called itself it would take the place of ``sys.excepthook``, which knows of signals.
+        typer.main.get_command(app)()
