@@ -136,13 +136,13 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         command = answered_by(error.source, error.problems, error.given)
         with printing():
             if as_json:
-                print_json({
+                print_json([{
                     "importable": False, "command": command,
                     "problems": [
                         {"what": p.what, "file": p.file, "line": p.line, "keyword": p.keyword, "flags": list(p.flags)}
                         for p in error.problems
                     ],
-                })  # fmt: skip
+                }])  # fmt: skip
             else:
                 lines = [f"problem: {problem.what}" for problem in error.problems]
                 lines += [f"all of it is answered by: {command}"] if command else []
@@ -153,7 +153,7 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         if as_json:
             document = _document(done)
             document.pop("written")
-            print_json({"importable": True, **document})
+            print_json([{"importable": True, **document}])
         else:
             lines = _lines(done)
             size, nodes = done.model.size, len(done.model.nodes)

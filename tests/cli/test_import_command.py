@@ -584,7 +584,7 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     assert result.exit_code == 2 and [line.split(":")[0] for line in lines[:3]] == ["problem"] * 3
     answer = "morembs import part.inp --contact skip --skip FANCY --density X"
     assert lines[3] == f"all of it is answered by: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
-    told = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
+    (told,) = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
     assert told["importable"] is False and told["command"] == answer and len(told["problems"]) == 3
     given = ["--contact", "skip", "--skip", "FANCY", "--density", "7.85e-9", "--units", "mm-t-s"]
     assert run(path, "--dry-run", *given).startswith("can be imported: 189 dofs at 63 nodes, read as abaqus; nothing")
