@@ -34,7 +34,7 @@ def reduced(job: Path, settings: Settings) -> Row:
     ended = run(command("reduce", job, "--json"), settings)
     if ended.code:
         return _failed(ended, settings)
-    document = json.loads(ended.output)
+    (document,) = json.loads(ended.output)
     return {
         "dofs": document["dofs"], "solver": document["solver"], "seconds": ended.seconds,
         "process_peak_bytes": ended.peak, "stage_seconds": document["seconds"],
@@ -45,7 +45,7 @@ def reduced(job: Path, settings: Settings) -> Row:
 def checked(job: Path, settings: Settings) -> Row:
     """The forecast of a job."""
     ended = run(command("check", job, "--json"), settings)
-    return _failed(ended, settings) if ended.code else dict(json.loads(ended.output))
+    return _failed(ended, settings) if ended.code else dict(json.loads(ended.output)[0])
 
 
 def _failed(ended: Finished, settings: Settings) -> Row:

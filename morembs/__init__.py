@@ -3,7 +3,28 @@
 The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Problem`` -> a reducer's
 ``reduce`` -> ``elastic_body`` -> ``write_body``. Everything inside is in SI units.
 
-Each name is imported when it is first used; ``__init__.pyi`` says from where.
+Each name is imported when it is first used; ``__init__.pyi`` says from where. The examples of all names take what
+they use from here, and begin with this bar of four elements, free and held at its left end:
+
+>>> import numpy as np
+>>> from morembs import CraigBampton, Damping, DofMap, ElementBlock, FEModel, Mesh, Nodes, Problem
+>>> from morembs import assemble, elastic_body, isotropic, make_interface, make_part
+>>> x, y, z = np.meshgrid(np.linspace(0, 0.4, 5), [0, 0.05], [0, 0.05], indexing="ij")
+>>> ends = {"LEFT": np.arange(4), "RIGHT": np.arange(16, 20)}
+>>> nodes = Nodes(ids=np.arange(1, 21), xyz=np.stack([x, y, z], axis=-1).reshape(-1, 3), sets=ends)
+>>> cells = np.array([0, 4, 6, 2, 1, 5, 7, 3]) + 4 * np.arange(4)[:, None]
+>>> mesh = Mesh(nodes=nodes, blocks=(ElementBlock(type="hex8", nodes=cells, ids=np.arange(1, 5)),), source="bar")
+>>> steel = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+>>> model = assemble(mesh, [steel])
+>>> interfaces = [make_interface(model, name=name, nodes=rows) for name, rows in ends.items()]
+>>> problem = Problem(model, interfaces, damping=Damping(modal=0.02))
+>>> reduced = CraigBampton(modes=6).reduce(problem)
+>>> body = elastic_body(problem, reduced, make_part(problem))
+>>> free = np.arange(12, 60)                                         # all but the left end
+>>> rows = DofMap(node=free // 3, component=free % 3)
+>>> K, M = (A[free][:, free] for A in (model.K, model.M))
+>>> clamped = FEModel(K=K, M=M, D=1e-5 * K, nodes=nodes, dofs=rows, source="clamped bar")
+>>> held = Problem(clamped, [make_interface(clamped, name="tip", nodes=ends["RIGHT"])])
 """
 
 import lazy_loader

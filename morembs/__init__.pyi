@@ -5,7 +5,7 @@ from .body.file import read_body, write_body
 from .body.stress_shapes import stress_recovery
 from .certificate.certify import Certificate, certify
 from .certificate.limits import ErrorLimits, error_limits
-from .certificate.response import full_response, reduced_response
+from .certificate.response import full_response, reduced_response, to_xarray
 from .diagnostics import examined
 from .errors import InputError, MorembsError
 from .exporters import export_body
@@ -17,7 +17,7 @@ from .importers import read_mesh
 from .importers.from_matrices import from_matrices
 from .interface import Interface, make_interface
 from .linalg.sparse.select import available_solvers, select_solver
-from .model import FEModel, Mesh, Nodes
+from .model import DofMap, ElementBlock, FEModel, Mesh, Nodes
 from .model.assembly import assemble
 from .model.material import Material, isotropic, orthotropic
 from .model.selection import select_nodes
@@ -39,6 +39,7 @@ from .reducers import (
     ReducedModel,
     StaticModesSwitching,
 )
+from .reducers.pymor import from_pymor, to_pymor
 from .responses.band import band_frequencies
 from .responses.certified import CertifiedReference, certified_reference
 from .responses.direct import direct_response
@@ -56,7 +57,9 @@ __all__ = [
     "CertifiedReference",
     "CraigBampton",
     "Damping",
+    "DofMap",
     "ElasticBody",
+    "ElementBlock",
     "Envelope",
     "ErrorLimits",
     "FEModel",
@@ -92,6 +95,7 @@ __all__ = [
     "export_body",
     "floating_frame",
     "from_matrices",
+    "from_pymor",
     "full_response",
     "geometric_stiffening",
     "isotropic",
@@ -108,5 +112,7 @@ __all__ = [
     "select_nodes",
     "select_solver",
     "stress_recovery",
+    "to_pymor",
+    "to_xarray",
     "write_body",
 ]

@@ -6,12 +6,14 @@ the values stay in the file (and in the cache of the operating system), the resi
 
 from __future__ import annotations
 
+import contextlib
 import math
 import mmap
 import os
+import weakref
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -32,6 +34,20 @@ _BLOCK_SHARE = 0.25
 _WIDEST = 256
 # Less than this part of the budget left is tight.
 _TIGHT = 0.3
+
+
+# Where the system cannot reserve space on a disk, zeros are written, so many bytes at once.
+_ZEROS = 1 << 22
+
+
+@dataclass(frozen=True)
+class _Mapped:
+    """A scratch file of ``size`` bytes at ``path``, and what was resident when it was made; its array may be gone."""
+
+    map: weakref.ref[mmap.mmap]
+    path: Path
+    size: int
+    beside: int
 
 
 def memory_that_leaves(room: int, used: int) -> int:
@@ -55,9 +71,7 @@ class Budget(Closing):
     in_memory: int | None = None
     widest: int = _WIDEST
     _folder: ScratchFolder | None = field(default=None, repr=False)
-    _maps: list[mmap.mmap] = field(default_factory=list, repr=False)
-    # What was resident when each of them was made.
-    _beside: list[int] = field(default_factory=list, repr=False)
+    _made: list[_Mapped] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
 
     def left(self) -> int | None:
@@ -67,7 +81,7 @@ class Budget(Closing):
     @property
     def files(self) -> int:
         """How many arrays live in scratch files."""
-        return len(self._maps)
+        return len(self._used())
 
     def columns(self, n: int, copies: int = 4, widest: int | None = None) -> int:
         """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two."""
@@ -104,8 +118,7 @@ class Budget(Closing):
     def _staying(self, more: int) -> int:
         """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
         # Pages of earlier arrays in files were resident too, so these need not be added.
-        both = zip(self._maps, self._beside, strict=True)
-        return sum(len(mapped) for mapped, beside in both if len(mapped) <= self._largest(more, beside))
+        return sum(one.size for one in self._used() if one.size <= self._largest(more, one.beside))
 
     def _largest(self, more: int = 0, resident: int | None = None) -> float:
         """Bytes of the largest array that stays in memory: many small ones are a large one.
@@ -131,34 +144,42 @@ class Budget(Closing):
         """Give back the pages of all arrays in files, and memory that was freed but still counts as resident."""
         if self._unlimited:
             return
-        for mapped in self._maps:
-            if hasattr(mmap, "MADV_DONTNEED"):
+        for one in self._used():
+            mapped = one.map()
+            if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
         trim()
 
     def release_if_tight(self) -> None:
         """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
         left = self.left()
-        if left is not None and self._maps and left < _TIGHT * (self.memory or 0):
+        if left is not None and self._made and left < _TIGHT * (self.memory or 0):
             self.release_pages()
 
     def close(self) -> None:
         """Remove the files; arrays in them stay readable as long as somebody holds them."""
-        self._maps.clear()
-        self._beside.clear()
+        self._made.clear()
         if self._folder is not None:
             self._folder.close()
             self._folder = None
 
+    def _used(self) -> list[_Mapped]:
+        """The files whose arrays somebody holds; others go, where they could not lose their names before."""
+        for one in self._made:
+            if one.map() is None:
+                _unlink(one.path)
+        self._made = [one for one in self._made if one.map() is not None]
+        return self._made
+
     def _map(self, size: int) -> mmap.mmap:
         if self._folder is None:
             self._folder = ScratchFolder(self.scratch)
+        self._used()
         self._count += 1
         path = self._folder.path / f"array-{self._count}"
         with open(path, "w+b") as file:
             try:
-                # Reserved now: a full disk would otherwise end the process when a page is written.
-                os.posix_fallocate(file.fileno(), 0, size)
+                _reserve(file, size)
             except OSError as error:
                 raise OutputError(
                     f"the scratch folder {self._folder.path.parent} has no room for {size / 1e9:.2f} GB more "
@@ -166,10 +187,26 @@ class Budget(Closing):
                 ) from error
             mapped = mmap.mmap(file.fileno(), size)
         # Nothing needs the name any more: the file is gone as soon as nobody maps it.
-        path.unlink()
-        self._maps.append(mapped)
-        self._beside.append(resident_bytes())
+        _unlink(path)
+        self._made.append(_Mapped(weakref.ref(mapped), path, size, resident_bytes()))
         return mapped
+
+
+def _reserve(file: BinaryIO, size: int) -> None:
+    """Take the space now: a full disk would otherwise end the process when a page is written."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+        return
+    zeros = bytes(min(size, _ZEROS))
+    for first in range(0, size, len(zeros)):
+        file.write(zeros[: size - first])
+    file.flush()
+
+
+def _unlink(path: Path) -> None:
+    """Take away the name of a file; Windows refuses that while the file is mapped, and its folder keeps it then."""
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
 
 
 UNLIMITED = Budget()

@@ -7,11 +7,22 @@ from collections.abc import Iterable
 
 
 class MorembsError(Exception):
-    """Base of all errors raised on purpose: the message says what was given, expected, and what to do."""
+    """Base of all errors raised on purpose: the message says what was given, expected, and what to do.
+
+    >>> issubclass(InputError, MorembsError)
+    True
+    """
 
 
 class InputError(MorembsError, ValueError):
-    """The input (file, key, set, material, mesh) cannot be used as given."""
+    """The input (file, key, set, material, mesh) cannot be used as given.
+
+    >>> try:
+    ...     isotropic(set="all", young=-1.0, poisson=0.3, density=7850.0)
+    ... except InputError as error:
+    ...     print(error)
+    material of set 'all': young = -1 Pa was given; expected a positive number
+    """
 
 
 class SingularMatrixError(MorembsError, ArithmeticError):

@@ -65,7 +65,8 @@ def refuse_too_large(source: str, size: float) -> None:
 def peak_memory_bytes() -> int:
     """Peak resident memory of this process so far, as the operating system counts it."""
     if resource is None:
-        return int(_process(os.getpid()).memory_info().peak_wset)
+        info = _process(os.getpid()).memory_info()
+        return int(getattr(info, "peak_wset", info.rss))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
 

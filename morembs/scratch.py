@@ -2,7 +2,9 @@
 
 A folder is marked by a file that its process keeps locked, with the name of the machine in it. The operating system
 drops the lock however the process ends, so the next run on that machine knows which folders nobody owns any more and
-removes them. Only the user may enter such a folder, so that nobody plants links in it.
+removes them. Where Python has no such locks (Windows) the mark names the process and when it began. Only the user may
+enter such a folder, so that nobody plants links in it. What cannot be removed, as files that are still mapped there,
+stays with its mark for the next run.
 """
 
 from __future__ import annotations
@@ -23,12 +25,14 @@ from morembs.errors import InputError
 
 try:
     import fcntl
-except ImportError:  # not on this system: then nothing is known to be left over
+except ImportError:  # not on this system
     fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
 _PREFIX = "morembs-"
 _OWNER = "owner.lock"
+# In its place where Python has no locks: the machine, the process and when it began.
+_PROCESS = "owner.process"
 # In the place of the mark where files cannot be locked: then nobody knows whether the owner lives.
 _UNKNOWN = "owner"
 # The end of a name that tempfile.mkdtemp draws.
@@ -90,8 +94,6 @@ class ScratchFolder(PrivateFolder):
 
 def remove_abandoned(parent: Path | None, prefix: str = _PREFIX) -> None:
     """Remove the folders of processes of this machine that ended without doing so."""
-    if fcntl is None:
-        return
     for folder in Path(parent or tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
             if folder.is_dir() and not folder.is_symlink() and _abandoned(folder):
@@ -108,9 +110,13 @@ def free_bytes(parent: Path | None) -> int:
 
 
 def _abandoned(folder: Path) -> bool:
-    mark = folder / _OWNER
+    mark, named = folder / _OWNER, folder / _PROCESS
+    if named.exists():
+        return _ended(named.read_bytes())
     if mark.exists():
         return _free(mark)
+    if fcntl is None:
+        return False
     if not re.fullmatch(_DRAWN, folder.name[-9:]) or stat.S_IMODE(folder.stat().st_mode) != 0o700:
         return False  # somebody else's
     new = mark.with_suffix(".new")
@@ -123,7 +129,9 @@ def _abandoned(folder: Path) -> bool:
 
 def _free(mark: Path) -> bool:
     """Whether nobody holds the lock of a mark of this machine."""
-    handle = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
+    if fcntl is None:
+        return False
+    handle = os.open(mark, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
     try:
         # Locks of another machine may not be seen here. An empty mark is one of version 0.1.
         if os.read(handle, 1024) not in (b"", _machine()):
@@ -136,14 +144,34 @@ def _free(mark: Path) -> bool:
     return True
 
 
+def _process(number: int) -> bytes:
+    """What a process is known by: a later one may get its number. Empty if there is none."""
+    import psutil
+
+    try:
+        begun = psutil.Process(number).create_time()
+    except psutil.Error:
+        return b""
+    return f"{number} {begun:.2f} ".encode() + _machine()
+
+
+def _ended(mark: bytes) -> bool:
+    """Whether the process that wrote the ``mark`` on this machine has ended."""
+    number, _, machine = [*mark.split(b" ", 2), b"", b""][:3]
+    return machine == _machine() and number.isdigit() and _process(int(number)) != mark
+
+
 def _clear(folder: Path) -> None:
-    """Remove a folder, its mark at the end, so that the next run removes what this one may not come to."""
+    """Remove a folder, its mark only when nothing else is left, so that the next run removes the rest."""
+    marks = (_OWNER, _PROCESS, _UNKNOWN)
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)
-        elif path.name not in (_OWNER, _UNKNOWN):
-            path.unlink(missing_ok=True)
-    shutil.rmtree(folder, ignore_errors=True)
+        elif path.name not in marks:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+    if all(path.name in marks for path in folder.iterdir()):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _machine() -> bytes:
@@ -156,11 +184,16 @@ def _lock(folder: Path) -> int | None:
     new = (folder / _OWNER).with_suffix(".new")
     handle = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     try:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX)
-            os.write(handle, _machine())
-            new.rename(folder / _OWNER)
-            return handle
+        if fcntl is None:
+            os.write(handle, _process(os.getpid()))
+            # Windows gives no open file another name.
+            os.close(handle)
+            new.rename(folder / _PROCESS)
+            return None
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        os.write(handle, _machine())
+        new.rename(folder / _OWNER)
+        return handle
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             os.close(handle)

@@ -14,6 +14,7 @@ import ctypes
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,6 +46,8 @@ def check() -> None:
 @contextmanager
 def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
     """Heed SIGINT, SIGTERM and SIGHUP within; those that this process was told to ignore stay ignored.
+
+    Python lets the main thread alone take signals: in another one they do what the program has them do.
 
     A second request ends the process at once. ``ends`` says that the process ends afterwards: by the code of the
     signal whoever ends it, and by the system when a signal comes later. Otherwise handlers are as they were before.
@@ -80,6 +83,8 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
     handlers: dict[int, Any] = {number: handle for number in numbers if signal.getsignal(number) is not signal.SIG_IGN}
     if _HAS_TIMER:
         handlers[signal.SIGALRM] = lambda *_: check()
+    if threading.current_thread() is not threading.main_thread():
+        handlers.clear()
     _asked.clear()
     drop, sys.unraisablehook = sys.unraisablehook, dropped
     show, sys.excepthook = sys.excepthook, printed

@@ -42,6 +42,9 @@ def parse_units(given: str | Mapping[str, str]) -> Units:
 
     Raises:
         InputError: a unit or a key that is not known, or one that is missing.
+
+    >>> parse_units("mm-t-s").length
+    0.001
     """
     if isinstance(given, str):
         parts = given.split("-")

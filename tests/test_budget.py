@@ -13,7 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 from morembs import scratch as scratches
-from morembs.budget import Budget
+from morembs.budget import Budget, Values
 from morembs.errors import InputError, OutputError
 from morembs.linalg.columns import dot, multiply_into, subtract
 from morembs.linalg.congruence import congruence, magnitudes
@@ -42,10 +42,12 @@ def test_small_arrays_and_those_without_a_limit_stay_in_memory(tmp_path: Path) -
 def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     has_memory(monkeypatch, resident=80 * MB)
     with Budget(100 * MB, tmp_path) as budget:
-        for _ in range(3):
-            budget.empty(MB // 2)
+        arrays = [budget.empty(MB // 2) for _ in range(3)]
         assert budget.files == 3
         assert budget.empty(1000).nbytes == 8000 and budget.files == 3
+        # An array that nobody holds any more takes no room.
+        del arrays[1]
+        assert budget.files == 2
     with Budget(1000 * MB, tmp_path) as budget:
         budget.empty(MB // 2)
         assert not budget.files
@@ -54,13 +56,16 @@ def test_many_small_arrays_do_not_fill_what_little_is_left(tmp_path: Path, monke
 def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Made again under the budget that ``raise_for`` names they leave what was asked for, under less they do not."""
 
+    held: list[Values] = []
+
     def made(budget: Budget) -> int:
         """What is left after four arrays."""
         resident = 80 * MB
         has_memory(monkeypatch, resident=resident)
+        held.clear()
         for _ in range(4):
             before = budget.files
-            budget.empty(10 * MB // 8)
+            held.append(budget.empty(10 * MB // 8))
             resident += 10 * MB if budget.files == before else 0
             has_memory(monkeypatch, resident=resident)
         left = budget.left()
@@ -102,7 +107,7 @@ REST = """
 import sys
 from pathlib import Path
 import numpy as np
-from morembs.budget import Budget
+from morembs.budget import Budget, Values
 from morembs.memory import resident_bytes
 memory = resident_bytes() + int(sys.argv[2])
 budget = Budget(memory, Path(sys.argv[1]), in_memory=16_000_000)

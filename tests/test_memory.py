@@ -48,7 +48,7 @@ def test_a_job_after_a_large_one_tells_its_own_memory(tmp_path: Path) -> None:
     alone = subprocess.run(
         [sys.executable, "-m", "morembs", "reduce", jobs[0], "--json"], capture_output=True, text=True, check=True
     )
-    truth = json.loads(alone.stdout)["job_peak_memory_bytes"]
+    truth = json.loads(alone.stdout)[0]["job_peak_memory_bytes"]
     done = subprocess.run([sys.executable, "-c", BATCH, *jobs], capture_output=True, text=True, check=True)
     documents = json.loads(done.stdout)
     for document in documents[1:]:

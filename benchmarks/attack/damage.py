@@ -137,10 +137,10 @@ def _sentences(ended: forked.Ended) -> set[str]:
     """Warnings, notes and findings, without their numbers."""
     sentences = [line for line in ended.errors.splitlines() if line.startswith(("warning: ", "note: "))]
     try:
-        document = json.loads(ended.output)
+        documents = json.loads(ended.output)
     except ValueError:
-        document = {}
-    if isinstance(document, dict):
+        documents = []
+    for document in documents:
         for key in ("notes", "findings", "warnings"):
             sentences += [str(sentence) for sentence in document.get(key) or []]
     return {re.sub(r"\d[\d.e+-]*", "#", sentence) for sentence in sentences}

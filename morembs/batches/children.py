@@ -111,7 +111,7 @@ class Children(Closing):
         """End those that run: they may clean up for some seconds, and are killed then."""
         for child in self._children:
             with suppress(OSError):
-                child.process.terminate()
+                _ask_to_end(child.process)
         end = time.monotonic() + _PATIENCE
         for child in self._children:
             try:
@@ -140,13 +140,20 @@ class Children(Closing):
         self._news.put((child, "".join(printed)))
 
 
+def _ask_to_end(process: subprocess.Popen[str]) -> None:
+    """The end of its input asks too: on Windows ``terminate`` would leave it no time to clean up."""
+    if sys.platform == "win32" and process.stdin is not None:
+        process.stdin.close()
+    else:
+        process.terminate()
+
+
 def _finished(child: _Child, printed: str) -> Finished:
     code = child.process.returncode
     try:
-        held = json.loads(printed)
+        documents = json.loads(printed)
     except ValueError:
-        held = []
-    documents = held if isinstance(held, list) else [held]
+        documents = []
     message = _last_words(child.lines) or _how_it_ended(code)
     return Finished(
         parts=child.parts, code=code, documents=documents if len(documents) == len(child.parts) else [],

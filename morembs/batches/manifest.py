@@ -127,8 +127,15 @@ class Manifest(Closing):
         old, self._handle = self._handle, _locked(new)
         for event in (_FIRST, *self._ended.values()):
             self._write(event)
-        os.replace(new, self.path)
-        os.close(old)
+        if fcntl is None:
+            # Windows gives no open file another name, nor that of one that is open.
+            os.close(old)
+            os.close(self._handle)
+            os.replace(new, self.path)
+            self._handle = _locked(self.path)
+        else:
+            os.replace(new, self.path)
+            os.close(old)
 
 
 def _normal(contents: Mapping[Path, Content]) -> dict[Path, Content]:
@@ -138,7 +145,9 @@ def _normal(contents: Mapping[Path, Content]) -> dict[Path, Content]:
 def _locked(path: Path) -> int:
     """An open handle of the file, which this process has for itself."""
     try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        # Flags that only some systems have: no links; on Windows no other ends of lines.
+        more = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | more, 0o644)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror}); give another --manifest") from error
     if fcntl is None:

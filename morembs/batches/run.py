@@ -93,6 +93,13 @@ def batch(
     Raises:
         InputError: no job, or a manifest that is another file or in use.
         OutputError: the manifest cannot be written.
+
+    >>> from pathlib import Path
+    >>> Path("night").mkdir()
+    >>> batch(["night"])
+    Traceback (most recent call last):
+    ...
+    morembs.errors.InputError: ...
     """
     if workers is not None and workers < 1:
         raise InputError(f"--jobs {workers} was given; expected a positive count of jobs to run at once")

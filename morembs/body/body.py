@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.body.stress_shapes import Recovery
+from morembs.body.vtkhdf import VTK_VERTEX, Cells
+from morembs.body.vtkhdf_series import Grid
 from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -18,24 +21,22 @@ from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
+from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
+from morembs.reducers.pymor import to_pymor
 from morembs.reducers.switching_tables import StaticModeTables
+from morembs.summary import hertz, kinds_words, summarised
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NODE_CHOICES = ("all", "skin", "interfaces")
-VTK_VERTEX = 1
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """Cells of one VTK type: ``connectivity`` (nc, k) rows of the selected nodes."""
-
-    vtk: int
-    connectivity: Ints
-
-
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
     """What all reductions of one model share.
@@ -59,7 +60,25 @@ class Part:
     source: str = ""
     warnings: tuple[str, ...] = ()
 
+    def _facts(self) -> dict[str, object]:
+        return {
+            "mass": f"{self.mass:.4g} kg", "centre of mass": self.center_of_mass, "nodes": len(self.nodes),
+            "interfaces": [each.name for each in self.interfaces], "source": self.source,
+        }  # fmt: skip
 
+    def grid(self) -> Grid:
+        """The cells as VTK keeps them."""
+        sizes = [np.full(len(cells.connectivity), cells.connectivity.shape[1]) for cells in self.cells]
+        types = [np.full(len(cells.connectivity), cells.vtk, dtype=np.uint8) for cells in self.cells]
+        links = [cells.connectivity.ravel() for cells in self.cells]
+        return Grid(
+            points=self.nodes.xyz, connectivity=np.concatenate([np.zeros(0, dtype=np.int64), *links]),
+            offsets=np.cumsum(np.concatenate([[0], *sizes]), dtype=np.int64),
+            types=np.concatenate([np.zeros(0, dtype=np.uint8), *types]),
+        )  # fmt: skip
+
+
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticBody:
     """One reduced model as a body.
@@ -69,6 +88,11 @@ class ElasticBody:
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
     rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
     ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads.
+
+    >>> body.reduced.order, body.floating.kind
+    (18, 'mean-axes')
+    >>> body
+    ElasticBody: name craig-bampton; order 18; elastic frequencies ...
     """
 
     part: Part
@@ -87,9 +111,78 @@ class ElasticBody:
         """Name of the reduction."""
         return self.reduced.name
 
+    def _facts(self) -> dict[str, object]:
+        certificate, floating = self.certificate, self.floating
+        return {
+            "name": self.name, "order": self.reduced.order,
+            "elastic frequencies": hertz(self.frequencies_hz[self.reduced.rigid_count :]),
+            "error": "not certified" if certificate is None else certificate.words,
+            "coordinates": kinds_words(self.reduced.mode_kind), "mass": f"{self.part.mass:.4g} kg",
+            "frame": None if floating is None else floating.kind,
+        }  # fmt: skip
+
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n, k) of the chosen nodes for some coordinates; allocates only these."""
         return np.asarray(self.part.transformation @ self.reduced.V[:, columns])
+
+    def modes(self, count: int) -> Floats:
+        """Shapes (k, n, 3) of the first elastic modes at the chosen nodes, at most ``count``, of unit modal mass."""
+        first = self.reduced.rigid_count
+        Y = self.reduced.modes()[1][:, first : first + count]
+        shapes = self.part.transformation @ (self.reduced.V @ Y)
+        return np.asarray(shapes).T.reshape(Y.shape[1], -1, 3)
+
+    def plot(self, modes: int = 4) -> Figure:
+        """The first elastic ``modes`` drawn with Matplotlib; a notebook shows the figure, ``savefig`` keeps it.
+
+        Raises:
+            InputError: a body that keeps no elements, or has no elastic modes.
+        """
+        from matplotlib.figure import Figure
+
+        from morembs.body.drawing import draw_shapes
+        from morembs.body.shapes import shapes_on
+
+        part, frequencies_hz = self.part, self.frequencies_hz[self.reduced.rigid_count :]
+        points = {interface.name: interface.point for interface in part.interfaces}
+        shapes = shapes_on(part.grid(), self.name, self.modes(modes), frequencies_hz, points)
+        if shapes is None:
+            raise InputError(
+                f'{self.name} has no elastic modes or no elements to show them on; keep nodes = "all" or "skin" of a '
+                "model with elements"
+            )
+        figure = Figure(figsize=(10.0, 4.7), dpi=100)
+        draw_shapes(figure, shapes)
+        return figure
+
+    def to_pyvista(self, modes: int = 4) -> Any:
+        """The body as a ``pyvista.UnstructuredGrid`` with the first elastic ``modes`` (n, 3) as point data.
+
+        ``mode 1``, ``mode 2``, ... have unit modal mass, ``node`` is the label of each node, and the field
+        ``frequencies_hz`` (k,) holds their frequencies.
+
+        Raises:
+            InputError: PyVista is not installed, or the body keeps no nodes.
+        """
+        pyvista = optional("pyvista", "to_pyvista")
+        if not self.part.cells:
+            raise InputError(f'{self.name} keeps no nodes; keep nodes = "all", "skin" or "interfaces"')
+        cells: dict[int, list[Ints]] = {}
+        for block in self.part.cells:
+            cells.setdefault(block.vtk, []).append(block.connectivity)
+        grid = pyvista.UnstructuredGrid(
+            {vtk: np.concatenate(blocks) for vtk, blocks in cells.items()}, np.array(self.part.nodes.xyz)
+        )
+        shapes, first = self.modes(modes), self.reduced.rigid_count
+        grid.point_data["node"] = np.array(self.part.nodes.ids)
+        for number, shape in enumerate(shapes, start=1):
+            grid.point_data[f"mode {number}"] = shape
+        grid.field_data["frequencies_hz"] = self.frequencies_hz[first : first + len(shapes)]
+        return grid
+
+    def to_pymor(self) -> Any:
+        """The reduced model as a ``pymor.models.iosys.SecondOrderModel``; see ``morembs.to_pymor``."""
+        return to_pymor(self.reduced)
 
 
 def make_part(problem: Problem, nodes: str = "all") -> Part:
@@ -97,6 +190,9 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
 
     Raises:
         InputError: unknown choice, or skin of a model without elements.
+
+    >>> make_part(problem, "skin")
+    Part: mass 7.85 kg; centre of mass [0.2, 0.025, 0.025]; nodes 20; interfaces LEFT, RIGHT; source bar
     """
     model = problem.model
     rows, cells = _chosen(model, problem.interfaces, nodes)
@@ -145,6 +241,9 @@ def elastic_body(
     """Body of a reduced model: its frequencies and what it shares with others of the same part.
 
     ``floating`` by default has mean axes.
+
+    >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
+    (18,)
     """
     if floating is None and not why_not_floating(reduced):
         floating = floating_frame(problem, reduced)

@@ -69,6 +69,9 @@ def write_body(
     Raises:
         InputError: no bodies, bodies of different parts, or names that cannot be stored.
         OutputError: the file cannot be written (folder missing or read-only, disk full).
+
+    >>> write_body("bar.h5", [body]).name
+    'bar.h5'
     """
     # Not at the top: what reads does without.
     from morembs.storage.writer import writing
@@ -168,6 +171,10 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
 
     Raises:
         InputError: no such file, not a body file, written by a newer version, damaged or incomplete.
+
+    >>> path = write_body("bar.h5", [body])
+    >>> read_body(path)
+    StoredBodies: bodies craig-bampton (order 18); mass 7.85 kg; nodes 20; interfaces LEFT, RIGHT
     """
     place = Path(path)
 

@@ -16,6 +16,7 @@ from morembs.floating.ranking import RankedTerm
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.table import read_rows
 from morembs.storage.table_check import refuse_not_finite
+from morembs.summary import error_words, hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from morembs.interface import CouplingKind
@@ -38,6 +39,7 @@ class ByName(dict[str, T], Generic[T]):
         raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredInterface:
     """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,)."""
@@ -58,6 +60,7 @@ class StoredInterface:
         return COUPLINGS[self.coupling]
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredBody:
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
@@ -85,6 +88,23 @@ class StoredBody:
     ranking: tuple[RankedTerm, ...] = ()
     has_recovery: bool = False
     has_switching: bool = False
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "name": self.name, "order": len(self.stiffness_matrix),
+            "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]), "error": self._error(),
+            "coordinates": kinds_words(self.mode_kind), "frame": None if self.floating is None else self.floating.kind,
+        }  # fmt: skip
+
+    def _error(self) -> str:
+        known = self.certificate
+        if known is None:
+            return "not certified"
+        if "limits" not in known:  # of version 0.1
+            return f"{float(np.max(known['error'])):.1e} at samples"
+        kinds = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
+        measure, kind = (str(known[key]) for key in ("measure", "bound_kind"))
+        return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
@@ -126,6 +146,7 @@ class StoredBody:
         return switching
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredBodies:
     """All of a body file; what is written first comes first in the mappings.
@@ -150,6 +171,13 @@ class StoredBodies:
     recipe: dict[str, Any]
     provenance: dict[str, Any]
     warnings: tuple[str, ...] = ()
+
+    def _facts(self) -> dict[str, object]:
+        orders = ", ".join(f"{name} (order {len(body.stiffness_matrix)})" for name, body in self.bodies.items())
+        return {
+            "bodies": orders, "mass": f"{self.mass:.4g} kg", "nodes": len(self.node_ids),
+            "interfaces": list(self.interfaces), "warnings": len(self.warnings) or None,
+        }  # fmt: skip
 
 
 def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:

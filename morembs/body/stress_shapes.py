@@ -26,6 +26,7 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.loads import static_response
 from morembs.storage.table import Table, read_rows
 from morembs.storage.writer import Columns
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float64] | NDArray[np.float32]
@@ -34,6 +35,7 @@ Ints = NDArray[np.int64]
 _COPIES = 6
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovery:
     """Stress at points of a body from its reduced coordinates.
@@ -120,6 +122,9 @@ def stress_recovery(
 
     Raises:
         InputError: as ``stress_operator``.
+
+    >>> stress_recovery(problem, reduced).stress.shape               # six components at 20 points
+    (120, 18)
     """
     model, budget = problem.model, problem.budget
     if operator is None:

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from morembs.body.body import Cells
     from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+VTK_VERTEX = 1
 # ParaView 5.11 refuses any other number; 1.0 has all that a static grid needs.
 VERSION = (1, 0)
 SHOWN_MODES = 20
 # Rows of a basis that are in memory at a time.
 BLOCK_BYTES = 8 * 2**20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """Cells of one VTK type: ``connectivity`` (nc, k) rows of the selected nodes."""
+
+    vtk: int
+    connectivity: Ints
 
 
 def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:

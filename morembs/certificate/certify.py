@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from morembs.certificate.limits import ErrorLimits, body_response, checked_sharp
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.response import reduced_response
 from morembs.errors import InputError
+from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -21,6 +23,7 @@ from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.summary import error_words, summarised
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -31,6 +34,7 @@ HELD = 0.02
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate(ErrorLimits):
     """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
@@ -50,6 +54,12 @@ class Certificate(ErrorLimits):
     ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
     criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
     whole cluster where modes are close. No mode is missing below ``verified_below_hz``.
+
+    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+    >>> certificate.limit.lower <= certificate.limit.upper
+    True
+    >>> certificate
+    Certificate: error at most ...
     """
 
     band_hz: tuple[float, float]
@@ -87,6 +97,29 @@ class Certificate(ErrorLimits):
         """The limit of ``measure``."""
         return self.limits[self.measure]
 
+    @property
+    def words(self) -> str:
+        """The largest error, in words."""
+        return error_words(self.measure, self.limit.upper, self.error, self.band_hz, self.kind)
+
+    def to_xarray(self) -> Any:
+        """The curves as an ``xarray.Dataset`` over ``frequency_hz``: full, reduced, error, bound, reference_error.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional("xarray", "to_xarray")
+        names = ("full", "reduced", "error", "bound", "reference_error")
+        return xarray.Dataset(
+            {name: ("frequency_hz", getattr(self, name)) for name in names}, {"frequency_hz": self.frequencies_hz}
+        )
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "error": self.words, "static error": f"{self.static_error:.1e}", "modes in the band":
+            len(self.mode_frequencies_hz), "damping floor": self.damping_floor or None, "notes": "; ".join(self.notes),
+        }  # fmt: skip
+
 
 def certify(
     problem: Problem, bodies: Sequence[ReducedModel], band_hz: Sequence[float] | Floats, *,
@@ -103,6 +136,10 @@ def certify(
     Raises:
         InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model.
         SolverError: the full response cannot be computed.
+
+    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+    >>> certificate.kind, certificate.measure
+    ('proven', 'envelope')
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
@@ -185,7 +222,7 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     elif not reference.proven:
         found.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
     if damping.is_modal:
-        found.append(f"modal damping acts on the {len(reference.values)} computed modes of the full model")
+        found.append(f"modal damping is that of the {len(reference.values)} modes of the reference model")
     # Where the frequency of a body is off, the table may give its mode another ratio.
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))

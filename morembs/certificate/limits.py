@@ -15,23 +15,33 @@ from morembs.responses.measures import MEASURES, SHARPNESS, Limit, compare
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
+from morembs.summary import summarised, upwards
 
 Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorLimits:
     """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
     block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
-    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders."""
+    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders.
+
+    >>> error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
+    ErrorLimits: errors at most envelope ..., peak ..., pointwise ...
+    """
 
     limits: dict[str, Limit]
     block_limit: Floats
     cells_hz: Floats
     cell_limit: Floats
     notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def _facts(self) -> dict[str, object]:
+        upper = ", ".join(f"{name} {upwards(limit.upper)}" for name, limit in self.limits.items())
+        return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
 def checked_sharpness(sharpness: float) -> None:
@@ -61,6 +71,10 @@ def error_limits(
 
     Raises:
         InputError: inputs that are not those of the problem.
+
+    >>> limits = error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
+    >>> sorted(limits.limits)
+    ['envelope', 'peak', 'pointwise']
     """
     problem = reference.problem
     if reduced.B.shape[1] != problem.B.shape[1]:

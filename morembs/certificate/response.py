@@ -6,9 +6,15 @@ both models carry exactly, would hide every difference at low frequency.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
+from morembs.interface import Interface
+from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
@@ -16,10 +22,17 @@ from morembs.responses.reference import reference_model
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 
 
 def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
-    """Elastic part of H (nf, m, m) of a reduced model at ``omega`` (nf,) in rad/s."""
+    """Elastic part of H (nf, m, m) of a reduced model at ``omega`` (nf,) in rad/s.
+
+    >>> omega = 2 * np.pi * np.array([100.0, 1000.0])
+    >>> error = reduced_response(reduced, omega) - full_response(problem, omega)
+    >>> error.shape
+    (2, 12, 12)
+    """
     r = reduced.rigid_count
     if reduced.symmetric:
         E = reduced.modes()[1][:, r:]
@@ -45,5 +58,42 @@ def full_response(
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
         SolverError: the error does not fall below ``tolerance``.
+
+    >>> omega = 2 * np.pi * np.array([100.0, 1000.0])
+    >>> H = full_response(problem, omega)
+    >>> np.allclose(H, H.transpose(0, 2, 1))                         # Maxwell-Betti
+    True
     """
     return reference_model(problem, omega, tolerance=tolerance, progress=progress).response(omega)
+
+
+def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interface]) -> Any:
+    """A response H (nf, m, m) as an ``xarray.DataArray`` with the dimensions ``frequency_hz``, ``motion`` and ``load``.
+
+    Motions and loads are named as ``big_end x``, ``big_end rotation z``, or ``bore 1207 x`` (1207 is a row of the
+    nodes) where an interface exposes its nodes; m or rad per N or Nm.
+
+    Args:
+        frequencies_hz: (nf,) of the response, which is computed at 2 pi times these.
+        interfaces: those of the problem or part, in their order.
+
+    Raises:
+        InputError: xarray is not installed, or shapes that do not fit each other.
+
+    >>> hz = np.array([100.0, 1000.0])
+    >>> H = to_xarray(reduced_response(reduced, 2 * np.pi * hz), hz, interfaces)
+    >>> complex(H.sel(frequency_hz=100.0, motion="RIGHT x", load="LEFT x").item()).real < 0
+    True
+    """
+    xarray = optional("xarray", "to_xarray")
+    names = []
+    for interface in interfaces:
+        for component, node in zip(*interface.kind.columns(interface), strict=True):
+            names.append(" ".join([interface.name, *([str(node)] if node >= 0 else []), MOTIONS[component]]))
+    expected = (len(frequencies_hz), len(names), len(names))
+    if np.shape(H) != expected:
+        raise InputError(f"H has the shape {np.shape(H)}; expected {expected} of these frequencies and interfaces")
+    return xarray.DataArray(
+        H, dims=("frequency_hz", "motion", "load"), name="H",
+        coords={"frequency_hz": np.asarray(frequencies_hz), "motion": names, "load": names},
+    )  # fmt: skip

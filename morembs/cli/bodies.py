@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from morembs.cli.messages import print_json, printing
+from morembs import stopping
+from morembs.cli.messages import Failure, print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
 from morembs.options import pairs
@@ -17,21 +19,26 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]
+Documents = list[dict[str, Any]] | None
 BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
 
 
 @app.command(epilog=EPILOG)
-def info(file: BodyFile, as_json: AsJson = False) -> None:
-    """Show what a body file holds."""
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False)],
+    as_json: AsJson = False,
+) -> None:
+    """Show what body files hold."""
     from morembs.cli.report_stored import show
 
-    with messages():
-        show(file, as_json=as_json)
+    each_file(files, as_json, lambda file, documents: show(file, documents))
 
 
 @app.command(epilog=EPILOG)
 def export(
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE.h5]", help="A body file.", show_default=False)] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FILE.h5...]", help="Body files.", show_default=False)
+    ] = None,
     to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
     body: BodyName = None,
@@ -42,27 +49,56 @@ def export(
     listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a body for another program."""
+    """Write bodies for another program."""
     from morembs.exporters import EXPORTERS, export_body
 
     if listed:
         targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
         with messages(), printing():
             if as_json:
-                print_json(targets)
+                print_json([{"name": name, "about": about} for name, about in targets.items()])
             else:
                 typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
         return
     with messages():
-        if file is None or to is None:
+        if not files or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
+        if out is not None and len(files) > 1:
+            raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
+
+    def write(file: Path, documents: Documents) -> None:
         done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame)
         paths = [str(path) for path in done.paths]
+        if documents is not None:
+            documents.append({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
+            return
         with printing(paths):
-            if as_json:
-                print_json({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
-            else:
-                typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
+            typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
+
+    each_file(files, as_json, write)
+
+
+def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Documents], None]) -> None:
+    """Do ``work`` for each file: it prints, or adds to the documents; a file that fails does not stop the others.
+
+    Raises:
+        typer.Exit: some failed.
+    """
+    documents: list[dict[str, Any]] = []
+    failed: list[Failure] = []
+    for file in files:
+        stopping.check()
+        before = len(failed)
+        with messages(failed, f"{file}: " if len(files) > 1 else ""):
+            work(file, documents if as_json else None)
+        if len(failed) > before and len(files) > 1:
+            documents.append({"file": str(file), "error": failed[-1].message})
+    if documents and as_json:
+        written = [path for document in documents for path in document.get("written", ())]
+        with messages(failed), printing(written):
+            print_json(documents)
+    if failed:
+        raise typer.Exit(min(fault.code for fault in failed))
 
 
 @app.command(epilog=EPILOG)
@@ -96,10 +132,10 @@ def _print_recovered(done: Recovered, as_json: bool) -> None:
     if as_json:
         if peak is not None:
             peak["jump_pa"] = done.peak_jump
-        print_json({
+        print_json([{
             "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
             "worst_jump": worst, "notes": list(done.notes),
-        })  # fmt: skip
+        }])  # fmt: skip
         return
     typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
     if done.peak is not None:

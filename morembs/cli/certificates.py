@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from morembs.cli.tables import plain_table, titled
+from morembs.summary import upwards
 
 MEASURES = ("envelope", "peak", "pointwise")
 KINDS = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
@@ -85,17 +86,6 @@ def _largest(deviations: Any) -> str:
     known = np.asarray(deviations, dtype=float)
     known = known[np.isfinite(known)]
     return f"{known.max():.1e}" if len(known) else "-"
-
-
-def upwards(value: float) -> str:
-    """A limit in words, never less than ``value``."""
-    if not np.isfinite(value):
-        return "unbounded"
-    shown = f"{value:.1e}"
-    if float(shown) < value:
-        digits, power = shown.split("e")
-        shown = f"{float(digits) + 0.1:.1f}e{power}"
-    return shown
 
 
 def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str]:

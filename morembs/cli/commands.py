@@ -5,6 +5,7 @@ What a verb needs it imports itself: most of the time of short commands would go
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -15,7 +16,7 @@ import typer
 
 from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
-from morembs.cli.messages import console, print_json, printing, warn
+from morembs.cli.messages import console, echo, print_json, printing, warn
 from morembs.cli.models import app as models
 from morembs.cli.terminal import (
     EPILOG,
@@ -72,13 +73,13 @@ def reduce(
 
 @app.command(epilog=EPILOG)
 def compare(
-    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job with errors to compare.", show_default=False)],
+    jobs: Jobs,
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
     report: Report = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a job and set its reductions side by side: order, errors, time, memory."""
+    """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.cli.report import print_contenders, without_nan
     from morembs.jobs.inputs import source_of
     from morembs.jobs.job import load_job
@@ -89,6 +90,8 @@ def compare(
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
+            if len(jobs) > 1:
+                raise InputError(f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it")
             if picture.suffix not in (".png", ".pdf", ".svg"):
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
@@ -112,7 +115,7 @@ def compare(
         }
         return document, lambda: print_contenders(console(), str(path), compared)
 
-    each_job([job], as_json, work, quiet, report=report)
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, ()), report)
 
 
 @app.command(epilog=EPILOG)
@@ -134,6 +137,40 @@ def check(
     each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
 
 
+@app.command(epilog=EPILOG)
+def init(
+    file: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh or a model file.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
+    ] = None,
+    units: Annotated[str, typer.Option(help="Length, mass and time of the mesh.")] = "m-kg-s",
+) -> None:
+    """Write a first job for a mesh or a model file, with comments."""
+    from morembs.jobs.template import job_text, refuse_existing
+    from morembs.storage.safefile import replacing
+    from morembs.units import parse_units
+
+    with messages():
+        job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
+        if job.suffix != ".toml":
+            raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
+        refuse_existing(job)
+        text = job_text(file, job.parent, parse_units(units))
+        with replacing(job) as written:
+            written.write(text.encode())
+        with printing([str(job)]):
+            typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
+
+
+@app.command(epilog=EPILOG)
+def schema() -> None:
+    """Print the JSON schema of job files, by which editors complete and check keys."""
+    from morembs.jobs.schema import JobTables
+
+    with messages(), printing():
+        echo(json.dumps(JobTables.model_json_schema(), indent=2))
+
+
 def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[int, str]:
     """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
     from morembs.jobs.inputs import clashes
@@ -153,16 +190,17 @@ app.add_typer(models)
 
 @app.command(epilog=EPILOG)
 def solvers(as_json: AsJson = False) -> None:
-    """List the sparse solvers, the best first, and why some cannot run here."""
+    """List the sparse solvers, and why some cannot run here."""
     from morembs.linalg.sparse.select import available_solvers
 
     with messages(), printing():
         known = available_solvers()
         if as_json:
-            print_json({name: {"available": not reason, "reason": reason} for name, reason in known.items()})
+            print_json([{"name": name, "available": not why, "reason": why} for name, why in known.items()])
             return
         for name, reason in known.items():
             typer.echo(f"{name}: {reason or 'available'}")
+        typer.echo('Models differ: "auto" weighs those that can run for each one, and says which it takes and why.')
 
 
 def _show_version(wanted: bool) -> None:

@@ -6,9 +6,10 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from morembs import stopping
-from morembs.cli.messages import BAD_INPUT, FAULT, echo, failure, tell
+from morembs.cli.messages import BAD_INPUT, FAULT, echo, failure, print_json, printing, tell
 from morembs.linalg.sparse.interruptible import calls_running
 from morembs.version import VERSION
 
@@ -87,7 +88,14 @@ def _work(arguments: Sequence[str]) -> None:
     elif plain[:1] == ["info"] and len(plain) == 2 and not plain[1].startswith("-") and len(arguments) - len(plain) < 2:
         from morembs.cli.report_stored import show
 
-        show(plain[1], as_json="--json" in arguments)
+        documents: list[dict[str, Any]] = []
+        try:
+            show(plain[1], documents if "--json" in arguments else None)
+        finally:
+            # Of a body that contradicts itself too.
+            if documents:
+                with printing():
+                    print_json(documents)
     else:
         import typer.main
 

@@ -99,5 +99,6 @@ def console() -> Console:
     return Screen() if sys.stdout.isatty() else Screen(width=PIPE_WIDTH)
 
 
-def print_json(document: object) -> None:
-    echo(json.dumps(document, indent=2, allow_nan=False))
+def print_json(documents: Sequence[object]) -> None:
+    """A list, whether of one document or of several."""
+    echo(json.dumps(list(documents), indent=2, allow_nan=False))

@@ -73,7 +73,7 @@ def import_model(
         formats, engines = list_formats(), list_engines()
         with messages(), printing():
             if as_json:
-                print_json({**formats, "engines": engines})
+                print_json([{"name": name, "about": about} for name, about in {**formats, **engines}.items()])
             else:
                 lines = [f"{name}: {about}" for name, about in formats.items()]
                 typer.echo("\n".join([*lines, *(f"--engine {name}: {about}" for name, about in engines.items())]))
@@ -108,7 +108,7 @@ def import_model(
             done = run_import(job, check=check, strict=strict, progress=progress)
         with printing([str(done.path)]):
             if as_json:
-                print_json(_document(done))
+                print_json([_document(done)])
             else:
                 typer.echo("\n".join(_lines(done)))
 
@@ -136,13 +136,13 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         command = answered_by(error.source, error.problems, error.given)
         with printing():
             if as_json:
-                print_json({
+                print_json([{
                     "importable": False, "command": command,
                     "problems": [
                         {"what": p.what, "file": p.file, "line": p.line, "keyword": p.keyword, "flags": list(p.flags)}
                         for p in error.problems
                     ],
-                })  # fmt: skip
+                }])  # fmt: skip
             else:
                 lines = [f"problem: {problem.what}" for problem in error.problems]
                 lines += [f"all of it is answered by: {command}"] if command else []
@@ -153,7 +153,7 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         if as_json:
             document = _document(done)
             document.pop("written")
-            print_json({"importable": True, **document})
+            print_json([{"importable": True, **document}])
         else:
             lines = _lines(done)
             size, nodes = done.model.size, len(done.model.nodes)
@@ -188,5 +188,7 @@ def _lines(done: ImportResult) -> list[str]:
     lines += [f"note: {note}" for note in model.notes]
     if done.outlook is not None:
         lines.insert(1, f"the body: {done.outlook.words}")
-    lines += [f"warning: {text}" for text in done.warnings]
-    return lines + ([done.diagnosis.text()] if done.diagnosis is not None else [])
+    # An examination finds what is warned of without one, and says more.
+    found = "" if done.diagnosis is None else done.diagnosis.text()
+    lines += [f"warning: {text}" for text in done.warnings if text not in found]
+    return lines + ([found] if found else [])

@@ -15,11 +15,12 @@ import numpy as np
 
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
-from morembs.cli.certificates import KINDS, MEASURES, upwards
+from morembs.cli.certificates import KINDS, MEASURES
 from morembs.cli.tables import bytes_words
 from morembs.errors import InputError, MorembsError
 from morembs.progress import duration_words
 from morembs.storage.safefile import check_writable, replacing
+from morembs.summary import upwards
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
@@ -151,8 +152,10 @@ def _recommended(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _pictures(place: Path, stored: StoredBodies, shown: str) -> dict[str, Any]:
     """The first mode for the row; four modes and the response with its certificates for the section."""
-    from morembs.jobs.compare import stored_response, stored_shapes
-    from morembs.jobs.picture import draw_first, draw_response, draw_shapes
+    from morembs.body.drawing import draw_first, draw_shapes
+    from morembs.body.shapes import stored_shapes
+    from morembs.jobs.compare import stored_response
+    from morembs.jobs.picture import draw_response
 
     shapes, response = stored_shapes(place, stored, shown), stored_response(stored)
     pictures = []

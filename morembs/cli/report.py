@@ -118,6 +118,8 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
     for first in range(0, len(result.bodies), BODIES_PER_TABLE):
         table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
         titled(console, "free-free frequencies, rigid-body modes left out", table)
+        if result.bodies[0].full_frequencies_hz is not None and any("-" in column.cells for column in table.columns):
+            console.print("-: the body has no such mode, or none that stands for one of the full model", soft_wrap=True)
     titled(console, "mass properties", mass_table(part.mass, part.center_of_mass, part.inertia))
     _print_certificates(console, result.bodies)
     titled(console, "cost", _cost(result))

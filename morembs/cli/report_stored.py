@@ -10,9 +10,10 @@ import numpy as np
 
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
-from morembs.cli.messages import console, print_json, printing
+from morembs.cli.messages import console, printing
 from morembs.diagnostics.delivery_check import refuse_unsound, stored_findings
 from morembs.diagnostics.findings import Diagnosis
+from morembs.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,21 +21,43 @@ if TYPE_CHECKING:
 SHOWN_FREQUENCIES = 10
 
 
-def show(file: str | Path, *, as_json: bool) -> None:
-    """Print what a body file holds, and what is wrong with it.
+def show(file: str | Path, documents: list[dict[str, Any]] | None) -> None:
+    """Print what a body file holds, or add it to the ``documents``, and say what is wrong with it.
 
     Raises:
         InputError: the file cannot be used, or contradicts itself.
         OutputError: standard output cannot be written.
     """
-    stored = read_body(file, whole=True)
+    try:
+        stored = read_body(file, whole=True)
+    except InputError:
+        _refuse_model(Path(file))
+        raise
     diagnoses = stored_findings(stored)
-    with printing():
-        if as_json:
-            print_json(stored_json(str(file), stored, diagnoses))
-        else:
+    if documents is not None:
+        documents.append(stored_json(str(file), stored, diagnoses))
+    else:
+        with printing():
             print_stored(console(), str(file), stored, diagnoses)
     refuse_unsound(str(file), diagnoses)
+
+
+def _refuse_model(path: Path) -> None:
+    """Say what a model file holds, if ``path`` is a sound one, and what it is for.
+
+    Raises:
+        InputError: it is one.
+    """
+    from morembs.importers.model_file import is_model_file, read_model
+
+    if not is_model_file(path):
+        return
+    model = read_model(path)
+    couplings = f", couplings {', '.join(model.couplings)}" if model.couplings else ""
+    raise InputError(
+        f"{path} is a model file ({model.size:,} dofs at {len(model.nodes):,} nodes{couplings}), and info shows body "
+        f"files; morembs init {path} writes a job that reduces it, and morembs check says what the job needs"
+    )
 
 
 def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from morembs.floating.frame import FloatingFrame
@@ -15,11 +16,21 @@ from morembs.floating.ranking import RankedTerm
 Floats = NDArray[np.float64]
 # Terms of a ranking that are shown.
 SHOWN_TERMS = 8
+# No table is wider, in columns.
+WIDEST = 1000
 
 
 def titled(console: Console, title: str, table: Table) -> None:
+    """Print a table; on a terminal that is too narrow its lines run on below, and no word or number is broken."""
     console.print(f"\n[bold]{title}[/]", highlight=False, soft_wrap=True)
-    console.print(table)
+    for column in table.columns:
+        texts = [str(column.header), *map(str, column.cells)]
+        words = texts if column.no_wrap else [word for text in texts for word in text.split()]
+        column.min_width = max(map(len, words), default=0)
+    width = console.width
+    console.width = max(width, Measurement.get(console, console.options.update(width=WIDEST), table).minimum)
+    console.print(table, crop=False)
+    console.width = width
 
 
 def words(kinds: Sequence[str]) -> str:
@@ -30,7 +41,7 @@ def words(kinds: Sequence[str]) -> str:
 
 def plain_table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column(columns[0])
+    table.add_column(columns[0], no_wrap=True)
     for column in columns[1:]:
         table.add_column(column, justify="right")
     table.show_header = any(columns)

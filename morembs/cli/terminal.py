@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -33,7 +34,7 @@ EPILOG = (
 )
 
 Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print a list of JSON documents on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
@@ -53,7 +54,11 @@ def leave_with_input() -> None:
         with suppress(OSError, ValueError):
             while os.read(0, 4096):
                 pass
-        os.kill(os.getpid(), signal.SIGTERM)
+        if sys.platform == "win32":
+            # Another process cannot be asked to end there, and os.kill ends this one without cleaning up.
+            _thread.interrupt_main(signal.SIGTERM)
+        else:
+            os.kill(os.getpid(), signal.SIGTERM)
 
     Thread(target=wait, daemon=True).start()
 
@@ -200,7 +205,7 @@ def each_job(
             _write_report(report, documents)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
-            print_json(documents if len(jobs) > 1 else documents[0])
+            print_json(documents)
     if failed:
         raise typer.Exit(min(fault.code for fault in failed))
 

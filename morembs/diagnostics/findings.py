@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model import DofMap, Nodes
+from morembs.summary import summarised
 
 Ints = NDArray[np.int64]
 SEVERITIES = ("error", "warning", "note")
@@ -39,6 +40,7 @@ class Finding:
         return f"{self.severity}: {self.sentence}" + (f"; {self.cure}" if self.cure else "")
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:
     """All findings, the gravest first, and the ``facts`` (numbers by name) that were measured on the way."""
@@ -50,6 +52,10 @@ class Diagnosis:
         order = sorted(self.findings, key=lambda finding: SEVERITIES.index(finding.severity))
         object.__setattr__(self, "findings", tuple(order))
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+
+    def _facts(self) -> dict[str, object]:
+        counts = {severity: sum(each.severity == severity for each in self.findings) for severity in SEVERITIES}
+        return {f"{severity}s": count for severity, count in counts.items()}
 
     @property
     def errors(self) -> tuple[Finding, ...]:

@@ -56,6 +56,9 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
 
     Raises:
         InputError: matrices that no reduction takes, or errors of the examination, all in one message.
+
+    >>> examined(model)
+    ()
     """
     refuse_complex(model)
     diagnosis = diagnosis_of(model, declared=declared, budget=budget)

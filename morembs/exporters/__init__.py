@@ -77,6 +77,10 @@ def export_body(
     Raises:
         InputError: unknown target, option or body, or a body that cannot be expressed in the target.
         OutputError: the file cannot be written.
+
+    >>> path = write_body("bar.h5", [body])
+    >>> [file.name for file in export_body("bar.h5", "matrix-market").paths]
+    [...]
     """
     exporter = make_exporter(to, options)
     place = Path(source)

@@ -20,6 +20,7 @@ from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
 from morembs.model import frozen, rigid_motion, skew
 from morembs.moved import renamed
+from morembs.summary import summarised
 
 if TYPE_CHECKING:
     from morembs.problem import Problem
@@ -31,6 +32,7 @@ FRAMES = {"mean-axes": 0, "center-of-mass": 1, "tangent": 1, "chord": 2}
 RIGID_MOTIONS = 6
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InterfaceMarker:
     """The frame of an interface: ``point`` (3,) undeformed, from the origin of the body frame; ``motion`` (6, n)
@@ -44,6 +46,7 @@ class InterfaceMarker:
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FloatingFrame:
     """An elastic body in its floating frame, with n elastic coordinates q.
@@ -52,6 +55,9 @@ class FloatingFrame:
     axes are those of the model). Coordinates of the reduced model are ``elastic`` (nr, n) @ q; ``rigid`` (nr, 6) are
     those of unit translations and rotations about the origin. ``Ke``, ``De`` (n, n); ``markers`` of all rigid and
     average interfaces. ``notes`` say what is not exact.
+
+    >>> body.floating.in_frame("tangent", ["LEFT"])
+    FloatingFrame: kind tangent; interfaces LEFT; elastic coordinates 12; mass 7.85; markers LEFT, RIGHT
     """
 
     kind: str
@@ -74,6 +80,13 @@ class FloatingFrame:
     def count(self) -> int:
         """Number n of elastic coordinates."""
         return len(self.Ke)
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "kind": self.kind, "interfaces": list(self.interfaces), "elastic coordinates": self.count,
+            "mass": float(self.integrals.mass), "markers": list(self.markers),
+            "geometric stiffening": None if self.stiffening is None else "yes", "notes": "; ".join(self.notes),
+        }  # fmt: skip
 
     def in_frame(self, kind: str, interfaces: Sequence[str] = ()) -> FloatingFrame:
         """The same body seen from another frame. Geometric stiffening is left out: it belongs to the loads of a frame.
@@ -202,6 +215,9 @@ def floating_frame(
 
     Raises:
         InputError: a body that is held or whose equations are not symmetric (see ``floats``), or an impossible frame.
+
+    >>> floating_frame(problem, reduced, kind="chord", interfaces=["LEFT", "RIGHT"]).count
+    12
     """
     from morembs.linalg.columns import dot, multiply
 

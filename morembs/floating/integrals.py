@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.model import FEModel, frozen, rigid_motion, skew
+from morembs.summary import summarised
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -33,6 +34,7 @@ SAME_MASS = 1e-12
 WIDEST = 32
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShapeIntegrals:
     """Integrals of a body with n elastic shapes; SI units, shapes without unit where q is a length.

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import PAIRS
 from morembs.model import frozen
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 AXES = "xyz"
@@ -37,6 +38,9 @@ class Envelope:
 
     Raises:
         InputError: a negative number or none.
+
+    >>> Envelope(acceleration=20.0, speed=100.0, share=0.05).speed
+    100.0
     """
 
     acceleration: float | None = None
@@ -64,6 +68,7 @@ class Envelope:
         return limits
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stiffening:
     """Geometric stiffness per unit load, for n elastic coordinates of one floating frame, symmetric matrices.

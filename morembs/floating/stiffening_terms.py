@@ -65,6 +65,10 @@ def geometric_stiffening(
     Raises:
         InputError: a model without elements, or a body that has no floating frame.
         SolverError: a stiffness of the frame that is not positive.
+
+    >>> stiffening = geometric_stiffening(problem, reduced, body.floating)
+    >>> len(stiffening.share)                                        # 3 + 3 + 6 of the frame, 6 of each interface
+    24
     """
     reason = why_no_stiffening(problem.model) or why_not_floating(reduced)
     if reason:

@@ -116,6 +116,11 @@ def read_mesh(
     Raises:
         InputError: the file is missing, cannot be read, or has elements of an unsupported type or with middle nodes in
             no known order; units not known.
+
+    >>> import meshio
+    >>> meshio.Mesh(nodes.xyz, [("hexahedron", cells)]).write("bar.vtk")
+    >>> read_mesh("bar.vtk")
+    Mesh: nodes 20; elements 4 hex8; source bar.vtk
     """
     path, units = Path(path), parse_units(units) if isinstance(units, str) else units
     if not isinstance(units, Units | None):

@@ -37,6 +37,11 @@ def from_matrices(
 
     Raises:
         InputError: matrices that are not square, of different sizes, or not finite, or dofs that do not fit them.
+
+    >>> from_matrices([[2.0, -1.0], [-1.0, 2.0]], [[1.0, 0.0], [0.0, 1.0]], name="two masses").size
+    2
+    >>> from_matrices(model.K, model.M, nodes=nodes, name="bar again")
+    FEModel: dofs 60; nodes 20; matrices K, M; source bar again
     """
     given = {"K": K, "M": M, "D": D}
     missing = [role for role in ("K", "M") if given[role] is None]

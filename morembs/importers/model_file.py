@@ -87,6 +87,15 @@ def is_body_file(path: Path) -> bool:
         return False
 
 
+def is_model_file(path: Path) -> bool:
+    """Whether ``path`` is a model file of ours, sound or not."""
+    try:
+        with reading(path, "a model file") as file:
+            return is_format(file, FORMAT)
+    except InputError:
+        return False
+
+
 def sha256(path: Path) -> str:
     """Checksum of a file in hexadecimal digits.
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.model import FEModel, frozen
 from morembs.plugins import Registry
+from morembs.summary import summarised
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -21,6 +22,7 @@ Ints = NDArray[np.int64]
 SIX = (0, 1, 2, 3, 4, 5)
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interface:
     """Named interface of a model.
@@ -28,6 +30,9 @@ class Interface:
     ``nodes`` (ns,) rows of ``Nodes.xyz``; ``point`` (3,) origin of the frame in m; ``axes`` (3, 3) its
     axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
     else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed.
+
+    >>> interfaces[0]
+    Interface: name LEFT; coupling rigid; nodes 4; point [0.0, 0.025, 0.025]; components 0, 1, 2, 3, 4, 5
     """
 
     name: str
@@ -50,6 +55,12 @@ class Interface:
             InputError: a coupling that is not in ``COUPLINGS``.
         """
         return coupling_kind(self.name, self.coupling)
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "name": self.name, "coupling": self.coupling, "nodes": len(self.nodes), "point": self.point,
+            "components": ", ".join(map(str, self.components)),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

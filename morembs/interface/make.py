@@ -35,6 +35,9 @@ def make_interface(
     Raises:
         InputError: unknown coupling, no nodes, components that a node lacks, or collinear nodes under a rigid or
             average coupling; a text, labels or other numbers in place of rows.
+
+    >>> make_interface(model, name="tip", nodes=select_nodes(model, "set:RIGHT"), coupling="average").point
+    array([0.4  , 0.025, 0.025])
     """
     kind = coupling_kind(name, coupling)
     rows = np.unique(_rows(model, name, nodes))

@@ -11,20 +11,14 @@ from numpy.typing import NDArray
 from morembs.body import ElasticBody, make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
+from morembs.body.shapes import Shapes, mode_shapes
 from morembs.budget import Budget
 from morembs.certificate.certify import Certificate, certify
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
 from morembs.importers.model_file import read_model
-from morembs.jobs.compare import (
-    FrequencyResponse,
-    Shapes,
-    certified_response,
-    frequency_response,
-    mode_shapes,
-    recommended,
-)
+from morembs.jobs.compare import FrequencyResponse, certified_response, frequency_response, recommended
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
@@ -53,6 +47,7 @@ from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
 from morembs.storage.contents import Content, files_read
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -60,6 +55,7 @@ BAND = (0.2, 1.1)
 BAND_POINTS = 400
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
@@ -80,6 +76,13 @@ class JobResult:
     shapes: Shapes | None = None
     warnings: tuple[str, ...] = ()
     inputs: Mapping[str, Content] = field(default_factory=dict)
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "job": self.job.path.name, "dofs": self.dofs, "solver": self.solver,
+            "bodies": ", ".join(f"{body.name} (order {body.reduced.order})" for body in self.bodies),
+            "seconds": sum(stage.seconds for stage in self.stages), "warnings": len(self.warnings) or None,
+        }  # fmt: skip
 
     @property
     def solver(self) -> str:

@@ -76,6 +76,9 @@ def assemble(
         InputError: a material names an unknown set, an element has no or two materials, is inverted or
             degenerate, has its middle nodes in no known order, or nodes belong to no element; a formulation or a rule
             of the mass that is not for the type of its elements.
+
+    >>> assemble(mesh, [steel]).K.shape
+    (60, 60)
     """
     other_mass = mass_warnings(mesh, mass_integration)
     mesh = mesh_in_order(mesh)

@@ -15,6 +15,7 @@ from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.model.material import Material
+from morembs.summary import summarised
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -29,12 +30,16 @@ LARGEST = 1e75
 SCALAR = 6
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nodes:
     """Nodes of a model.
 
     ``ids`` (n,) labels of the file the model came from; ``xyz`` (n, 3) coordinates in m;
     ``sets`` maps a name to rows of ``xyz`` (not labels), sorted.
+
+    >>> nodes.sets["LEFT"]
+    array([0, 1, 2, 3])
     """
 
     ids: Ints
@@ -51,7 +56,11 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def _facts(self) -> dict[str, object]:
+        return {"count": len(self), "sets": list(self.sets)}
 
+
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElementBlock:
     """Elements of one type.
@@ -59,6 +68,9 @@ class ElementBlock:
     ``type`` is a name of ``morembs.model.elements.TYPES``; ``nodes`` (ne, k) rows of ``Nodes.xyz`` in VTK
     order; ``ids`` (ne,) labels of the file. ``formulation`` of the strain and rule of the ``mass`` are names of
     ``FORMULATIONS`` and ``MASSES`` in ``morembs.model.formulations``.
+
+    >>> ElementBlock(type="hex8", nodes=cells, ids=np.arange(1, 5)).nodes.shape
+    (4, 8)
     """
 
     type: str
@@ -72,6 +84,7 @@ class ElementBlock:
         object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
@@ -80,6 +93,9 @@ class Mesh:
 
     Raises:
         InputError: coordinates beyond ``LARGEST``.
+
+    >>> mesh
+    Mesh: nodes 20; elements 4 hex8; node sets LEFT, RIGHT; source bar
     """
 
     nodes: Nodes
@@ -92,7 +108,20 @@ class Mesh:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
         refuse_far(self.nodes, self.source or "the mesh")
 
+    @property
+    def element_count(self) -> int:
+        """Number of elements of all blocks."""
+        return sum(len(block.ids) for block in self.blocks)
 
+    def _facts(self) -> dict[str, object]:
+        kinds = ", ".join(f"{len(block.ids):,} {block.type}" for block in self.blocks)
+        return {
+            "nodes": len(self.nodes), "elements": kinds or 0, "node sets": list(self.nodes.sets),
+            "element sets": list(self.element_sets), "source": self.source, "warnings": len(self.warnings) or None,
+        }  # fmt: skip
+
+
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DofMap:
     """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..6.
@@ -100,6 +129,12 @@ class DofMap:
     Components 0, 1, 2 are displacements along x, y, z and 3, 4, 5 rotations about them. Component 6 is a scalar, such
     as the coordinate of an incompatible mode: it has neither place nor direction, rigid motion leaves it at zero, and
     its node, which may have several, only says where it belongs.
+
+    >>> DofMap.translations(20)
+    DofMap: displacements 60; rotations 0; nodes 20
+    >>> model.dofs.of_nodes(np.array([0, 3]))
+    array([[ 0,  1,  2],
+           [ 9, 10, 11]])
     """
 
     node: Ints
@@ -117,6 +152,13 @@ class DofMap:
 
     def __len__(self) -> int:
         return len(self.node)
+
+    def _facts(self) -> dict[str, object]:
+        turns, scalars = int(self.turning.sum()), int((self.component == SCALAR).sum())
+        return {
+            "displacements": len(self) - turns - scalars, "rotations": turns, "scalars": scalars or None,
+            "nodes": len(np.unique(self.node)),
+        }  # fmt: skip
 
     @property
     def turning(self) -> NDArray[np.bool_]:
@@ -154,6 +196,7 @@ class DofMap:
         return table[rows]
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FEModel:
     """M u'' + D u' + K u = f of a finite-element model, in SI units.
@@ -169,6 +212,15 @@ class FEModel:
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
+
+    >>> model
+    FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar
+    >>> import scipy.sparse as sp
+    >>> springs = sp.csr_array(sp.diags_array([1e6] * 6))
+    >>> masses = sp.csr_array(sp.diags_array([2.0] * 6))
+    >>> two = Nodes(ids=np.array([1, 2]), xyz=np.array([[0.0, 0, 0], [1, 0, 0]]))
+    >>> FEModel(K=springs, M=masses, nodes=two, dofs=DofMap.translations(2)).size
+    6
     """
 
     K: sp.csr_array
@@ -207,6 +259,13 @@ class FEModel:
         """The rigid and average elements by name; each of them can serve as an interface."""
         elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
         return {element.name: element for element in elements}
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
+            "matrices": [name for name in ("K", "M", "D") if getattr(self, name) is not None],
+            "couplings": list(self.couplings), "source": self.source, "warnings": len(self.warnings) or None,
+        }  # fmt: skip
 
 
 def refuse_far(nodes: Nodes, source: str) -> None:

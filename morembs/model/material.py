@@ -8,14 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
-    """``stiffness`` (6, 6) in Pa and ``density`` in kg/m3 of the element set ``set``."""
+    """``stiffness`` (6, 6) in Pa and ``density`` in kg/m3 of the element set ``set``.
+
+    >>> steel
+    Material: set all; stiffness 6×6 numbers; density 7850
+    """
 
     set: str
     stiffness: Floats
@@ -38,6 +44,9 @@ def isotropic(*, set: str, young: float, poisson: float, density: float) -> Mate
 
     Raises:
         InputError: modulus or density not positive, or Poisson's ratio outside (-1, 0.5).
+
+    >>> isotropic(set="all", young=70e9, poisson=0.33, density=2700.0).density
+    2700.0
     """
     if not young > 0:
         raise InputError(f"material of set {set!r}: young = {young:g} Pa was given; expected a positive number")
@@ -72,6 +81,11 @@ def orthotropic(
 
     Raises:
         InputError: constants that give no positive strain energy, or axes that are not orthonormal.
+
+    >>> ply = orthotropic(set="all", young=(140e9, 10e9, 10e9), poisson=(0.3, 0.3, 0.4), shear=(5e9, 5e9, 3.5e9),
+    ...                   density=1600.0)
+    >>> bool(ply.stiffness[0, 0] > ply.stiffness[1, 1])
+    True
     """
     E1, E2, E3 = young
     nu12, nu13, nu23 = poisson

@@ -26,6 +26,11 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
 
     Raises:
         InputError: unknown form, set or label, wrong count of numbers, or nothing selected.
+
+    >>> select_nodes(model, "set:RIGHT")
+    array([16, 17, 18, 19])
+    >>> len(select_nodes(model, "box:0,0,0,0.1,1,1"))
+    8
     """
     kind, colon, rest = text.partition(":")
     known = ("set", "skin", "ids", *NUMBERS)

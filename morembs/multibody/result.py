@@ -15,6 +15,7 @@ from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.system import Assembly, State
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 
@@ -61,6 +62,7 @@ class Energy:
         return self.kinetic + self.potential
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
     """A run as its segments; a time at which it was restarted occurs twice, before and after the switch."""

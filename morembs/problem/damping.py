@@ -43,6 +43,9 @@ class Damping:
 
     Raises:
         InputError: negative or infinite numbers, ratios above 1, a wrong table, or Rayleigh and modal damping.
+
+    >>> Damping(modal=0.02).is_modal, Damping(alpha=1.0, beta=1e-6).is_rayleigh
+    (True, True)
     """
 
     alpha: float = 0.0

@@ -29,6 +29,7 @@ from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
 from morembs.problem.damping import Damping as Damping
 from morembs.progress import SILENT, Progress
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
@@ -46,6 +47,7 @@ SOFTER = (
 )
 
 
+@summarised
 class Problem(Closing):
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
@@ -56,6 +58,10 @@ class Problem(Closing):
     Raises:
         InputError: interfaces that do not fit together, unconnected parts, or structural damping of a model that has
             a damping matrix.
+
+    >>> with Problem(model, interfaces, damping=Damping(modal=0.02)) as problem:
+    ...     problem.K.shape, problem.rigid.shape
+    ((48, 48), (48, 6))
     """
 
     def __init__(
@@ -87,6 +93,13 @@ class Problem(Closing):
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "model": f"{self.model.size:,} dofs", "interfaces": [each.name for each in self.interfaces],
+            "coupled dofs": self.K.shape[0], "inputs": self.B.shape[1], "rigid-body modes": self.rigid.shape[1],
+            "solver": self.solver_name,
+        }  # fmt: skip
 
     def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
         """What ``make`` gives, computed once: solutions that several reducers need."""

@@ -50,6 +50,13 @@ def expand(
 
     Raises:
         InputError: a trajectory that does not fit the body, or results too large for single precision.
+
+    >>> write_body("bar.h5", [body])
+    PosixPath('bar.h5')
+    >>> stored = read_body("bar.h5")
+    >>> rest = Trajectory(times=np.array([0.0, 1.0]), coordinates=np.zeros((2, 18)))
+    >>> expand(stored, stored.bodies["craig-bampton"], rest).displacement.shape
+    (2, 20, 3)
     """
     return Expander(source, body, recovery, scale, kept_bytes).expand(trajectory)
 

@@ -70,6 +70,11 @@ def recover(
     Raises:
         InputError: files that cannot be read or do not fit each other, or an option out of range.
         OutputError: ``out`` cannot be written; a file that was there before is unchanged.
+
+    >>> path = write_body("bar.h5", [body])
+    >>> rest = Trajectory(times=np.array([0.0, 1.0]), coordinates=np.zeros((2, 18)))
+    >>> recover(path, rest, "bar.vtkhdf", stress=False).steps
+    2
     """
     place, target = Path(body_file), Path(out)
     _check_options(place, trajectory_file, target, scale, every)

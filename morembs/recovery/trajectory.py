@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from morembs.body.vtkhdf_series import read_arrays
 from morembs.errors import InputError, MorembsError, nearest
 from morembs.memory import refuse_too_large, unpacked_bytes
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,6 +28,7 @@ _FRAME = ("x", "y", "z")
 _ROTATION = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
     """Motion of one body: ``times`` (nt,) in s, ascending, and ``coordinates`` (nt, nr) of the reduced model or
@@ -39,6 +41,9 @@ class Trajectory:
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, times that do not ascend, no rotation.
+
+    >>> Trajectory(times=np.linspace(0, 1, 11), coordinates=np.zeros((11, 18)))
+    Trajectory: times 11 numbers; coordinates 11×18 numbers
     """
 
     times: Floats
@@ -129,6 +134,10 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
     Raises:
         InputError: no such file, another format, or what ``Trajectory`` refuses.
+
+    >>> np.savez("motion.npz", time=np.linspace(0, 1, 11), coordinates=np.zeros((11, 18)))
+    >>> read_trajectory("motion.npz").coordinates.shape
+    (11, 18)
     """
     place = Path(path)
     if not place.is_file():

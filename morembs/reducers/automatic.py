@@ -54,6 +54,10 @@ class AutoReducer(OfResponses):
             followed in any case.
         measure: "envelope", "peak" or "pointwise".
         damping_floor: ratio of critical damping that is assumed, as in ``certify``.
+
+    >>> auto = AutoReducer(band_hz=[0.0, 5000.0], tolerance=0.05).reduce(problem)
+    >>> auto.order < problem.K.shape[0]
+    True
     """
 
     method: ClassVar[str] = "auto"

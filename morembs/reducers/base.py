@@ -20,6 +20,7 @@ from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts
 from morembs.responses.band import MOST_HZ as MOST_HZ
+from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
@@ -31,14 +32,17 @@ Floats = NDArray[np.float64]
 STIFFNESS_ERROR = 1e-2
 # Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
 LOW = 0.03
+# Larger models are shown without their frequencies, which are computed for that.
+SHOWN_ORDER = 400
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
-    "characteristic",
+    "characteristic", "foreign",
 )  # fmt: skip
 
 
 @with_old_names(left="W", inertial="V_velocity")
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Basis:
     """Columns ``V`` (Nc, n) in coupled dofs, the kind of each, their stiffness ``K`` (n, n), and the
@@ -63,6 +67,7 @@ class Basis:
 
 
 @with_old_names(left="W")
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedModel:
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
@@ -72,6 +77,11 @@ class ReducedModel:
     projection has symmetric matrices and C = B'; in others (``W`` (Nc, n) is what the equations were tested
     with, ``is_projection`` says whether one V expands all of M, D and K) the rigid-body modes come first.
     ``structural`` is a loss factor: in the frequency domain the stiffness is (1 + i structural) K; D has none of it.
+
+    >>> reduced
+    ReducedModel: name craig-bampton; order 18; coordinates 12 constraint + 6 fixed-interface; elastic ...
+    >>> reduced.K.shape, reduced.B.shape
+    ((18, 18), (18, 12))
     """
 
     name: str
@@ -97,6 +107,14 @@ class ReducedModel:
     def symmetric(self) -> bool:
         """Whether this is a Galerkin projection, whose matrices are symmetric."""
         return self.W is None
+
+    def _facts(self) -> dict[str, object]:
+        values = self.modes()[0][self.rigid_count :] if self.order <= SHOWN_ORDER else None
+        return {
+            "name": self.name, "order": self.order, "coordinates": kinds_words(self.mode_kind),
+            "elastic frequencies": None if values is None else hertz(np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)),
+            "inputs": self.B.shape[1],
+        }  # fmt: skip
 
     def modes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).

@@ -45,6 +45,9 @@ class CraigBampton(OfModes):
 
     Raises:
         InputError: both limits of the interfaces were given, or one out of range.
+
+    >>> CraigBampton(modes=6).reduce(problem).order                 # and 12 coordinates of the two interfaces
+    18
     """
 
     method: ClassVar[str] = "craig-bampton"

@@ -26,6 +26,9 @@ class FreeInterface(OfModes):
     Args:
         modes: number of elastic free-free modes; this or ``up_to_hz``.
         up_to_hz: all free-free modes up to this frequency.
+
+    >>> FreeInterface(modes=6).reduce(problem).rigid_count
+    6
     """
 
     method: ClassVar[str] = "free-interface"

@@ -73,6 +73,9 @@ class Gramian(OfResponses):
         static: keep the response to static interface forces exact: these displacements come first, among the ``order``.
         inertia_loads: also follow the inertia loads of a moving frame, each of the static energy of an average
             interface force.
+
+    >>> Gramian(band_hz=[0.0, 5000.0], order=6).reduce(problem).order     # and 6 rigid-body modes
+    12
     """
 
     method: ClassVar[str] = "gramian"

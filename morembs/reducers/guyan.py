@@ -12,7 +12,11 @@ from morembs.reducers.base import Basis, Reducer
 
 @dataclass(frozen=True, kw_only=True)
 class Guyan(Reducer):
-    """Exact in statics; use it below about 0.3 of the lowest fixed-interface frequency."""
+    """Exact in statics; use it below about 0.3 of the lowest fixed-interface frequency.
+
+    >>> Guyan().reduce(problem).order
+    12
+    """
 
     method: ClassVar[str] = "guyan"
 

@@ -59,6 +59,9 @@ class Irka(OfResponses):
         band_hz: [low, high], the band that the error is measured in.
         max_steps: most steps of the iteration.
         tolerance: part of itself by which no shift may move any more.
+
+    >>> Irka(order=6, band_hz=[0.0, 5000.0]).reduce(problem).rigid_count
+    6
     """
 
     method: ClassVar[str] = "irka"

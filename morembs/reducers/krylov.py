@@ -64,6 +64,9 @@ class Krylov(Reducer):
     Peak memory: the columns twice beside the factor of one shift, which goes with the shift. Two things stay with the
     problem, for other reducers and for the body: the columns (8 bytes by Nc each) for the same shifts, and where 0 is
     among the shifts the factor of the statics. ``problem.release()`` gives both back.
+
+    >>> Krylov(shifts_hz=[0.0, 2000.0]).reduce(problem).symmetric
+    True
     """
 
     method: ClassVar[str] = "krylov"

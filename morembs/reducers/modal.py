@@ -24,6 +24,9 @@ class Modal(OfModes):
         modes: number of elastic modes; this or ``up_to_hz``.
         up_to_hz: all modes up to this frequency.
         interfaces: "free" (rigid-body modes come on top) or "fixed" (none are left).
+
+    >>> Modal(modes=4).reduce(problem).mode_kind.count("elastic")
+    4
     """
 
     method: ClassVar[str] = "modal"

@@ -58,6 +58,11 @@ class StaticModesSwitching(Reducer):
         band: number of neighbours along the path that may be loaded together; all by default.
         stress: keep the stress at the candidate nodes.
         length: unit in m of the numbers in ``candidates``; in a job that of the job.
+
+    >>> row = "box:0.05,-1,-1,0.35,0.01,0.01"                       # a line of nodes along the bar
+    >>> switched = StaticModesSwitching(base="modal", base_options={"modes": 4}, candidates=row).reduce(held)
+    >>> switched.order
+    4
     """
 
     method: ClassVar[str] = "static-modes-switching"

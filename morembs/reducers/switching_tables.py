@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.moved import renamed
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 Reals = NDArray[np.float32] | Floats
@@ -30,6 +31,7 @@ RANK = 1e-10
 _KEPT = 64
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticModeTables:
     """Tables of c candidate dofs on nc nodes that complement a constant basis of n coordinates.

@@ -30,6 +30,10 @@ def band_frequencies(
 
     Raises:
         InputError: not a band.
+
+    >>> hz = band_frequencies(problem, [0.0, 3000.0], points=20)
+    >>> hz[0], hz[-1]
+    (np.float64(0.0), np.float64(3000.0))
     """
     low, high = checked_band(band_hz)
     first = low if low > 0 else 1e-3 * high

@@ -31,6 +31,7 @@ from morembs.responses.rational import Terms, squares
 from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
 from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
+from morembs.summary import summarised, upwards
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -77,6 +78,7 @@ def checked_floor(given: float) -> float:
     return float(given)
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CertifiedReference:
     """Elastic part of the full model over ``band_hz``, forces and moments scaled by the radius of gyration.
@@ -86,6 +88,10 @@ class CertifiedReference:
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
     (nc + 1,) in rad/s and ``off`` (nc,) limits of |H - H_ref| over the envelope. ``proven`` is False where ``off`` is
     an estimate.
+
+    >>> reference = certified_reference(problem, [0.0, 3000.0])
+    >>> reference.proven, bool(reference.off.max() < 1e-6)
+    (True, True)
     """
 
     model: Reference
@@ -99,6 +105,12 @@ class CertifiedReference:
     edges: Floats
     off: Floats
     proven: bool
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "band": list(self.band_hz), "modes": len(self.values), "error": upwards(float(self.off.max(initial=0.0))),
+            "proven": self.proven, "damping floor": self.floor or None,
+        }  # fmt: skip
 
     @property
     def problem(self) -> Problem:
@@ -198,6 +210,9 @@ def certified_reference(
     Raises:
         InputError: no interfaces, not a band or a ratio, or modal damping beside a damping matrix of the model.
         SolverError: the count of modes contradicts the reference, or it does not become good enough.
+
+    >>> certified_reference(problem, [0.0, 3000.0]).band_hz
+    (0.0, 3000.0)
     """
     low, high = checked_band(band_hz)
     floor = floor_of(problem, (low, high), damping_floor)

@@ -82,6 +82,10 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
     Raises:
         InputError: as ``elastic_states``, or no interfaces.
         SingularMatrixError: an undamped eigenfrequency among ``omega``.
+
+    >>> H = direct_response(held, 2 * np.pi * np.array([50.0, 100.0]))
+    >>> H.shape
+    (2, 6, 6)
     """
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")

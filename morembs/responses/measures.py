@@ -46,7 +46,11 @@ TINY = np.finfo(float).tiny
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """The largest value over a band lies between ``lower``, reached ``at_hz``, and ``upper``; infinite ``upper``
-    where there is no limit."""
+    where there is no limit.
+
+    >>> Limit(lower=0.8, upper=1.0, at_hz=120.0).upper
+    1.0
+    """
 
     lower: float
     upper: float

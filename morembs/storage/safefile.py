@@ -191,7 +191,7 @@ def _complete(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
 def _take_names(places: Sequence[_Place]) -> None:
     """Take the names, all or none: a second name of the old file brings it back; none after a signal to end."""
     stopping.check()
-    for place in places if len(places) > 1 else ():
+    for place in places if len(places) > 1 and hasattr(os, "link") else ():
         # Not every disk has second names; then the message says which files are new.
         with contextlib.suppress(OSError):
             os.link(place.target, place.old)
@@ -271,7 +271,7 @@ def _refuse_planted(path: Path) -> None:
         link, folder = path.lstat(), path.parent.stat()
     except OSError:
         return
-    shared = folder.st_mode & stat.S_ISVTX and folder.st_mode & stat.S_IWOTH
+    shared = hasattr(os, "geteuid") and folder.st_mode & stat.S_ISVTX and folder.st_mode & stat.S_IWOTH
     if stat.S_ISLNK(link.st_mode) and shared and link.st_uid not in (os.geteuid(), folder.st_uid):
         raise OutputError(
             f"{path} cannot be written: it is a link that another user made in a folder for all; give another name"

@@ -80,7 +80,7 @@ def test_a_job_delivers_what_the_python_interface_gives_in_si_units(delivered, d
 def test_info_tells_what_is_in_the_file(delivered):
     shown = run("info", delivered[0]).stdout
     assert "tangent frame at left" in shown and "stress recovery" in shown and "inertia terms" in shown
-    document = json.loads(run("info", "--json", delivered[0]).stdout)["bodies"]["cb"]
+    document = json.loads(run("info", "--json", delivered[0]).stdout)[0]["bodies"]["cb"]
     assert document["frame"] == "tangent" and document["stress_recovery"] and document["ranking"][0][2] > 0
 
 
@@ -96,7 +96,7 @@ def test_a_motion_is_recovered_with_its_stress(delivered, direct, tmp_path):
     table.write_text("\n".join(lines))
     done = run("recover", delivered[0], table, "--out", tmp_path / "motion.vtkhdf", "--json")
     assert done.exit_code == 0, done.output
-    document = json.loads(done.stdout)
+    (document,) = json.loads(done.stdout)
     expected = von_mises(shapes.at(q)).max()
     assert document["steps"] == 3 and document["peak"]["time_s"] == 0.2
     assert document["peak"]["von_mises_pa"] == pytest.approx(expected, rel=1e-6)
@@ -118,7 +118,7 @@ def test_every_target_takes_the_body(delivered, tmp_path, target):
     out = tmp_path / {"exudyn": "part.hdf5"}.get(target, "part.out")
     done = run("export", delivered[0], "--to", target, "--out", out, "--json")
     assert done.exit_code == 0, done.output
-    document = json.loads(done.stdout)
+    (document,) = json.loads(done.stdout)
     assert all((tmp_path / path).stat().st_size > 100 for path in document["written"])
     assert any("stress shapes" in note for note in document["notes"])
     if target != "sid":

@@ -21,6 +21,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import morembs
+from morembs.body.drawing import viewed_axes
 from morembs.body.file import read_body
 from morembs.cli import commands as cli
 from morembs.cli import screen, terminal
@@ -28,7 +29,6 @@ from morembs.cli.certificates import Certified
 from morembs.cli.report import beside
 from morembs.importers import read_mesh
 from morembs.jobs.job import load_job
-from morembs.jobs.picture import viewed_axes
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.solver import Analysis
 from tests.support.commands import without_progress
@@ -45,7 +45,7 @@ def run(*arguments: str) -> Any:
     result = RUNNER.invoke(cli.app, [*arguments, "--json"])
     assert result.exit_code == 0, (result.stderr, result.exception)
     assert without_progress(result.stderr) == ""
-    return json.loads(result.stdout)
+    return json.loads(result.stdout)[0]
 
 
 def test_reduce_json(tmp_path: Path) -> None:
@@ -215,11 +215,12 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
     folder(tmp_path, {"solver": f'memory = "{needed} MB"', "output": output})
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["job_peak_memory_bytes"] < 1.05e6 * needed
+    assert json.loads(done.stdout)[0]["job_peak_memory_bytes"] < 1.05e6 * needed
 
 
 def test_solvers() -> None:
-    solvers = run("solvers")
+    result = RUNNER.invoke(cli.app, ["solvers", "--json"])
+    solvers = {one.pop("name"): one for one in json.loads(result.stdout)}
     assert list(solvers) == list(morembs.available_solvers())
     assert solvers["superlu"] == {"available": True, "reason": ""}
     assert "superlu: available" in RUNNER.invoke(cli.app, ["solvers"]).stdout
@@ -265,12 +266,12 @@ def test_lines_without_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(terminal, "LineProgress", at_once)
     job = str(folder(tmp_path))
     result = RUNNER.invoke(cli.app, ["reduce", job, "--json"])
-    assert json.loads(result.stdout)["dofs"] == 189
+    assert json.loads(result.stdout)[0]["dofs"] == 189
     lines = [re.fullmatch(r"\[[\d,]+ s\] ([a-z ]+).*", line) for line in result.stderr.splitlines()]
     assert all(lines), result.stderr
     assert {"read", "factorise", "solve modes", "reduce cb", "deliver"} <= {line[1] for line in lines if line}
     result = RUNNER.invoke(cli.app, ["reduce", job, "--json", "--quiet"])
-    assert json.loads(result.stdout)["dofs"] == 189 and result.stderr == ""
+    assert json.loads(result.stdout)[0]["dofs"] == 189 and result.stderr == ""
 
 
 class Clock:

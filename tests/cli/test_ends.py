@@ -281,7 +281,7 @@ def test_nobody_reads(job: Path) -> None:
     job.with_name("part.h5").unlink()
     done = printed_to(writer, "reduce", job, "--json", folder=job.parent, number=2)
     os.close(writer)
-    assert done.code == 0 and json.loads(done.output)["warnings"] and job.with_name("part.h5").is_file()
+    assert done.code == 0 and json.loads(done.output)[0]["warnings"] and job.with_name("part.h5").is_file()
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_matrices_of_every_format_arrive_as_they_were(tmp_path: Path, kind: str)
     arguments = written(tmp_path, kind, model)
     if kind != "exudyn":
         arguments += ["--nodes", write_nodes(tmp_path / "nodes.inp", model)]
-    document = json.loads(run(*arguments, "-o", out, "--check", "--json"))
+    (document,) = json.loads(run(*arguments, "-o", out, "--check", "--json"))
     again = read_model(out)
     assert np.abs(again.K - model.K).max() <= 1e-15 * np.abs(model.K).max()
     assert np.abs(again.M - model.M).max() <= 1e-15 * np.abs(model.M).max()
@@ -245,7 +245,7 @@ def test_a_job_on_a_coupling_of_the_model_file(tmp_path: Path) -> None:
         "*ELEMENT, TYPE=MASS, ELSET=P", "901, 900", "*MASS, ELSET=P", "2.0", "",
     ]  # fmt: skip
     deck.write_text(deck.read_text() + "\n".join(more))
-    document = json.loads(run(deck, "-o", tmp_path / "part.model.h5", "--json"))
+    (document,) = json.loads(run(deck, "-o", tmp_path / "part.model.h5", "--json"))
     (name,) = document["couplings"]
     reduce = '[[reduce]]\nmethod = "craig-bampton"\nmodes = 5\n[output]\npath = "part.h5"\n'
     start = '[[interface]]\nname = "start"\nnodes = "set:START"\n'
@@ -463,7 +463,7 @@ def test_list_names_every_format() -> None:
     lines = run("--list").strip().splitlines()
     named = [line.split(":")[0] for line in lines]
     assert [name for name in named if not name.startswith("--engine")] == list(IMPORTERS)
-    assert set(json.loads(run("--list", "--json"))) - {"engines"} == set(IMPORTERS)
+    assert {one["name"] for one in json.loads(run("--list", "--json"))} >= set(IMPORTERS)
 
 
 # Models from elsewhere.
@@ -556,7 +556,7 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     blocks = shared_data / "finetools" / "twoblocks.nas"
     assert "PSOLID 2 names no material" in refused(tmp_path, blocks)
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
-    document = json.loads(run(blocks, *both, "-o", out, "--json"))
+    (document,) = json.loads(run(blocks, *both, "-o", out, "--json"))
     assert document["nodes"] == 119 and [entry.set for entry in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]
 
 
@@ -570,7 +570,7 @@ def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
         output = run(tmp_path / "a.inp", "--units", unit, *given)
         assert f"the body: {size}, " in output and " kg, first elastic frequency about " in output
         assert ("warning: taken in mm-t-s, the body is tiny" in output) == size.startswith("0.0006")
-    document = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
+    (document,) = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
     assert document["body"]["extent"] == pytest.approx([0.6, 0.2, 0.2]) and document["warnings"] == []
     assert document["body"]["mass"] == pytest.approx(7850 * 0.6 * 0.2 * 0.2)
 
@@ -584,7 +584,7 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     assert result.exit_code == 2 and [line.split(":")[0] for line in lines[:3]] == ["problem"] * 3
     answer = "morembs import part.inp --contact skip --skip FANCY --density X"
     assert lines[3] == f"all of it is answered by: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
-    told = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
+    (told,) = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
     assert told["importable"] is False and told["command"] == answer and len(told["problems"]) == 3
     given = ["--contact", "skip", "--skip", "FANCY", "--density", "7.85e-9", "--units", "mm-t-s"]
     assert run(path, "--dry-run", *given).startswith("can be imported: 189 dofs at 63 nodes, read as abaqus; nothing")
@@ -592,7 +592,7 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     # A material that is given answers what is lacking.
     message = refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9,set=EALL")
     assert "2 problems" in message and "no *DENSITY" not in message
-    document = json.loads(run(path, *given, "--json", "-o", tmp_path / "part.model.h5"))
+    (document,) = json.loads(run(path, *given, "--json", "-o", tmp_path / "part.model.h5"))
     model = read_model(document["written"])
     assert model.materials[0].density == pytest.approx(7850.0)
     codes = {warning.rsplit("[", 1)[-1] for warning in model.warnings}

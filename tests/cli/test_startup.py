@@ -50,7 +50,7 @@ def test_info_loads_neither_methods_nor_solvers(body: str) -> None:
     output, modules = loaded("info", body)
     assert "craig-bampton" in output and not modules & heavy
     document, modules = loaded("info", "--json", body)
-    assert json.loads(document)["bodies"] and not modules & {*heavy, "rich"}
+    assert json.loads(document)[0]["bodies"] and not modules & {*heavy, "rich"}
 
 
 def test_both_ways_to_info_say_the_same(body: str) -> None:

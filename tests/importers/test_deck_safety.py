@@ -188,7 +188,7 @@ def test_a_material_that_lacks_something_is_refused_or_replaced_with_a_warning(
     path.write_text(whole.replace(less, ""))
     told = imported(path, code=2)
     assert set in told and ("has no" in told or "not in the file" in told)
-    said = json.loads(imported(path, "--json", "--material", f"young=1e5,poisson=0.3,density=1e-9,set={set}"))
+    (said,) = json.loads(imported(path, "--json", "--material", f"young=1e5,poisson=0.3,density=1e-9,set={set}"))
     assert any("the material that was given took its place" in one for one in said["warnings"])
     assert any("took its place" in one for one in read_model(path.with_suffix(".model.h5")).warnings)
 

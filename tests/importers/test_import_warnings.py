@@ -44,7 +44,7 @@ def test_a_warning_goes_from_the_deck_into_the_body_file(tmp_path: Path) -> None
     assert line.startswith("warning: 24 elements C3D8R are assembled with the mean strain and hourglass stiffness and ")
     assert "Abaqus" in line and line.endswith("[formulation-differs]")
     sentence = line.removeprefix("warning: ")
-    as_json = json.loads(
+    (as_json,) = json.loads(
         run("import", path, "--units", "mm-t-s", "--set", "dialect=abaqus", "-o", model, "--json", "--check")
     )
     assert as_json["warnings"] == [sentence] and sentence not in as_json["notes"]
@@ -53,11 +53,11 @@ def test_a_warning_goes_from_the_deck_into_the_body_file(tmp_path: Path) -> None
     assert stored.warnings == (sentence,)
     assert sentence in [one.sentence for one in diagnosis_of(stored).warnings]
     folder(tmp_path, {"model": f'file = "{model.name}"', "material": None})
-    assert sentence in json.loads(run("check", tmp_path / "job.toml", "--json"))["warnings"]
+    assert sentence in json.loads(run("check", tmp_path / "job.toml", "--json"))[0]["warnings"]
     assert f"warning: {sentence}" in run("reduce", tmp_path / "job.toml").replace("\n", " ")
     assert read_body(tmp_path / "part.h5").warnings[0] == sentence
     assert f"warning: {sentence}" in run("info", tmp_path / "part.h5")
-    assert sentence in json.loads(run("info", tmp_path / "part.h5", "--json"))["warnings"]
+    assert sentence in json.loads(run("info", tmp_path / "part.h5", "--json"))[0]["warnings"]
 
 
 def test_a_job_on_the_deck_itself_carries_the_warning_too(tmp_path: Path) -> None:
@@ -227,4 +227,4 @@ def test_a_mesh_that_stands_twice_in_its_file_is_told(tmp_path: Path) -> None:
                  '\ndensity = 7850.0', "interface": 'name = "a"\nnodes = "box: -1,-1,-1,0.001,1,1"',
                  "interface2": None}  # fmt: skip
         folder(tmp_path, model)
-        assert words in " ".join(json.loads(run("reduce", tmp_path / "job.toml", "--json"))["warnings"])
+        assert words in " ".join(json.loads(run("reduce", tmp_path / "job.toml", "--json"))[0]["warnings"])

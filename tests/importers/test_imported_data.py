@@ -30,7 +30,7 @@ def imported(folder: Path, arguments: list[str], out: Path) -> tuple[FEModel, di
     given = [argument.replace("@", f"{folder}/") for argument in arguments]
     result = CliRunner().invoke(app, ["import", *given, "-o", str(out), "--json"])
     assert result.exit_code == 0, result.stderr
-    return read_model(out), json.loads(result.stdout)
+    return read_model(out), json.loads(result.stdout)[0]
 
 
 def frequencies(model: FEModel, rigid: int, count: int, K_times: float) -> np.ndarray:

@@ -40,7 +40,7 @@ TWO_SIDED = 'method = "krylov"\ntwo_sided = true\ninputs = ["left"]\noutputs = [
 def checked(job: Path) -> Any:
     result = RUNNER.invoke(cli.app, ["check", str(job), "--json"])
     assert result.exit_code == 0, (result.stderr, result.exception)
-    return json.loads(result.stdout)
+    return json.loads(result.stdout)[0]
 
 
 REFUSED = {
@@ -151,7 +151,7 @@ def test_warnings_go_to_standard_error_first(tmp_path: Path) -> None:
     result = RUNNER.invoke(cli.app, ["reduce", str(job), "--json"])
     assert result.exit_code == 0 and "mm-t-s" in result.stderr
     assert without_progress(result.stderr).startswith("warning: ")
-    assert json.loads(result.stdout)["warnings"][0] in result.stderr
+    assert json.loads(result.stdout)[0]["warnings"][0] in result.stderr
 
 
 def test_python_can_ask_for_the_warnings() -> None:

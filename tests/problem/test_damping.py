@@ -185,7 +185,7 @@ def test_a_certificate_names_the_modes_that_a_jump_parts():
             assert np.abs(certificate.error - error).max() < 1e-6 * error.max() + 2e-6
             # The table gives ratios to the computed modes, and none of those in the band is near a jump.
             assert certificate.kind == "proven" and not [note for note in certificate.notes if "jumps between" in note]
-            assert [note for note in certificate.notes if note.startswith("modal damping acts on the")]
+            assert [note for note in certificate.notes if note.startswith("modal damping is that of the")]
             part = certificate.bound / error
             assert part.min() > 0.99 and np.median(part) < 1.1
     # Constraint modes alone are too stiff: a jump lies between both frequencies of the first mode.

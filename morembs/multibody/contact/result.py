@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, SolverError
 from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
 from morembs.multibody.result import Energy, Result
+from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +61,7 @@ class ContactSegment:
         )
 
 
+@summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactResult(Result):
     """A run with contact; times of impacts and other restarts occur twice, before and after."""

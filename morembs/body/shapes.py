@@ -1,0 +1,119 @@
+"""Mode shapes to look at: of a model with its reduction, of a body, of a body file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body.stored import StoredBodies
+from morembs.body.vtkhdf_series import Grid, read_grid, stored_modes
+from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.elements import FACES, TYPES
+from morembs.model.surface import outer_faces
+from morembs.problem import Problem
+from morembs.reducers.base import ReducedModel
+from morembs.summary import summarised
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+SHOWN_MODES = 4
+
+
+@summarised
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shapes:
+    """Elastic eigenmodes of a reduced body on the skin of the model.
+
+    ``points`` (n, 3) in m, ``triangles`` (nt, 3) rows of them, ``motion`` (k, n, 3) displacements of any
+    scale, ``frequencies_hz`` (k,); ``interfaces`` their points (3,) in m by name.
+    """
+
+    body: str
+    points: Floats
+    triangles: Ints
+    motion: Floats
+    frequencies_hz: Floats
+    interfaces: Mapping[str, Floats] = field(default_factory=dict)
+
+
+def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
+    """The lowest elastic eigenmodes of ``reduced`` on the skin; None if it has none, or the model no elements."""
+    mesh = problem.model.mesh
+    values, Y = reduced.modes()
+    shown = slice(reduced.rigid_count, reduced.rigid_count + SHOWN_MODES)
+    if mesh is None or not len(values[shown]):
+        return None
+    triangles = _triangles(outer_faces(mesh))
+    rows = np.unique(triangles)
+    dofs = problem.model.dofs.of_nodes(rows).ravel()
+    motion = problem.coupling.T[dofs] @ (reduced.V @ Y[:, shown])
+    return Shapes(
+        body=reduced.name, points=mesh.nodes.xyz[rows], triangles=np.searchsorted(rows, triangles),
+        motion=motion.T.reshape(-1, len(rows), 3), frequencies_hz=np.sqrt(np.maximum(values[shown], 0)) / (2 * np.pi),
+        interfaces={interface.name: interface.point for interface in problem.interfaces},
+    )  # fmt: skip
+
+
+def stored_shapes(path: Path, stored: StoredBodies, body: str) -> Shapes | None:
+    """The same of a body file; None if it keeps no cells or no shapes."""
+    grid = read_grid(path) if len(stored.node_ids) else None
+    own = stored.bodies[body]
+    frequencies_hz = own.frequencies_hz[own.rigid_count :]
+    points = {name: interface.point for name, interface in stored.interfaces.items()}
+    if grid is None:
+        return None
+    return shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
+
+
+def shapes_on(
+    grid: Grid, body: str, motion: Floats, frequencies_hz: Floats, interfaces: Mapping[str, Floats]
+) -> Shapes | None:
+    """``motion`` (k, n, 3) of all nodes on the faces of ``grid``; None if there are neither modes nor faces."""
+    triangles = _triangles(_faces(grid))
+    if not len(triangles) or not len(motion):
+        return None
+    rows, renumbered = np.unique(triangles, return_inverse=True)
+    return Shapes(
+        body=body, points=grid.points[rows], triangles=renumbered.reshape(-1, 3), motion=motion[:, rows],
+        frequencies_hz=frequencies_hz[: len(motion)], interfaces=interfaces,
+    )  # fmt: skip
+
+
+def _faces(grid: Grid) -> dict[str, Ints]:
+    """The outer faces of the cells of a body file, which are faces themselves or solids."""
+    faces: dict[str, list[Ints]] = {}
+    blocks = []
+    for vtk in np.unique(grid.types):
+        cells = np.flatnonzero(grid.types == vtk)
+        size = int(grid.offsets[cells[0] + 1] - grid.offsets[cells[0]])
+        nodes = grid.connectivity[grid.offsets[cells][:, None] + np.arange(size)]
+        for name, kind in FACES.items():
+            if kind.vtk == vtk:
+                faces.setdefault(name, []).append(nodes)
+        blocks += [ElementBlock(type=name, nodes=nodes, ids=cells) for name, kind in TYPES.items() if kind.vtk == vtk]
+    if blocks:
+        nodes = Nodes(ids=np.arange(len(grid.points)), xyz=grid.points)
+        for name, outer in outer_faces(Mesh(nodes=nodes, blocks=tuple(blocks))).items():
+            faces.setdefault(name, []).append(outer)
+    return {name: np.concatenate(parts) for name, parts in faces.items()}
+
+
+# Corners of the triangles that a face is drawn with, by the number of its nodes in VTK order.
+_DRAWN = {
+    3: ((0, 1, 2),),
+    4: ((0, 1, 2), (0, 2, 3)),
+    6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    8: ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
+}
+
+
+def _triangles(faces: Mapping[str, Ints]) -> Ints:
+    """Triangles (nt, 3) of faces, through their middle nodes too."""
+    parts = [np.empty((0, 3), dtype=np.int64)]
+    for nodes in faces.values():
+        parts += [nodes[:, corners] for corners in _DRAWN[min(nodes.shape[1], 8)]]
+    return np.concatenate(parts)
