@@ -59,7 +59,7 @@ GRID = 40
 class Gramian(OfResponses):
     """``order`` elastic directions of the band ``band_hz`` = [low, high], or as many as a ``tolerance`` asks for.
 
-    ``tolerance`` bounds sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2), the part of the
+    ``tolerance`` bounds ``sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2)``, the part of the
     snapshots that V leaves out. ``weight`` "velocity" takes s U for U, which stresses the upper end of the band.
     ``points`` Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
     ``direct`` solves with the full matrices at each point (one factorisation each) in place of the reference model;

@@ -83,7 +83,7 @@ class CertifiedReference:
     with couplings of the square root of its products, and whose b is by ``b_off`` (n, m);
     ``damping`` and ``D`` (n, n), if any, as in ``Reference``, with the ``floor``. ``vectors`` (Nc, k) and ``sigma``
     (k,) are those of the modes below ``cut``, all of which are there; ``edges`` (nc + 1,) in rad/s and ``off`` (nc,)
-    limits of |H - H_ref| over the envelope. ``proven`` is False where ``off`` is an estimate.
+    limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off`` is an estimate.
     """
 
     problem: Problem
@@ -133,7 +133,7 @@ class CertifiedReference:
         return standard.H.at(np.asarray(omega, dtype=float)).reshape(len(omega), *self.b.shape[1:] * 2)
 
     def uncertainty(self, omega: Floats) -> Floats:
-        """(nf,) limits of |H - H_ref| at ``omega`` (nf,) of the band, round-off included, in m/N."""
+        """(nf,) limits of ``|H - H_ref|`` at ``omega`` (nf,) of the band, round-off included, in m/N."""
         return self._lost(omega)[0]
 
     def lost(self) -> tuple[float, float]:
