@@ -17,6 +17,7 @@ from morembs.errors import InputError
 from morembs.memory import available_bytes
 from morembs.storage.contents import Content
 
+MANIFEST = "batch.manifest"
 State = Literal["done", "unchanged", "failed", "sound"]
 # Of the memory that is free at the start; and what a forecast is taken to be wrong by.
 _SHARE, _MARGIN = 0.9, 1.15
@@ -81,8 +82,8 @@ def batch(
         changes: keys that all jobs get with another value, such as ``"reduce.modes=40"``.
         workers: how many run at once at most; None: one for each processor. Fewer run where their forecasts
             exceed the free memory together.
-        manifest: the file in which is remembered what was done; None: ``batch.manifest`` in the folder that
-            holds all jobs.
+        manifest: the file in which is remembered what was done; None: the nearest ``batch.manifest`` in the
+            folder that holds all jobs or above it, a new one in that folder where there is none.
         fresh: run all, whatever is remembered.
         check_only: check those that are due, and run none.
 
@@ -96,7 +97,7 @@ def batch(
     if workers is not None and workers < 1:
         raise InputError(f"--jobs {workers} was given; expected a positive count of jobs to run at once")
     parts = parts_of(jobs, changes)
-    place = Path(manifest) if manifest is not None else _common_folder(parts) / "batch.manifest"
+    place = Path(manifest) if manifest is not None else _nearest_manifest(parts)
     with Manifest(place) as remembered:
         return _Batch(parts, changes, workers, remembered, listener or Nobody()).run(fresh, check_only)
 
@@ -233,5 +234,8 @@ def _seconds(forecast: Mapping[str, Any]) -> float:
     return float(forecast["factor_seconds"] + sum(forecast["reduction_seconds"].values()))
 
 
-def _common_folder(parts: Sequence[Part]) -> Path:
-    return Path(os.path.commonpath([part.path.resolve().parent for part in parts]))
+def _nearest_manifest(parts: Sequence[Part]) -> Path:
+    """One job of a folder is remembered with the others, whether it is run with them or alone."""
+    folder = Path(os.path.commonpath([part.path.resolve().parent for part in parts]))
+    there = (place for above in (folder, *folder.parents) if (place := above / MANIFEST).is_file())
+    return next(there, folder / MANIFEST)

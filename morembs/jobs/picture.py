@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import TriMesh
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
@@ -152,16 +153,17 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     seen = np.flatnonzero(normal[:, 2] > 0)
     order = seen[np.argsort(corners[seen, :, 2].mean(axis=1), kind="stable")]
     if size is None:
-        colors = np.tile(to_rgba(REST_COLOR), (len(order), 1))
+        colors = np.tile(to_rgba(REST_COLOR), (3 * len(order), 1))
     else:
         shade = 0.62 + 0.38 * np.clip(normal[order] @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
-        colors = np.asarray(COLORS(size[triangles[order]].mean(axis=1)))
-        colors[:, :3] *= shade[:, None]
-    panel.add_collection(
-        PolyCollection(
-            list(corners[order, :, :2]), facecolors=colors, edgecolors=colors, linewidths=0.2, rasterized=True
-        )
-    )  # fmt: skip
+        colors = np.asarray(COLORS(size[triangles[order]].ravel()))
+        colors[:, :3] *= np.repeat(shade, 3)[:, None]
+    # Each triangle has corners of its own, so that edges of the body stay sharp; drawn in one call.
+    x, y = corners[order, :, :2].reshape(-1, 2).T
+    skin = TriMesh(Triangulation(x, y, np.arange(len(x)).reshape(-1, 3)), rasterized=True)
+    skin.set_facecolor(cast(Any, colors))
+    panel.add_collection(skin)
+    panel.update_datalim(np.column_stack([x, y]))
 
 
 def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> None:

@@ -122,6 +122,14 @@ def test_a_job_is_due_when_its_inputs_or_results_change(
         assert not any(unchanged(part, manifest) for part in changed)
 
 
+def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path) -> None:
+    folder = jobs(tmp_path, {"a": {}, "b": {}})
+    with Manifest(folder / "batch.manifest") as manifest:
+        remember(folder, manifest)
+    assert states(batch([folder / "a"])) == {"a": "unchanged"}
+    assert not (folder / "a" / "batch.manifest").exists()
+
+
 def test_a_folder_that_moves_is_still_up_to_date(tmp_path: Path) -> None:
     folder = tmp_path / "here"
     folder.mkdir()
