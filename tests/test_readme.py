@@ -172,4 +172,6 @@ def test_commands_that_are_shown_exist():
 def test_documents_that_are_named_exist():
     for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
-            assert target.startswith("http") or (document.parent / target).exists(), (document.name, target)
+            # What the site is built with is drawn then; its own test looks there.
+            known = target.startswith(("http", "built/")) or (document.parent / target).exists()
+            assert known, (document.name, target)
