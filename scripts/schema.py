@@ -1,4 +1,4 @@
-"""Writes the tables of docs from those that writers, readers and checks of files go by.
+"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -8,12 +8,19 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields
 from pathlib import Path
+
+from pydantic.fields import FieldInfo
 
 from morembs.body import tables
 from morembs.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
+from morembs.jobs.job import inner_table
+from morembs.jobs.schema import JobTables
+from morembs.options import in_toml
+from morembs.reducers import REDUCERS
 from morembs.storage.table import KINDS, Row, Table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,6 +34,51 @@ SHOWN = {
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],
 }
+
+
+TOML = {r"dict\[.*\]": "table", "float": "number", "int": "integer", "str": "text", "bool": "boolean"}
+DATASETS = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+
+
+def job_keys() -> Iterator[str]:
+    """A row for each key of a job that is the same for all methods."""
+    yield from ("| table | key | default | what to give |", "|---|---|---|---|")
+    for table, held in JobTables.model_fields.items():
+        kind = inner_table(held.annotation)
+        if kind is None:
+            raise TypeError(f"{table} of a job holds no table")
+        name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
+        for key, one in kind.model_fields.items():
+            yield f"| `{name}` | `{key}` | {default(one)} | {one.description} |"
+
+
+def default(key: FieldInfo) -> str:
+    """What a key has where it is left out."""
+    if key.is_required():
+        return "must be given"
+    value = key.get_default(call_default_factory=True)
+    return "none" if value is None else f"`{in_toml(value)}`"
+
+
+def method_keys() -> Iterator[str]:
+    """A row for each key of each method."""
+    yield from ("| method | key | type | default |", "|---|---|---|---|")
+    for method in REDUCERS.own:
+        for key in fields(REDUCERS[method]):
+            value = key.default_factory() if key.default_factory is not MISSING else key.default
+            told = "must be given" if value is MISSING else "none" if value is None else f"`{in_toml(value)}`"
+            yield f"| `{method}` | `{key.name}` | {words(str(key.type))} | {told} |"
+
+
+def words(annotation: str) -> str:
+    """An annotation in the words of TOML."""
+    kind = re.sub(r"list\[(\w+)\]", r"list of \1", annotation.removesuffix(" | None")).replace(" | ", " or ")
+    for name, word in TOML.items():
+        kind = re.sub(rf"\b{name}", word, kind)
+    return kind
+
+
+KEYS: dict[str, Callable[[], Iterator[str]]] = {"job keys": job_keys, "method keys": method_keys}
 
 
 def lines(at: str, table: Table) -> Iterator[str]:
@@ -65,9 +117,10 @@ def renewed(text: str) -> str:
     """A page with its tables as they are now."""
 
     def table(match: re.Match[str]) -> str:
-        rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
-        head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
-        return "\n".join([f"<!-- table: {match[1]} -->", *head, *rows, "<!-- end -->"])
+        name = match[1]
+        rows = KEYS[name]() if name in KEYS else (row for at, part in SHOWN[name] for row in lines(at, part))
+        head = [] if name in KEYS else DATASETS
+        return "\n".join([f"<!-- table: {name} -->", *head, *rows, "<!-- end -->"])
 
     return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
 

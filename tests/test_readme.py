@@ -16,6 +16,7 @@ from morembs.cli.commands import app
 from morembs.importers.model_file import read_model, write_model
 from morembs.jobs.schema import JobTables
 from morembs.reducers import REDUCERS
+from scripts.schema import job_keys, method_keys
 from tests.support.meshes import box, steel
 
 ROOT = Path(__file__).parent.parent
@@ -121,6 +122,12 @@ def test_fragments_of_jobs_are_taken(page):
         tables = JobTables.model_validate({**WHOLE, **given, **({"material": []} if "model" in given else {})})
         for table in tables.reduce:
             assert REDUCERS[table.method](**table.options())
+
+
+def test_the_page_of_jobs_tells_of_every_key():
+    told = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`\n]+`", (ROOT / "docs" / "job.md").read_text()))))
+    keys = {row.split("|")[2].strip(" `-") for row in (*job_keys(), *method_keys())} - {"key", ""}
+    assert len(keys) > 60 and keys <= told, keys - told
 
 
 # Blocks of every language on every page, all of which tests run, here or where the subject is tested; what another
