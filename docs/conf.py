@@ -7,7 +7,7 @@ author = copyright = "morembs developers"
 version = release = VERSION
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["tutorials"]
+exclude_patterns = ["tutorials"]  # the gallery makes pages of them, in built/tutorials
 html_theme = "furo"
 html_title = f"morembs {VERSION}"
 
@@ -27,5 +27,4 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "download_all_examples": False,
     "write_computation_times": False,
-    "copyfile_regex": r".*\.msh",
 }
