@@ -60,7 +60,7 @@ def budgets(settings: Settings) -> None:
     """Peak memory over the budget; the ratios of the report are what the case is about."""
     free: dict[tuple[str, int], Row] = {}
     measures: dict[str, Callable[[], Row]] = {
-        one.name: lambda one=one: _measured(one, free, settings) for one in (QUICK if settings.quick else ALL)
+        case.name: lambda case=case: _measured(case, free, settings) for case in (QUICK if settings.quick else ALL)
     }
     rounds = in_rounds(measures, settings.repeat)
     report = Report("budgets", settings)
@@ -80,17 +80,17 @@ def budgets(settings: Settings) -> None:
     report.write()
 
 
-def _measured(one: Case, free: dict[tuple[str, int], Row], settings: Settings) -> Row:
+def _measured(case: Case, free: dict[tuple[str, int], Row], settings: Settings) -> Row:
     """Without a budget first, then with one, raised as far as the messages say."""
-    model = (one.shape, one.dofs)
+    model = (case.shape, case.dofs)
     if model not in free:
-        free[model] = _run(replace(one, extra=""), None, settings)
+        free[model] = _run(replace(case, extra=""), None, settings)
     if "error" in free[model]:
         return free[model]
     unlimited = free[model]["process_peak_bytes"]
-    asked = budget = int(one.part * unlimited)
+    asked = budget = int(case.part * unlimited)
     for refused in range(TRIES):  # noqa: B007  (its last value is a result)
-        row = _run(one, budget, settings)
+        row = _run(case, budget, settings)
         least = re.search(r"give at least (\d+) MB", row.get("error", ""))
         more = re.search(r"raise the budget by (\d+) MB", row.get("error", ""))
         if least is None and more is None:
@@ -104,15 +104,15 @@ def _measured(one: Case, free: dict[tuple[str, int], Row], settings: Settings) -
     }  # fmt: skip
 
 
-def _run(one: Case, budget: int | None, settings: Settings) -> Row:
-    model = settings.folder / f"{one.shape}_{one.dofs}" / f"{one.shape}_{one.dofs}.toml"
+def _run(case: Case, budget: int | None, settings: Settings) -> Row:
+    model = settings.folder / f"{case.shape}_{case.dofs}" / f"{case.shape}_{case.dofs}.toml"
     if not model.exists():
-        written(one.shape, one.dofs, None, settings)
+        written(case.shape, case.dofs, None, settings)
     text = model.read_text(encoding="utf-8")
     if budget is not None:
         text = text.replace("[solver]\n", f'[solver]\nmemory = "{budget} B"\n')
     job = model.with_stem(f"{model.stem}_within")
-    job.write_text(text + one.extra, encoding="utf-8")
+    job.write_text(text + case.extra, encoding="utf-8")
     row = reduced(job, settings)
     if "error" in row:
         return row

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,6 +134,20 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     start = time.process_time()
     (its,) = certify(problem, [reduced], band, points=10)
     seconds = time.process_time() - start
+    omega, true = dense_errors(problem, reduced, band, [one.at_hz for one in its.limits.values()])
+    cell = np.clip(np.searchsorted(its.cells_hz[:, 0], omega / (2 * np.pi), side="right") - 1, 0, None)
+    upper = np.array([its.limits[name].upper for name in MEASURES])
+    lower = np.array([its.limits[name].lower for name in MEASURES])
+    return Verdict(
+        words=words, above=int((true > its.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
+        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(its, upper), seconds=seconds,
+    )  # fmt: skip
+
+
+def dense_errors(
+    problem: Problem, reduced: ReducedModel, band: tuple[float, float], also_hz: Sequence[float] = ()
+) -> tuple[Floats, Floats]:
+    """Frequencies (nf,) in rad/s, ``also_hz`` among them, and the true errors (nf, 3) of ``reduced`` there."""
     reference = certified_reference(problem, band)
     loss = problem.damping.structural + 2 * reference.floor
     values, phi = exact_modes(problem.K.toarray(), problem.M.toarray(), problem.rigid.shape[1])
@@ -142,8 +157,7 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows)
     z = np.concatenate([one.z.ravel() for one in (full_terms, body)])
     beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
-    w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(),
-         2 * np.pi * np.array([one.at_hz for one in its.limits.values()])]  # fmt: skip
+    w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(), 2 * np.pi * np.array(also_hz)]
     omega = np.unique(np.concatenate(w))
     omega = omega[(omega >= 2 * np.pi * band[0]) & (omega <= 2 * np.pi * band[1])]
     E, H, e = np.zeros(len(omega)), np.zeros(len(omega)), np.zeros(len(omega))
@@ -160,14 +174,7 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     around = finer[max(top - 1, 0)], finer[min(top + 1, len(finer) - 1)]
     peak = -minimize_scalar(lambda x: -float(np.linalg.norm(full_terms.at(np.array([x])))), bounds=around,
                             method="bounded", options={"xatol": 1e-12 * around[1]}).fun  # fmt: skip
-    true = np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
-    cell = np.clip(np.searchsorted(its.cells_hz[:, 0], omega / (2 * np.pi), side="right") - 1, 0, None)
-    upper = np.array([its.limits[name].upper for name in MEASURES])
-    lower = np.array([its.limits[name].lower for name in MEASURES])
-    return Verdict(
-        words=words, above=int((true > its.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
-        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(its, upper), seconds=seconds,
-    )  # fmt: skip
+    return omega, np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
 
 
 def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
@@ -175,6 +182,12 @@ def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
 
     Those of LAPACK are known to eps of the highest eigenvalue, which hides what certificates of soft models tell.
     """
+    theta, phi = long_modes(K, M, rigid)
+    return theta.astype(float), phi.astype(float)
+
+
+def long_modes(K: Floats, M: Floats, rigid: int) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:
+    """``exact_modes`` in extended precision."""
     phi = sl.eigh(K, M)[1]
     long = [A.astype(np.longdouble) for A in (K, M, phi)]
     for _ in range(2):
@@ -186,7 +199,7 @@ def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
         C = np.where(apart, (A - G * theta) / np.where(apart, gap, 1), 0)
         long[2] = long[2] @ (np.eye(len(C)) + C + np.diag((1 - np.diag(G)) / 2))
     theta = (long[2] * (long[0] @ long[2])).sum(axis=0) / (long[2] * (long[1] @ long[2])).sum(axis=0)
-    return theta[rigid:].astype(float), long[2][:, rigid:].astype(float)
+    return theta[rigid:], long[2][:, rigid:]
 
 
 def lost_beside(its: Certificate, upper: Floats) -> NDArray[np.bool_]:
@@ -194,9 +207,17 @@ def lost_beside(its: Certificate, upper: Floats) -> NDArray[np.bool_]:
     return np.asarray(its.reference_error.max() < 0.1 * upper)
 
 
-def trial(seed: int, number: int) -> list[Verdict]:
-    """Certificates of one random model."""
-    rng = np.random.default_rng([seed, number])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """A random ``problem``, to be closed, a band that ends at ``high`` Hz, and what it is like in ``words``."""
+
+    problem: Problem
+    high: float
+    words: str
+
+
+def drawn(rng: np.random.Generator, number: int) -> Drawn:
+    """The random model ``number``."""
     while True:
         held, twins, kind = bool(rng.integers(2)), rng.uniform() < 0.3, str(rng.choice(DAMPINGS))
         model = truss(rng, int(rng.integers(12, 41)), held, twins)
@@ -212,9 +233,16 @@ def trial(seed: int, number: int) -> list[Verdict]:
             continue
     high = float(omega[int(rng.integers(4, 10))] * rng.uniform(1.01, 1.1) / (2 * np.pi))
     words = f"{number}: {'held' if held else 'free'} {'twins ' if twins else ''}{kind}, {sum(map(len, inputs))} inputs"
-    with Problem(model, faces, damping=damping_of(rng, kind, omega)) as problem:
-        return [judged(problem, body, (0.0, high), f"{words}, {body.recipe['method']}")
-                for body in bodies_of(problem, high, rng)]  # fmt: skip
+    return Drawn(problem=Problem(model, faces, damping=damping_of(rng, kind, omega)), high=high, words=words)
+
+
+def trial(seed: int, number: int) -> list[Verdict]:
+    """Certificates of one random model."""
+    rng = np.random.default_rng([seed, number])
+    its = drawn(rng, number)
+    with its.problem as problem:
+        return [judged(problem, body, (0.0, its.high), f"{its.words}, {body.recipe['method']}")
+                for body in bodies_of(problem, its.high, rng)]  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:

@@ -51,9 +51,9 @@ def machine(spec: Spec) -> Row:
     from morembs.linalg.sparse.cholmod_library import cholmod_library
     from morembs.linalg.sparse.mumps_library import embedded_library, system_library
 
-    found = {"mumps": system_library("float64"), "mumps-embedded": embedded_library("float64")}
-    found["cholmod"] = cholmod_library()
-    versions = {name: library.version for name, library in found.items() if not isinstance(library, str)}
+    libraries = {"mumps": system_library("float64"), "mumps-embedded": embedded_library("float64")}
+    libraries["cholmod"] = cholmod_library()
+    versions = {name: library.version for name, library in libraries.items() if not isinstance(library, str)}
     packages = {name: metadata.version(name) for name in ("morembs", "numpy", "scipy", "pyamg", "scikit-fem")}
     blas = sorted({f"{pool['internal_api']} {pool['version']}" for pool in threadpool_info()})
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
@@ -132,10 +132,10 @@ def factor(spec: Spec) -> Row:
     resident, start = resident_bytes(), time.perf_counter()
     with solver.analyse(A, "spd") as analysis:
         analysed, plan = time.perf_counter(), analysis.forecast
-        made = analysis.factorize(A)
+        factorisation = analysis.factorize(A)
         ready, peak = time.perf_counter(), peak_memory_bytes()
-        stats = made.stats
-        solves, X = solved(made.solve, B, spec)
+        stats = factorisation.stats
+        solves, X = solved(factorisation.solve, B, spec)
         if spec["solver"] == "auto":
             solves["choice"] = stats.backend
     return {
@@ -268,10 +268,10 @@ def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
 
-    one, folder = PARTS[spec["part"]], Path(spec["folder"])
+    entry, folder = PARTS[spec["part"]], Path(spec["folder"])
     if not spec["prepare"]:
-        return one.measure(folder, spec["quick"])
-    prepare(one, folder, spec["quick"])
+        return entry.measure(folder, spec["quick"])
+    prepare(entry, folder, spec["quick"])
     return {}
 
 

@@ -50,7 +50,7 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
         row, pencil = {"dofs": problem.K.shape[0], "modes": count, "solver": factor.stats.backend}, problem.elastic
         pencil.count_below = counted = Timed(pencil.count_below)  # type: ignore[method-assign]
         pencil.flexibility = solves = Timed(pencil.flexibility)  # type: ignore[method-assign]
-        found = lowest_modes(pencil, problem.M, count=count)
+        modes = lowest_modes(pencil, problem.M, count=count)
         end = time.perf_counter()
         row |= {
             "resident_bytes": resident, "modes_peak_bytes": peak_memory_bytes() - resident,
@@ -58,11 +58,11 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
             "count_seconds": counted.seconds, "lanczos_seconds": end - ready - counted.seconds,
             "solve_seconds": solves.seconds, "solve_columns": solves.columns, "flops": None,
             "factor_entries": factor.stats.factor_entries, "threads": factor.stats.threads,
-            "verified_hz": float(np.sqrt(found.verified_below) / (2 * np.pi)),
-            "last_hz": float(found.frequencies_hz[-1]),
-            "residual": residual(problem.K, problem.M, found.eigenvalues, found.vectors),
+            "verified_hz": float(np.sqrt(modes.verified_below) / (2 * np.pi)),
+            "last_hz": float(modes.frequencies_hz[-1]),
+            "residual": residual(problem.K, problem.M, modes.eigenvalues, modes.vectors),
         }  # fmt: skip
-        del found
+        del modes
         return row | arpack(problem, pencil, count)
 
 

@@ -118,25 +118,26 @@ def _exudyn(model: FEModel, count: int) -> Row:
     }  # fmt: skip
 
 
-def _difference(model: FEModel, its: ShapeIntegrals, shapes: Floats) -> float | None:
+def _difference(model: FEModel, integrals: ShapeIntegrals, shapes: Floats) -> float | None:
     """Largest difference to the integrals of Exudyn, each relative to its array."""
     try:
         other = _exudyn_body(model, shapes)
     except ImportError:
         return None
-    n = its.count
+    n = integrals.count
     pairs = (
-        (other.mPhitTPsi, its.Ct.T), (other.mXRefTildePsi, -its.Cr.T), (other.massMatrixReduced, its.Me),
-        (other.mXRefTildePsiTilde, -its.C4.transpose(1, 0, 2).reshape(3, 3 * n)),
-        (other.mPsiTildePsiTilde, -its.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)),
+        (other.mPhitTPsi, integrals.Ct.T), (other.mXRefTildePsi, -integrals.Cr.T),
+        (other.massMatrixReduced, integrals.Me),
+        (other.mXRefTildePsiTilde, -integrals.C4.transpose(1, 0, 2).reshape(3, 3 * n)),
+        (other.mPsiTildePsiTilde, -integrals.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)),
     )  # fmt: skip
     # Mean axes make some arrays round-off; the mass and the size of the body give what they are small against.
-    size = float(np.sqrt(its.mass)) * float(np.ptp(model.nodes.xyz, axis=0).max())
-    found = []
-    for one, mine in pairs:
-        dense = one.todense() if hasattr(one, "todense") else np.asarray(one)
-        found.append(float(np.abs(dense - mine).max() / max(float(np.abs(mine).max()), size)))
-    return max(found)
+    size = float(np.sqrt(integrals.mass)) * float(np.ptp(model.nodes.xyz, axis=0).max())
+    differences = []
+    for theirs, ours in pairs:
+        dense = theirs.todense() if hasattr(theirs, "todense") else np.asarray(theirs)
+        differences.append(float(np.abs(dense - ours).max() / max(float(np.abs(ours).max()), size)))
+    return max(differences)
 
 
 CASES = {"frames": frames}

@@ -260,27 +260,27 @@ def one_point(spec: Row, steel: Steel) -> Row:
     top = spec["top_hz"]
     with body(spec, steel) as problem:
         F = loads(problem)
-        found: dict[str, list[Floats]] = {"factor": [], "solve": [], "one": [], "cold": []}
+        timings: dict[str, list[Floats]] = {"factor": [], "solve": [], "one": [], "cold": []}
         resident, start = resident_bytes(), now()
         Krylov(shifts_hz=[0.32 * top]).reduce(problem)
-        found["cold"].append(now() - start)
+        timings["cold"].append(now() - start)
         # Each time at another point: what a point gave is kept.
         for part in 0.41 + 0.03 * np.arange(TIMES):
             start = now()
             with problem.stiffness.factorize(2j * np.pi * part * top) as factor:
-                found["factor"].append(now() - start)
+                timings["factor"].append(now() - start)
                 start = now()
                 factor.solve(F)
-                found["solve"].append(now() - start)
+                timings["solve"].append(now() - start)
                 stats = factor.stats
             start = now()
             Krylov(shifts_hz=[float(part + 0.015) * top]).reduce(problem)
-            found["one"].append(now() - start)
+            timings["one"].append(now() - start)
         row = {
             "dofs": len(F), "loads": F.shape[1], "solver": stats.backend, "factor_entries": stats.factor_entries,
             "resident_bytes": resident,
         }  # fmt: skip
-        for name, times in found.items():
+        for name, times in timings.items():
             row[f"{name}_seconds"], row[f"{name}_cpu_seconds"] = np.median(times, axis=0).tolist()
         return row
 

@@ -58,8 +58,8 @@ def written(shape: str, dofs: int, budget: int | None, settings: Settings) -> Pa
     scratch = settings.folder / "scratch"
     scratch.mkdir(exist_ok=True)
     memory = None if budget is None else f"{budget} B"
-    made = required("job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch))
-    return Path(made["job"])
+    job = required("job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch))
+    return Path(job["job"])
 
 
 def million(settings: Settings) -> None:
@@ -164,14 +164,14 @@ def _against(plan: Row, row: Row, budget: int | None) -> Row:
         "entries": factor.get("factor_entries"), "peak": row["process_peak_bytes"],
         "scratch": factor.get("disk_bytes"), "seconds": factor.get("seconds"),
     }  # fmt: skip
-    found: Row = {
+    compared: Row = {
         "dofs": row["dofs"], "budget_bytes": budget, "planned": plan["solver"], "solver": row["solver"],
         "all_seconds": row["seconds"], "threads": factor.get("threads"),
     }  # fmt: skip
     for name, key, _ in _PAIRS:
-        found[f"forecast_{key}"], found[f"measured_{key}"] = plan[name], measured[key]
-        found[f"ratio_{key}"] = plan[name] / measured[key] if measured[key] else None
-    return found
+        compared[f"forecast_{key}"], compared[f"measured_{key}"] = plan[name], measured[key]
+        compared[f"ratio_{key}"] = plan[name] / measured[key] if measured[key] else None
+    return compared
 
 
 CASES: dict[str, Callable[[Settings], None]] = {"million": million, "forecast": forecast}

@@ -78,17 +78,17 @@ _COLUMNS = (
 def krylov(settings: Settings) -> None:
     """Reductions with equal points and orders, what they cost beside a factorisation, and frequency sweeps."""
     bodies, swept = ((QUICK,), QUICK) if settings.quick else (BODIES, SWEPT)
-    for one in bodies:
-        required("interpolation", settings, what="direct", **one.spec(settings))
+    for body in bodies:
+        required("interpolation", settings, what="direct", **body.spec(settings))
     measures: dict[str, Callable[[], Row]] = {}
-    for one in bodies:
-        spec = one.spec(settings)
-        measures[f"{one.name}: {OURS}"] = _measure("ours", spec, settings)
-        for who in one.others:
-            measures[f"{one.name}: {who}"] = _measure(
+    for body in bodies:
+        spec = body.spec(settings)
+        measures[f"{body.name}: {OURS}"] = _measure("ours", spec, settings)
+        for who in body.others:
+            measures[f"{body.name}: {who}"] = _measure(
                 "pymor", spec, settings, block=who == BLOCK, limit_seconds=LIMIT_SECONDS
             )
-    measures |= {f"{one.name}: cost": _measure("cost", one.spec(settings), settings) for one in bodies}
+    measures |= {f"{body.name}: cost": _measure("cost", body.spec(settings), settings) for body in bodies}
     measures |= _sweeps(swept, settings)
     rounds = in_rounds(measures, settings.repeat)
     report = Report("krylov", settings)
@@ -117,17 +117,17 @@ def _sweeps(body: Asked, settings: Settings) -> dict[str, Callable[[], Row]]:
 
 
 def _compare(report: Report, rounds: Rounds, bodies: Sequence[Asked], swept: Asked) -> None:
-    for one in bodies:
-        for who in one.others:
+    for body in bodies:
+        for who in body.others:
             for key, words in _RATIOS.items():
-                pair = [(f"{one.name}: {name}", key) for name in (who, OURS)]
+                pair = [(f"{body.name}: {name}", key) for name in (who, OURS)]
                 # Where pyMOR was stopped, its estimate.
                 if not all(row.get("seconds") for row in rounds[pair[0][0]]) and key != "peak_rise_bytes":
                     pair[0], words = (pair[0][0], f"estimated_{key}"), f"{words} (estimated)"
-                report.compare(f"{one.name}: {who} over {OURS}, {words}", ratios(rounds, *pair))
+                report.compare(f"{body.name}: {who} over {OURS}, {words}", ratios(rounds, *pair))
         for key, words in _COSTS.items():
-            values = [row[key] for row in rounds[f"{one.name}: cost"] if key in row]
-            report.compare(f"{one.name}: one point over factorisation and solve, {words}", values)
+            values = [row[key] for row in rounds[f"{body.name}: cost"] if key in row]
+            report.compare(f"{body.name}: one point over factorisation and solve, {words}", values)
     for words in _DAMPING:
         for key in ("seconds", "cpu_seconds"):
             pair = [(f"{swept.name}: {who}, {words}", key) for who in (DIRECT, REFERENCE)]

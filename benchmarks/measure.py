@@ -92,10 +92,10 @@ def child(task: str, settings: Settings, **wanted: object) -> Row:
 
 def required(task: str, settings: Settings, **wanted: object) -> Row:
     """As ``child``, for what nothing else can be measured without."""
-    found = child(task, settings, **wanted)
-    if "error" in found:
-        raise SystemExit(f"{task} failed: {found['error']}")
-    return found
+    row = child(task, settings, **wanted)
+    if "error" in row:
+        raise SystemExit(f"{task} failed: {row['error']}")
+    return row
 
 
 def in_rounds(measures: Mapping[str, Callable[[], Row]], repeat: int) -> Rounds:
@@ -217,9 +217,9 @@ def shown(value: Any, unit: str) -> str:
 def _rounded(value: Any) -> Any:
     """Figures with as many digits as are worth keeping."""
     if isinstance(value, dict):
-        return {key: _rounded(one) for key, one in value.items()}
+        return {key: _rounded(part) for key, part in value.items()}
     if isinstance(value, list):
-        return [_rounded(one) for one in value]
+        return [_rounded(part) for part in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 

@@ -79,8 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             folder=folder, results=given.results or (None if given.quick else HERE / "results"), quick=given.quick,
             repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads,
         )  # fmt: skip
-        found = required("machine", settings)
-        print(f"{found['cores']} cores, {found['blas_threads']} threads of the BLAS")
+        hardware = required("machine", settings)
+        print(f"{hardware['cores']} cores, {hardware['blas_threads']} threads of the BLAS")
         for case in cases:
             if case in CASES:
                 once = case in LONG and given.repeat is None

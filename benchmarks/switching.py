@@ -98,29 +98,30 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
     with Budget(MEMORY, folder) as budget, Problem(model, solver=solver, budget=budget) as problem:
         reduced = reducer.reduce(problem)
         middle = time.perf_counter()
-        its = reducer.switching(problem, reduced)
+        tables = reducer.switching(problem, reduced)
         end = time.perf_counter()
-        difference = _difference(problem, reduced, its)
+        difference = _difference(problem, reduced, tables)
     return {
-        "dofs": model.size, "candidates": its.count, "band": len(its.stiffness) - 1, "basis_seconds": middle - start,
-        "table_seconds": end - middle, "resident_bytes": resident, "rise_bytes": peak_memory_bytes() - resident,
-        "table_bytes": its.stiffness.nbytes + its.mass.nbytes, "difference": difference,
+        "dofs": model.size, "candidates": tables.count, "band": len(tables.stiffness) - 1,
+        "basis_seconds": middle - start, "table_seconds": end - middle,
+        "resident_bytes": resident, "rise_bytes": peak_memory_bytes() - resident,
+        "table_bytes": tables.stiffness.nbytes + tables.mass.nbytes, "difference": difference,
     }  # fmt: skip
 
 
-def _difference(problem: Problem, reduced: ReducedModel, its: StaticModeTables) -> float:
+def _difference(problem: Problem, reduced: ReducedModel, tables: StaticModeTables) -> float:
     """Of R: b' G b less what the modes give, for neighbours in the middle."""
     place = {int(label): row for row, label in enumerate(problem.model.nodes.ids)}
-    some = its.of_nodes(len(its.node_ids) // 2, 2)
+    some = tables.of_nodes(len(tables.node_ids) // 2, 2)
     loads = np.zeros((problem.model.size, len(some)))
     for column, k in enumerate(some):
         # All dofs are translations, three at each node.
-        row = 3 * place[int(its.node_ids[its.node[k]])]
-        loads[row : row + 3, column] = its.direction[k]
+        row = 3 * place[int(tables.node_ids[tables.node[k]])]
+        loads[row : row + 3, column] = tables.direction[k]
     whole = loads.T @ problem.elastic.flexibility(loads)
-    modes, first = its.modes[some], reduced.rigid_count
+    modes, first = tables.modes[some], reduced.rigid_count
     want = whole - modes[:, first:] / np.diag(reduced.K)[first:] @ modes[:, first:].T
-    return float(np.abs(its.R(some) - want).max() / np.abs(want).max())
+    return float(np.abs(tables.R(some) - want).max() / np.abs(want).max())
 
 
 CASES = {"switching": switching}

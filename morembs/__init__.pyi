@@ -14,6 +14,7 @@ from .floating.ranking import ranked_terms
 from .floating.stiffening import Envelope
 from .floating.stiffening_terms import geometric_stiffening
 from .importers import read_mesh
+from .importers.from_matrices import from_matrices
 from .interface import Interface, make_interface
 from .linalg.sparse.select import available_solvers, select_solver
 from .model import FEModel, Mesh, Nodes
@@ -90,6 +91,7 @@ __all__ = [
     "expand",
     "export_body",
     "floating_frame",
+    "from_matrices",
     "full_response",
     "geometric_stiffening",
     "isotropic",

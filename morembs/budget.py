@@ -97,8 +97,8 @@ class Budget(Closing):
         """Bytes by which to raise the memory for ``more`` to be left now: under a larger budget some of the arrays that
         are in files stay in memory, and take their part of it."""
         staying = -1
-        while (found := self._staying(more + max(staying, 0))) > staying:
-            staying = found
+        while (larger := self._staying(more + max(staying, 0))) > staying:
+            staying = larger
         return more + staying
 
     def _staying(self, more: int) -> int:

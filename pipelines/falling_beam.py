@@ -24,7 +24,7 @@ STOP = 0.2  # m from the left end
 DROP = 0.05  # m from the underside to the stop
 GRAVITY = (0.0, 0.0, -9.81)
 MODES, END, STEP, RHO = 14, 0.16, 2e-5, 0.95
-QUICK_END, QUICK_STEP = 0.106, 1e-4
+QUICK_END, QUICK_STEP = 0.106, 2e-4
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by.
+"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by, and from the reducers.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -6,10 +6,11 @@ A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is 
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import MISSING, fields
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 
 from pydantic.fields import FieldInfo
@@ -20,7 +21,7 @@ from morembs.importers.native import MODEL
 from morembs.jobs.job import inner_table
 from morembs.jobs.schema import JobTables
 from morembs.options import in_toml
-from morembs.reducers import REDUCERS
+from morembs.reducers import REDUCERS, Reducer
 from morembs.storage.table import KINDS, Row, Table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,51 +35,6 @@ SHOWN = {
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],
 }
-
-
-TOML = {r"dict\[.*\]": "table", "float": "number", "int": "integer", "str": "text", "bool": "boolean"}
-DATASETS = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
-
-
-def job_keys() -> Iterator[str]:
-    """A row for each key of a job that is the same for all methods."""
-    yield from ("| table | key | default | what to give |", "|---|---|---|---|")
-    for table, held in JobTables.model_fields.items():
-        kind = inner_table(held.annotation)
-        if kind is None:
-            raise TypeError(f"{table} of a job holds no table")
-        name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
-        for key, one in kind.model_fields.items():
-            yield f"| `{name}` | `{key}` | {default(one)} | {one.description} |"
-
-
-def default(key: FieldInfo) -> str:
-    """What a key has where it is left out."""
-    if key.is_required():
-        return "must be given"
-    value = key.get_default(call_default_factory=True)
-    return "none" if value is None else f"`{in_toml(value)}`"
-
-
-def method_keys() -> Iterator[str]:
-    """A row for each key of each method."""
-    yield from ("| method | key | type | default |", "|---|---|---|---|")
-    for method in REDUCERS.own:
-        for key in fields(REDUCERS[method]):
-            value = key.default_factory() if key.default_factory is not MISSING else key.default
-            told = "must be given" if value is MISSING else "none" if value is None else f"`{in_toml(value)}`"
-            yield f"| `{method}` | `{key.name}` | {words(str(key.type))} | {told} |"
-
-
-def words(annotation: str) -> str:
-    """An annotation in the words of TOML."""
-    kind = re.sub(r"list\[(\w+)\]", r"list of \1", annotation.removesuffix(" | None")).replace(" | ", " or ")
-    for name, word in TOML.items():
-        kind = re.sub(rf"\b{name}", word, kind)
-    return kind
-
-
-KEYS: dict[str, Callable[[], Iterator[str]]] = {"job keys": job_keys, "method keys": method_keys}
 
 
 def lines(at: str, table: Table) -> Iterator[str]:
@@ -113,14 +69,66 @@ def meaning(row: Row) -> str:
     return "; ".join(words for words in (row.doc or row.about, row.when) if words)
 
 
+def keys() -> Iterator[str]:
+    """Rows in Markdown of the keys of all reducers, whose docstrings say what they mean."""
+    for method in REDUCERS.own:
+        reducer = REDUCERS[method]
+        words = arguments(reducer)
+        first = f"`{method}`"
+        for field in fields(reducer):
+            yield f"| {first} | `{field.name}` | {default(field)} | {words[field.name]} |"
+            first = ""
+        if first:
+            yield f"| {first} | | | it has no keys |"
+
+
+def arguments(reducer: type[Reducer]) -> dict[str, str]:
+    """What its docstring says of each option, or that of the class which it comes from."""
+    words: dict[str, str] = {}
+    for holder in reversed(reducer.__mro__):
+        _, _, text = (inspect.cleandoc(holder.__doc__ or "")).partition("Args:\n")
+        for name, meaning in re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", text, re.MULTILINE):
+            words[name] = re.sub(r"\s+", " ", meaning).replace("``", "`").rstrip(".")
+    return words
+
+
+def default(field: Field[object]) -> str:
+    """As it stands in a job."""
+    value = field.default if field.default_factory is MISSING else field.default_factory()
+    return "" if value is MISSING else "none" if value in (None, [], {}) else f"`{in_toml(value)}`".replace("'", '"')
+
+
+def job_keys() -> Iterator[str]:
+    """A row for each key of a job that is the same for all methods."""
+    for table, held in JobTables.model_fields.items():
+        kind = inner_table(held.annotation)
+        if kind is None:
+            raise TypeError(f"{table} of a job holds no table")
+        name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
+        for key, one in kind.model_fields.items():
+            yield f"| `{name}` | `{key}` | {left_out(one)} | {one.description} |"
+
+
+def left_out(key: FieldInfo) -> str:
+    """What a key of a job has where it is left out."""
+    if key.is_required():
+        return "must be given"
+    value = key.get_default(call_default_factory=True)
+    return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
+
+
 def renewed(text: str) -> str:
     """A page with its tables as they are now."""
 
     def table(match: re.Match[str]) -> str:
-        name = match[1]
-        rows = KEYS[name]() if name in KEYS else (row for at, part in SHOWN[name] for row in lines(at, part))
-        head = [] if name in KEYS else DATASETS
-        return "\n".join([f"<!-- table: {name} -->", *head, *rows, "<!-- end -->"])
+        if match[1] == "reducers":
+            head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
+        elif match[1] == "job keys":
+            head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
+        else:
+            head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
+            rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
+        return "\n".join([f"<!-- table: {match[1]} -->", *head, *rows, "<!-- end -->"])
 
     return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
 

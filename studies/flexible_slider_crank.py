@@ -26,7 +26,7 @@ CRANK, ROD, A, I, DENSITY, SLIDER = 0.152, 0.304, 7.854e-5, 4.909e-10, 2770.0, 0
 E_CRANK, E_ROD = 2e7, 2e6  # Pa, nominal
 ELEMENTS, END, STEP = (80, 160), 1.0, 1e-3
 CHECKED = (16, 32)
-QUICK_ELEMENTS, QUICK_END = (8, 16), 0.15
+QUICK_ELEMENTS, QUICK_END = (6, 12), 0.1
 REACH_CRANK, REACH_ROD, POINTS = 0.3, 0.7, 7
 # Formulation, modes of crank and rod.
 MODELS: dict[str, tuple[Formulation, tuple[int, int]]] = {

@@ -25,7 +25,7 @@ from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simula
 LENGTHS, AREAS, MOMENTS = (0.545, 0.675), (9.0e-4, 4.0e-4), (1.69e-8, 3.33e-9)
 E, DENSITY, ELBOW, TIP = 7.3e10, 2700.0, 1.0, 3.0
 MOVE, END, STEP, COARSE, ELEMENTS = 0.5, 2.0, 1e-3, 4e-3, 10
-QUICK_END, QUICK_ELEMENTS, QUICK_STEPS = 1.2, 4, (4e-3, 8e-3)
+QUICK_END, QUICK_ELEMENTS, QUICK_STEPS = 1.2, 3, (8e-3, 1.6e-2)
 # Shoulder and elbow (rad): start, and turn within MOVE. The arm is straight at the end.
 SHOULDER, ELBOW_START, ELBOW_TURN = np.pi / 3, np.pi / 2, -np.pi / 2
 RHO = 0.9

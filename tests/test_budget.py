@@ -302,13 +302,13 @@ def test_congruence_is_that_of_scipy(filed: Budget, in_files: bool) -> None:
         T[slave, kept : kept + masters] = rng.standard_normal((slaves, masters))
         T[np.flatnonzero(slave)[:2]] = 0.0
         T = sp.csr_array(T)
-        found = congruence(T, A, filed if in_files else Budget())
-        assert found.has_canonical_format and found.shape == (T.shape[1],) * 2
+        product = congruence(T, A, filed if in_files else Budget())
+        assert product.has_canonical_format and product.shape == (T.shape[1],) * 2
         expected = (T.T @ A @ T).toarray()
-        np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max())
-        assert not found[[T.shape[1] - 1]].nnz
-        rows = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
-        assert (np.diff(rows * found.shape[0] + found.indices) > 0).all()
+        np.testing.assert_allclose(product.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+        assert not product[[T.shape[1] - 1]].nnz
+        rows = np.repeat(np.arange(product.shape[0]), np.diff(product.indptr))
+        assert (np.diff(rows * product.shape[0] + product.indices) > 0).all()
     assert bool(filed.files) == in_files
     np.testing.assert_allclose(magnitudes(A, np.ones((192, 1)))[:, 0], abs(A).sum(axis=1), rtol=1e-14)
     filed.close()

@@ -50,11 +50,12 @@ def test_a_job_after_a_large_one_tells_its_own_memory(tmp_path: Path) -> None:
     )
     truth = json.loads(alone.stdout)["job_peak_memory_bytes"]
     done = subprocess.run([sys.executable, "-c", BATCH, *jobs], capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    for one in found[1:]:
-        assert 50 * MB < one["job_peak_memory_bytes"] < truth + (620 * MB if one is found[1] else 40 * MB), one
-    assert found[2]["job_peak_memory_bytes"] == max(found[2]["peak_memory_bytes"].values())
-    origin = read_body(found[2]["output"]).provenance
+    documents = json.loads(done.stdout)
+    for document in documents[1:]:
+        beyond = 620 * MB if document is documents[1] else 40 * MB
+        assert 50 * MB < document["job_peak_memory_bytes"] < truth + beyond, document
+    assert documents[2]["job_peak_memory_bytes"] == max(documents[2]["peak_memory_bytes"].values())
+    origin = read_body(documents[2]["output"]).provenance
     assert origin["job_peak_memory_bytes"] == max(origin["peak_memory_bytes"].values())  # type: ignore[attr-defined]
 
 
@@ -69,7 +70,7 @@ def test_peaks_between_looks() -> None:
         assert peak.take() == 120
         now[0] = 300
         assert peak.take() == 300
-    assert not [one for one in threading.enumerate() if one.name == "morembs-memory"]
+    assert not [thread for thread in threading.enumerate() if thread.name == "morembs-memory"]
 
 
 def test_a_peak_is_seen_while_it_lasts() -> None:

@@ -1,8 +1,6 @@
 """Tables that other packages add to: the package of docs/extending.md, found by its entry points or assigned."""
 
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +23,7 @@ from morembs.problem import Problem
 from morembs.reducers import REDUCERS, CraigBampton
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel, where
+from tests.support.processes import python
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text()
@@ -49,7 +48,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.syspath_prepend(str(there))
     yield there
     for table in TABLES:
-        for name in [one for one in table if one not in table.own]:
+        for name in [item for item in table if item not in table.own]:
             del table[name]
         table.reload()
     sys.modules.pop("my_package", None)
@@ -116,7 +115,7 @@ def test_a_package_that_cannot_be_used_is_named_once(
         with pytest.raises(InputError, match=words) as caught:
             load_job(job)
         assert "the package 'my-package' offers 'static-responses'" in str(caught.value)
-    assert len([one for one in recwarn.list if "my-package" in str(one.message)]) == 2
+    assert len([warning for warning in recwarn.list if "my-package" in str(warning.message)]) == 2
     assert list(REDUCERS) == list(REDUCERS.own)
 
 
@@ -135,7 +134,7 @@ def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
         body = elastic_body(problem, CraigBampton(modes=2).reduce(problem), make_part(problem))
     path = write_body(tmp_path / "bar.h5", [body])
     assert read_body(path).interfaces["left"].kind.name == "centre"
-    monkeypatch.setattr(sys, "path", [one for one in sys.path if one != str(place)])
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(place)])
     del COUPLINGS["centre"]
     look_again()
     done = CliRunner().invoke(app, ["info", str(path)])
@@ -146,11 +145,8 @@ def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
 def test_assigned_from_python(tmp_path: Path) -> None:
     (tmp_path / "my_package.py").write_text(PACKAGE)
     folder(tmp_path, {"reduce": REDUCE, "check": "full_modes = 0"}).rename(tmp_path / "part.toml")
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
-    done = subprocess.run(
-        [sys.executable, "-c", ASSIGNMENT], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
-    )
-    assert int(done.stdout) == 6 + 12
+    done = python(f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\n{ASSIGNMENT}", tmp_path)
+    assert done.code == 0 and int(done.output) == 6 + 12, done.errors
 
 
 def test_an_unknown_solver_is_refused() -> None:

@@ -135,15 +135,15 @@ def _prints(logs: Path) -> Prints:
 
 def _sentences(ended: forked.Ended) -> set[str]:
     """Warnings, notes and findings, without their numbers."""
-    found = [line for line in ended.errors.splitlines() if line.startswith(("warning: ", "note: "))]
+    sentences = [line for line in ended.errors.splitlines() if line.startswith(("warning: ", "note: "))]
     try:
         document = json.loads(ended.output)
     except ValueError:
         document = {}
     if isinstance(document, dict):
         for key in ("notes", "findings", "warnings"):
-            found += [str(one) for one in document.get(key) or []]
-    return {re.sub(r"\d[\d.e+-]*", "#", one) for one in found}
+            sentences += [str(sentence) for sentence in document.get(key) or []]
+    return {re.sub(r"\d[\d.e+-]*", "#", sentence) for sentence in sentences}
 
 
 def _cause(errors: str) -> str:
@@ -159,11 +159,14 @@ def attacks(
     """All trials, or that with one number of one format; each may take ``seconds``."""
     if wrong := [kind for kind in kinds if kind not in FORMATS]:
         raise SystemExit(f"no such format: {', '.join(wrong)}; expected some of {', '.join(FORMATS)}")
-    made = seeds(folder / "seeds", list(kinds or FORMATS))
-    weights = {format: 1 if format in SLOW else 2 for format in made}
+    of_format = seeds(folder / "seeds", list(kinds or FORMATS))
+    weights = {format: 1 if format in SLOW else 2 for format in of_format}
     given = 0.0
     for format, weight in weights.items():
-        targets = [Target(format, one, folder / f"{format}-{i}", seconds=seconds) for i, one in enumerate(made[format])]
+        targets = [
+            Target(format, undamaged, folder / f"{format}-{i}", seconds=seconds)
+            for i, undamaged in enumerate(of_format[format])
+        ]
         first, given = round(given), given + count * weight / sum(weights.values())
         for number in range(round(given) - first) if only is None else [only]:
             yield targets[number % len(targets)].attack(number, seed)

@@ -30,7 +30,7 @@ def fingerprint(path: Path) -> Prints:
 
 def printed(text: str) -> Prints:
     """Of a JSON document on standard output: its numbers by their keys."""
-    found: Prints = {}
+    numbers: Prints = {}
 
     def walk(name: str, value: Any) -> None:
         if isinstance(value, dict):
@@ -40,19 +40,19 @@ def printed(text: str) -> Prints:
             for inner in value:
                 walk(name, inner)
         elif isinstance(value, int | float):
-            found.setdefault(name, []).append(float(value))
+            numbers.setdefault(name, []).append(float(value))
 
     walk("", json.loads(text))
-    return found
+    return numbers
 
 
-def differences(one: Prints, other: Prints) -> list[str]:
+def differences(before: Prints, after: Prints) -> list[str]:
     """Names of what differs, with the largest relative difference of each."""
-    found = []
-    for name in sorted(one.keys() | other.keys()):
-        a, b = (np.asarray(prints.get(name, []), dtype=float) for prints in (one, other))
+    lines = []
+    for name in sorted(before.keys() | after.keys()):
+        a, b = (np.asarray(prints.get(name, []), dtype=float) for prints in (before, after))
         if a.shape != b.shape:
-            found.append(f"{name}: {len(a)} numbers -> {len(b)}")
+            lines.append(f"{name}: {len(a)} numbers -> {len(b)}")
             continue
         scale = float(np.abs(a[np.isfinite(a)]).max(initial=0.0))
         with np.errstate(invalid="ignore"):
@@ -60,33 +60,33 @@ def differences(one: Prints, other: Prints) -> list[str]:
         gap[np.isnan(a) & np.isnan(b) | (a == b)] = 0.0
         if not (gap <= SAME * scale).all():
             worst = int(np.argmax(np.nan_to_num(gap, nan=np.inf)))
-            found.append(f"{name}: {a[worst]:.6g} -> {b[worst]:.6g}")
-    return found
+            lines.append(f"{name}: {a[worst]:.6g} -> {b[worst]:.6g}")
+    return lines
 
 
 def _model(path: Path) -> Prints:
     from morembs.importers.model_file import read_model
 
     model = read_model(path)
-    found: Prints = {"dofs": [float(model.size)], "nodes": [float(len(model.nodes))]}
+    prints: Prints = {"dofs": [float(model.size)], "nodes": [float(len(model.nodes))]}
     xyz = model.nodes.xyz
-    found["places"] = [float(np.nansum(xyz[:, c] * (1.0 + 0.1 * np.arange(len(xyz))))) for c in range(3)]
+    prints["places"] = [float(np.nansum(xyz[:, c] * (1.0 + 0.1 * np.arange(len(xyz))))) for c in range(3)]
     for name, nodes in sorted(model.nodes.sets.items()):
-        found[f"set {name}"] = [float(len(nodes)), float(np.sum(model.nodes.ids[nodes]))]
+        prints[f"set {name}"] = [float(len(nodes)), float(np.sum(model.nodes.ids[nodes]))]
     for name in ("K", "M", "D"):
         matrix = getattr(model, name)
         if matrix is not None:
             size = np.abs(matrix.data)
-            found[f"norm of {name}"] = [float(np.sqrt((size**2).sum()))]
+            prints[f"norm of {name}"] = [float(np.sqrt((size**2).sum()))]
     if model.M is not None:
         ones = [np.asarray(model.dofs.component == c, dtype=float) for c in range(3)]
-        found["mass"] = [float(np.real(x @ (model.M @ x))) for x in ones]
-    found["squares of frequencies"] = _squares(model)
+        prints["mass"] = [float(np.real(x @ (model.M @ x))) for x in ones]
+    prints["squares of frequencies"] = _squares(model)
     couplings = getattr(model, "couplings", {})
     for name in sorted(couplings):
         parts = [value for value in vars(couplings[name]).values() if isinstance(value, np.ndarray)]
-        found[f"coupling {name}"] = [float(np.size(part)) for part in parts]
-    return found
+        prints[f"coupling {name}"] = [float(np.size(part)) for part in parts]
+    return prints
 
 
 def _squares(model: Any) -> list[float]:
@@ -106,7 +106,7 @@ def _squares(model: Any) -> list[float]:
 
 def _tables(path: Path) -> Prints:
     """Sizes of all datasets but those of the provenance; labels and text by a checksum."""
-    found: Prints = {}
+    prints: Prints = {}
 
     def take(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith(("provenance", "source")) or "recipe" in name:
@@ -115,14 +115,14 @@ def _tables(path: Path) -> Prints:
         if value.dtype.kind in "fc":
             # A model may be damaged until its size has no square in double.
             with np.errstate(over="ignore"):
-                found[name] = [float(np.linalg.norm(np.nan_to_num(np.abs(value)))), float(value.size)]
+                prints[name] = [float(np.linalg.norm(np.nan_to_num(np.abs(value)))), float(value.size)]
         else:
             digest = hashlib.sha256(value.tobytes() if value.dtype != object else repr(value).encode()).digest()
-            found[name] = [float(int.from_bytes(digest[:6], "big"))]
+            prints[name] = [float(int.from_bytes(digest[:6], "big"))]
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
-    return found
+    return prints
 
 
 def _text(data: bytes) -> Prints:

@@ -66,7 +66,7 @@ class Child:
         """Wait for its end, which comes at the limit at the latest; a program may stop an alarm clock of its own."""
         hung = False
         try:
-            while not (found := os.wait4(self.pid, 0 if hung else os.WNOHANG))[0]:
+            while not (ended := os.wait4(self.pid, 0 if hung else os.WNOHANG))[0]:
                 hung = time.perf_counter() - self.start > self.limit
                 if hung:
                     self.send(signal.SIGKILL, group=True)
@@ -75,7 +75,7 @@ class Child:
         except BaseException:
             self.send(signal.SIGKILL, group=True)
             raise
-        _, status, usage = found
+        _, status, usage = ended
         seconds = time.perf_counter() - self.start
         peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
         texts = [(self.logs / name).read_text("utf-8", "replace") for name in (OUTPUT, ERRORS)]

@@ -76,12 +76,12 @@ def draw(kind: str, number: int, seed: int, whole: float = WHOLE) -> Trial:
 def counts(total: int, kinds: Sequence[str]) -> dict[str, int]:
     """How many trials each kind gets."""
     shares = {kind: SHARES[kind] for kind in kinds if kind in SHARES and len(kinds) > len(SHARES)}
-    found = {kind: max(1, round(share * total)) for kind, share in shares.items()}
-    others = [kind for kind in kinds if kind not in found]
-    rest = max(total - sum(found.values()), len(others))
+    runs = {kind: max(1, round(share * total)) for kind, share in shares.items()}
+    others = [kind for kind in kinds if kind not in runs]
+    rest = max(total - sum(runs.values()), len(others))
     for place, kind in enumerate(others):
-        found[kind] = rest // len(others) + (place < rest % len(others))
-    return {kind: found[kind] for kind in kinds}
+        runs[kind] = rest // len(others) + (place < rest % len(others))
+    return {kind: runs[kind] for kind in kinds}
 
 
 class Target:
@@ -169,15 +169,15 @@ class Target:
 
     def _after_the_kill(self, outcome: Outcome, place: Path, logs: Path, errors: str) -> None:
         trial, code = outcome.trial, outcome.code
-        found = {name: content(place / name) for name in self.complete}
-        for name, what in found.items():
+        contents = {name: content(place / name) for name in self.complete}
+        for name, what in contents.items():
             if what not in (None, OLD.decode(), self.complete[name]) or (what == OLD.decode() and not trial.old):
                 outcome.fail("half file", f"{name} is neither the old one nor complete")
             elif what is None and trial.old:
                 outcome.fail("lost file", f"{name}, which was there before, is gone")
         if code not in (0, *CODES[trial.signal]):
             outcome.fail("exit code", f"{code} after {trial.signal.name}: {errors.strip()[-300:]}")
-        elif code == 0 and found != self.complete:
+        elif code == 0 and contents != self.complete:
             outcome.fail("exit code", f"0 after {trial.signal.name}, and not all outputs are complete")
         if code > 0 and "Traceback" in errors:
             outcome.fail("traceback", errors.strip()[-300:])
@@ -201,8 +201,8 @@ class Target:
 
     def _files(self, place: Path, logs: Path) -> set[str]:
         temporary = logs / forked.TEMPORARY
-        found = {str(path.relative_to(place)) for path in place.rglob("*")}
-        return found | {f"{forked.TEMPORARY}/{path.relative_to(temporary)}" for path in temporary.rglob("*")}
+        paths = {str(path.relative_to(place)) for path in place.rglob("*")}
+        return paths | {f"{forked.TEMPORARY}/{path.relative_to(temporary)}" for path in temporary.rglob("*")}
 
 
 def content(path: Path) -> str | None:

@@ -88,11 +88,11 @@ def _split(rows: list[bytes], dice: Dice) -> None:
 
 def _of_match(pattern: re.Pattern[bytes], change: Callable[[bytes, Dice], bytes]) -> Callable[[bytes, Dice], bytes]:
     def mutate(data: bytes, dice: Dice) -> bytes:
-        found = list(pattern.finditer(data))
-        if not found:
+        matches = list(pattern.finditer(data))
+        if not matches:
             return _bytes(data, dice)
-        one = dice.choice(found)
-        return data[: one.start()] + change(one[0], dice) + data[one.end() :]
+        match = dice.choice(matches)
+        return data[: match.start()] + change(match[0], dice) + data[match.end() :]
 
     return mutate
 
@@ -237,8 +237,8 @@ COUNTED = frozenset((
 
 def reason(kind: str, format: str) -> str | None:
     """Why damage of a kind may pass in a format without a word; None: it may not."""
-    found = REASONS.get(kind)
-    return None if found == _NO_COUNT and format in COUNTED else found
+    because = REASONS.get(kind)
+    return None if because == _NO_COUNT and format in COUNTED else because
 
 
 def damage(path: Path, dice: Dice) -> tuple[str, str]:

@@ -27,9 +27,9 @@ def until_stopped(outcomes: Iterator[T]) -> Iterator[T]:
         print("\nstopped before the end")
 
 
-def groups(found: dict[tuple[str, str], list[tuple[str, str]]]) -> None:
+def groups(examples: dict[tuple[str, str], list[tuple[str, str]]]) -> None:
     """Print failures by what failed and where, the first with words and command."""
-    for (failure, kind), cases in sorted(found.items()):
+    for (failure, kind), cases in sorted(examples.items()):
         words, command = cases[0]
         print(f"\n{failure}, {kind}: {len(cases)}\n  {words}\n  {command}")
 
@@ -39,23 +39,23 @@ def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only
     preload.everything()
     start = time.perf_counter()
     rows: dict[str, Counter[str]] = defaultdict(Counter)
-    found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    examples: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     for outcome in until_stopped(kill.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only)):
         row = rows[outcome.trial.kind]
         row.update(runs=1, whole=outcome.trial.whole, ended=outcome.ended_before, left=outcome.left > 0,
                    failed=bool(outcome.failures), **{outcome.trial.signal.name: 1})  # fmt: skip
         for failure, words in outcome.failures:
             repeat = again("kill", outcome.trial.kind, seed, outcome.trial.number)
-            found[failure, outcome.trial.kind].append((f"{outcome.trial}: {words}", repeat))
+            examples[failure, outcome.trial.kind].append((f"{outcome.trial}: {words}", repeat))
     table = Report("attack-kill", settings, rows={kind: dict(row) for kind, row in rows.items()})
-    columns = (("runs", "runs"), *((one.name, one.name) for one in kill.SIGNALS), ("whole", "whole processes"),
+    columns = (("runs", "runs"), *((column.name, column.name) for column in kill.SIGNALS), ("whole", "whole processes"),
                ("ended", "ended before"), ("left", "left files for a moment"), ("failed", "failed"))  # fmt: skip
     table.rows["all"] = {key: sum(row[key] for row in rows.values()) for key, _ in columns}
     table.table(f"kill: seed {seed}, {time.perf_counter() - start:.0f} s", [(k, h, "n") for k, h in columns])
     table.rows["all"]["seed"] = seed
-    groups(found)
+    groups(examples)
     table.write()
-    return int(bool(found))
+    return int(bool(examples))
 
 
 def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], only: int | None) -> int:
@@ -63,14 +63,14 @@ def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], onl
     preload.everything()
     start = time.perf_counter()
     rows: dict[str, Counter[str]] = defaultdict(Counter)
-    found: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    examples: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     silent: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     for outcome in until_stopped(damage.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only)):
         rows[outcome.format].update({"files": 1, outcome.result: 1})
         case = f"{outcome.words}\n  {outcome.detail}", again("damage", outcome.format, seed, outcome.number)
         if outcome.result in damage.FAILURES:
             place = outcome.detail if outcome.result == "traceback" else outcome.format
-            found[outcome.result, place].append(case)
+            examples[outcome.result, place].append(case)
         elif outcome.result == "silent":
             silent[outcome.kind, outcome.format].append(case)
         if only is not None:
@@ -85,7 +85,9 @@ def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], onl
     print("\nchanged, not told, where no reader can know:")
     for kind in sorted({kind for kind, _ in silent.keys() - unknown.keys()}):
         each = {
-            format: cases for (one, format), cases in silent.items() if one == kind and (one, format) not in unknown
+            format: cases
+            for (other, format), cases in silent.items()
+            if other == kind and (other, format) not in unknown
         }
         words, command = next(iter(each.values()))[0]
         table.rows[f"not told: {kind}"] = {format: len(cases) for format, cases in each.items()} | {
@@ -94,9 +96,9 @@ def damaged(settings: Settings, count: int, seed: int, kinds: Sequence[str], onl
         print(f"  {kind}: {', '.join(f'{format} {len(cases)}' for format, cases in each.items())}")
         print(f"    because: {REASONS[kind]}\n    such as: {words.splitlines()[0]}\n    {command}")
     table.rows["all"]["seed"] = seed
-    groups(found | {(f"not told, {kind}", format): cases for (kind, format), cases in unknown.items()})
+    groups(examples | {(f"not told, {kind}", format): cases for (kind, format), cases in unknown.items()})
     table.write()
-    return int(bool(found or unknown))
+    return int(bool(examples or unknown))
 
 
 VERBS: dict[str, Callable[[Settings, int, int, Sequence[str], int | None], int]] = {"kill": killed, "damage": damaged}

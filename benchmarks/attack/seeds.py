@@ -82,25 +82,25 @@ class _Workshop:
             nastran.append(grids + nastran_decks.written(hexes, form) + "ENDDATA\n")
         archives = [ansys_files.deck(hexes, form=form, plain=plain) for form, plain in
                     (("(3i9,6e21.13e3)", False), ("(3i8,6e20.13)", True))]  # fmt: skip
-        found = {
+        seeds = {
             "abaqus": [_imported({"part.inp": text.encode()}, "part.inp") for text in abaqus],
             "nastran": [_imported({"part.bdf": text.encode()}, "part.bdf") for text in nastran],
             "ansys": [_imported({"part.cdb": text.encode()}, "part.cdb", "--material", STEEL) for text in archives],
         }
-        found["abaqus"].append(_imported({"part.inp": main.encode(), "nodes.inc": nodes.encode()}, "part.inp"))
+        seeds["abaqus"].append(_imported({"part.inp": main.encode(), "nodes.inc": nodes.encode()}, "part.inp"))
         others = ("nastran", "finetools/twoblocks.nas", "--material", STEEL), ("ansys", "mapdl_reader/HexBeam.cdb")
         for name, where, *more in others:
             if (SHARED / where).is_file():
                 ending = Path(where).suffix
                 data = {f"other{ending}": (SHARED / where).read_bytes()}
-                found[name].append(_imported(data, f"other{ending}", *more))
-        return found
+                seeds[name].append(_imported(data, f"other{ending}", *more))
+        return seeds
 
     def meshes(self) -> dict[str, list[Seed]]:
         mesh = self.model.mesh
         assert mesh is not None  # noqa: S101
         plain = meshio.Mesh(mesh.nodes.xyz, [("hexahedron", mesh.blocks[0].nodes)])
-        found: dict[str, list[Seed]] = {}
+        seeds: dict[str, list[Seed]] = {}
         formats: list[tuple[str, str, dict[str, Any]]] = [
             ("msh", "gmsh", {"binary": False}), ("msh", "gmsh22", {"binary": False}), ("msh", "gmsh", {"binary": True}),
             ("vtk", "vtk", {"binary": False}), ("vtu", "vtu", {}), ("mesh", "medit", {}),
@@ -108,18 +108,18 @@ class _Workshop:
         for ending, form, options in formats:
             name = f"part.{ending}"
             data = self.written(name, lambda path, f=form, o=options: meshio.write(path, plain, f, **o))
-            found.setdefault(ending, []).append(_imported({name: data}, name, "--material", STEEL))
+            seeds.setdefault(ending, []).append(_imported({name: data}, name, "--material", STEEL))
         # MED turns its bricks the other way round.
         turned = meshio.Mesh(mesh.nodes.xyz, [("hexahedron", mesh.blocks[0].nodes[:, [0, 3, 2, 1, 4, 7, 6, 5]])])
         data = self.written("part.med", lambda path: meshio.write(path, turned))
-        found["med"] = [_imported({"part.med": data}, "part.med", "--material", STEEL)]
+        seeds["med"] = [_imported({"part.med": data}, "part.med", "--material", STEEL)]
         for small in ("wedge.msh", "block.msh"):
             data = (ROOT / "data" / "small_meshes" / small).read_bytes()
-            found["msh"].append(_imported({small: data}, small, "--material", STEEL))
+            seeds["msh"].append(_imported({small: data}, small, "--material", STEEL))
         data = self.written("part.xdmf", lambda path: meshio.write(path, plain))
         both = {"part.xdmf": data, "part.h5": (self.folder / "part.h5").read_bytes()}
-        found["xdmf"] = [_imported(both, "part.xdmf", "--material", STEEL)]
-        return found
+        seeds["xdmf"] = [_imported(both, "part.xdmf", "--material", STEEL)]
+        return seeds
 
     def matrices(self) -> dict[str, list[Seed]]:
         K, M = self.model.K, self.model.M
@@ -153,7 +153,7 @@ class _Workshop:
         both = {"k.mtx": market(K), "m.mtx": market(M)}
         packed = {"k.mtx.gz": gzip.compress(both["k.mtx"], mtime=0), "m.mtx": both["m.mtx"]}
         named = [{"binary": True}, {"binary": False}, {"binary": True, "sparse": "dense", "bits": 64}]
-        found = {
+        seeds = {
             "matrix-market": [
                 _imported(both, *two), _imported(packed, "--stiffness", "k.mtx.gz", "--mass", "m.mtx"),
             ],
@@ -165,7 +165,7 @@ class _Workshop:
                     for o in named],
             "dmig": [labelled({"a.pch": self.written("a.pch", lambda path: write_dmig(path, dmig))}, "a.pch")],
         }  # fmt: skip
-        return found
+        return seeds
 
     def ansys(self) -> dict[str, list[Seed]]:
         labels, xyz = self.model.nodes.ids, self.model.nodes.xyz
@@ -212,7 +212,7 @@ class _Workshop:
             held: Any = dense if options.get("format") == "4" else {k: sp.csc_array(v) for k, v in self.names.items()}
             return lambda path: scipy.io.savemat(path, held, **options)
 
-        def one(name: str, write: Callable[[Path], object], *more: str) -> Seed:
+        def imported(name: str, write: Callable[[Path], object], *more: str) -> Seed:
             return _imported({name: self.written(name, write)}, name, *more)
 
         archives = {}
@@ -220,11 +220,11 @@ class _Workshop:
             archives[name] = self.written(name, lambda path, A=A: sp.save_npz(path, sp.csc_array(A)))
         versions = {"format": "4"}, {}, {"do_compression": True}
         return {
-            "npz": [one("a.npz", lambda path: np.savez(path, **dense)),
+            "npz": [imported("a.npz", lambda path: np.savez(path, **dense)),
                     _imported(archives, "--stiffness", "k.npz", "--mass", "m.npz")],
-            "matlab": [one("a.mat", saved(**options)) for options in versions],
-            "hdf5": [one("a.h5", groups)], "exudyn": [one("fem.h5", exudyn, "--format", "exudyn")],
-            "native": [one("a.model.h5", lambda path: write_model(path, self.model))],
+            "matlab": [imported("a.mat", saved(**options)) for options in versions],
+            "hdf5": [imported("a.h5", groups)], "exudyn": [imported("fem.h5", exudyn, "--format", "exudyn")],
+            "native": [imported("a.model.h5", lambda path: write_model(path, self.model))],
         }  # fmt: skip
 
     def bodies(self) -> dict[str, list[Seed]]:
@@ -324,8 +324,8 @@ def seeds(folder: Path, formats: Sequence[str]) -> dict[str, list[Seed]]:
     """The files of formats, in the order in which they are asked for."""
     folder.mkdir(parents=True)
     shop = _Workshop(folder)
-    found: dict[str, list[Seed]] = {}
-    for make, theirs in _MAKERS.items():
-        if set(theirs) & set(formats):
-            found |= make(shop)
-    return {format: found[format] for format in formats}
+    of_format: dict[str, list[Seed]] = {}
+    for make, provided in _MAKERS.items():
+        if set(provided) & set(formats):
+            of_format |= make(shop)
+    return {format: of_format[format] for format in formats}

@@ -326,9 +326,9 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
     H = _responses(case.K, case.M, B, B.T, omega)
     for body in bodies:
         if body.recipe["method"] != "auto":
-            found = _frequencies(body, 0.03 * values[0])[case.free :][: len(values)]
-            off = np.abs(found / values[: len(found)] - 1) / 2
-            limit = np.minimum(FINE + ROUNDING * rounding[case.free :] / values, WRONG)[: len(found)]
+            frequencies = _frequencies(body, 0.03 * values[0])[case.free :][: len(values)]
+            off = np.abs(frequencies / values[: len(frequencies)] - 1) / 2
+            limit = np.minimum(FINE + ROUNDING * rounding[case.free :] / values, WRONG)[: len(frequencies)]
             worst = max(worst, float(off.max()))
             if not (off <= limit).all():
                 k = int(np.argmax(off / limit))
@@ -336,8 +336,8 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
                                words=f"{body.name}: mode {k} off by {off[k]:.1e}, limit {limit[k]:.1e}")  # fmt: skip
         if body.recipe["method"] == "modal":
             continue
-        mine = _responses(body.K, body.M, body.B, body.C, omega)
-        off = np.linalg.norm((mine - H) * S, axis=(1, 2)) / np.linalg.norm(H * S, axis=(1, 2))
+        reduced = _responses(body.K, body.M, body.B, body.C, omega)
+        off = np.linalg.norm((reduced - H) * S, axis=(1, 2)) / np.linalg.norm(H * S, axis=(1, 2))
         limit = np.minimum(slack + (tolerance if body.recipe["method"] == "auto" else 0.0), WRONG)
         worst = max(worst, float(off.max()))
         if not (off <= limit).all():
@@ -364,18 +364,18 @@ def _automatic(problem: Problem, omega: Floats, tolerance: float) -> ReducedMode
     """A body chosen by itself to ``tolerance``, with a certificate that must not contradict itself."""
     band = [float(omega[0]) / 7, float(omega[-1]) / 6]
     body = AutoReducer(band_hz=band, tolerance=tolerance, measure="pointwise").reduce(problem)
-    (made,) = certify(problem, [body], band, points=9)
-    limit = made.limits["pointwise"].upper
-    if not made.error.max() <= limit:
-        raise ArithmeticError(f"limit {limit:.3e} below the measured error {made.error.max():.3e}")
+    (certificate,) = certify(problem, [body], band, points=9)
+    limit = certificate.limits["pointwise"].upper
+    if not certificate.error.max() <= limit:
+        raise ArithmeticError(f"limit {limit:.3e} below the measured error {certificate.error.max():.3e}")
     return body
 
 
 def _responses(K: Floats | Long, M: Floats, B: Floats, C: Floats, omega: Floats) -> Floats:
     """H (nf, m, p) at ``omega`` (nf,), eliminated in extended precision; its double value."""
     K, M = K.astype(np.longdouble), M.astype(np.longdouble)
-    found = [C @ Eliminated(K - np.longdouble(w) ** 2 * M).solve(B.astype(np.longdouble)) for w in omega]
-    return np.array(found).astype(float)
+    responses = [C @ Eliminated(K - np.longdouble(w) ** 2 * M).solve(B.astype(np.longdouble)) for w in omega]
+    return np.array(responses).astype(float)
 
 
 def main(
@@ -385,7 +385,7 @@ def main(
 
     ``automatic``: every how many go through method "auto" too.
     """
-    found = []
+    verdicts = []
     for number in range(count) if only is None else [only]:
         rng = np.random.default_rng([seed, number])
         case = random_case(rng, largest)
@@ -396,17 +396,17 @@ def main(
             verdict = Verdict(kind="wrong", words=f"{type(error).__name__}: {error}")
             if only is not None:
                 traceback.print_exc()
-        found.append((case, verdict))
+        verdicts.append((case, verdict))
         if verdict.kind != "right" or only is not None:
             _say(f"{verdict.kind}: --seed {seed} --only {number}: {case.words}: {verdict.words} ({verdict.error:.1e})")
-    return found
+    return verdicts
 
 
-def table(found: list[tuple[Case, Verdict]]) -> str:
+def table(verdicts: list[tuple[Case, Verdict]]) -> str:
     """Right, refused and wrong models and the largest error of the right ones, for each decade of stiffness ratio."""
     lines = ["decade  right  refused  wrong  largest error"]
     for decade in range(DECADES):
-        some = [verdict for case, verdict in found if case.decade == decade]
+        some = [verdict for case, verdict in verdicts if case.decade == decade]
         kinds = Counter(verdict.kind for verdict in some)
         worst = max((v.error for v in some if v.kind == "right"), default=0.0)
         lines.append(f"1e{decade:<5d} {kinds['right']:5d} {kinds['refused']:8d} {kinds['wrong']:6d}  {worst:.1e}")

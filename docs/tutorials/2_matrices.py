@@ -10,14 +10,12 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementHex2, ElementVector, MeshHex, asm
 from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 import morembs
 from morembs.importers.model_file import write_model
-from morembs.model import DofMap
 
 folder = Path(tempfile.mkdtemp())
 young, poisson, density = 2.1e11, 0.3, 7850.0  # Pa, -, kg/m3
@@ -49,13 +47,8 @@ print(f"{len(places)} nodes, {basis.N} degrees of freedom")
 # z; 3, 4, 5 for rotations).
 
 sets = {name: np.flatnonzero(np.isclose(places[:, 0], x)) for name, x in (("LEFT", 0.0), ("RIGHT", length))}
-model = morembs.FEModel(
-    K=sp.csr_array(K),
-    M=sp.csr_array(M),
-    nodes=morembs.Nodes(ids=np.arange(1, len(places) + 1), xyz=places, sets=sets),
-    dofs=DofMap(node=node.ravel(), component=component),
-    source="scikit-fem",
-)
+nodes = morembs.Nodes(ids=np.arange(1, len(places) + 1), xyz=places, sets=sets)
+model = morembs.from_matrices(K, M, nodes=nodes, node=node.ravel(), component=component, name="scikit-fem")
 
 # %%
 # Whether the matrices are symmetric, rigid motion strains the body, or its mass and size are those of a solid, is

@@ -88,8 +88,8 @@ def write_body(
     progress.stage(f"writing {target.name}")
     # Checksums of /provenance apart, as nothing outside depends on it.
     with writing(target, apart=["provenance"]) as out:
-        told = list(dict.fromkeys((*part.warnings, *warnings)))
-        out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": told})
+        sentences = list(dict.fromkeys((*part.warnings, *warnings)))
+        out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": sentences})
         out.file.create_group("interfaces")
         for interface in part.interfaces:
             values = vars(interface) | {"node_ids": part.node_ids[interface.nodes]}

@@ -23,7 +23,7 @@ from morembs.model.stress_operator import StressOperator, stress_operator, von_m
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
-from morembs.responses.krylov_space import static_response
+from morembs.responses.loads import static_response
 from morembs.storage.table import Table, read_rows
 from morembs.storage.writer import Columns
 

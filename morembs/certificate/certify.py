@@ -18,8 +18,8 @@ from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
-from morembs.responses.krylov_space import static_response
 from morembs.responses.layout import Layout
+from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 
 Floats = NDArray[np.float64]

@@ -87,7 +87,9 @@ def error_limits(
     hz[0, 0], hz[-1, 1] = reference.band_hz
     loose = [name for name, one in limits.items() if 2 * sharpness * one.lower < one.upper < np.inf]
     notes: tuple[str, ...] = ()
-    if loose:
+    if not cells.whole:
+        notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)
+    elif loose:
         lost, at_hz = reference.lost()
         notes = (f"{', '.join(loose)}: limited by round-off of the full response, {lost:.1e} at {at_hz:,.6g} Hz",)
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)
@@ -101,21 +103,16 @@ def _undamped_pole(H: Terms, body: Terms, low: float, high: float) -> float | No
 
 
 def _merged(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Neighbouring cells (nc, 2) with limits (nc, 3) that are alike as one, with the larger limits."""
+    """Neighbouring cells (nc, 2) with limits (nc, 3) in the same steps of ``ALIKE`` as one, with the larger limits."""
     alike = ALIKE
+    with np.errstate(divide="ignore"):
+        size = np.log(upper)
     while True:
-        kept, limits = [cells[0].copy()], [upper[0].copy()]
-        least = upper[0].copy()
-        for cell, limit in zip(cells[1:], upper[1:], strict=True):
-            both, lowest = np.maximum(limits[-1], limit), np.minimum(least, limit)
-            if (both <= (1 + alike) * lowest).all():
-                kept[-1][1], limits[-1], least = cell[1], both, lowest
-            else:
-                kept.append(cell.copy())
-                limits.append(limit.copy())
-                least = limit.copy()
-        if len(kept) <= STORED:
-            return np.array(kept), np.array(limits)
+        steps = np.floor(size / np.log1p(alike))
+        first = np.flatnonzero(np.append(True, (steps[1:] != steps[:-1]).any(axis=1)))
+        if len(first) <= STORED:
+            ends = cells[np.append(first[1:], len(cells)) - 1, 1]
+            return np.stack([cells[first, 0], ends], axis=1), np.maximum.reduceat(upper, first)
         alike *= 2
 
 

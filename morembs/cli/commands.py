@@ -58,14 +58,14 @@ def reduce(
 
     def work(path: Path, progress: Progress) -> Done:
         job = load_job(path, changes or ())
-        told: list[str] = []
+        shown: list[str] = []
 
         def tell(sentence: str) -> None:
-            told.append(sentence)
+            shown.append(sentence)
             warn(sentence)
 
         result = run_job(job, progress, tell)
-        return result_json(result), lambda: print_result(console(), result, told)
+        return result_json(result), lambda: print_result(console(), result, shown)
 
     each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
 

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 
 from morembs import stopping
 from morembs.cli.messages import BAD_INPUT, FAULT, echo, failure, tell
@@ -29,12 +28,21 @@ def console() -> None:
     stopping.end_with(FAULT)
     code = _run(ends=True)
     stopping.end_with(code)
+    _print_the_rest()
     if calls_running():
         # A library still computes in another thread; ending as usual would take its memory from under it.
-        with suppress(OSError):
-            sys.stdout.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _print_the_rest() -> None:
+    """Empty the buffer of standard output; what cannot be printed is dropped, of which the user knows already."""
+    if sys.stdout is not None:
+        try:
+            sys.stdout.flush()
+        except OSError:
+            # The interpreter flushes once more, and would complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(*, ends: bool) -> int:
@@ -81,6 +89,9 @@ def _work(arguments: Sequence[str]) -> None:
 
         show(plain[1], as_json="--json" in arguments)
     else:
+        import typer.main
+
         from morembs.cli.commands import app
 
-        app()
+        # Called itself it would take the place of ``sys.excepthook``, which knows of signals.
+        typer.main.get_command(app)()

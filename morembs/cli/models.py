@@ -14,7 +14,7 @@ from morembs.options import pairs
 from morembs.units import parse_units
 
 if TYPE_CHECKING:
-    from morembs.jobs.import_job import ImportResult
+    from morembs.jobs.import_job import ImportJob, ImportResult
 
 app = typer.Typer()
 
@@ -39,27 +39,48 @@ def import_model(
     dialect: Annotated[
         str, typer.Option(help="The program that an .inp was written for: auto, abaqus or calculix.")
     ] = "auto",
+    density: Annotated[
+        list[str] | None, typer.Option(help="For materials with stiffness only: X or X,set=NAME, in units of the deck.")
+    ] = None,
+    contact: Annotated[str, typer.Option(help="Contact of a deck: refuse, skip, or tie (glue).")] = "refuse",
+    skip: Annotated[
+        list[str] | None, typer.Option(help="Keywords, cards or element types to leave out, between commas.")
+    ] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="The program that assembles a deck: calculix, or calculix:PATH of ccx.")
+    ] = None,
+    boundary: Annotated[str, typer.Option(help="With --engine: drop what *BOUNDARY holds, or keep it.")] = "drop",
+    preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,
+    engine_timeout: Annotated[float, typer.Option(help="With --engine: seconds for each run of it.")] = 600.0,
+    keep_files: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="With --engine: a folder for what it read and wrote.")
+    ] = None,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
     allow_includes_outside: Annotated[
         bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
     ] = False,
     check: Annotated[bool, typer.Option("--check", help="Examine the model and print what is found.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="As --check; errors stop the import.")] = False,
-    listed: Annotated[bool, typer.Option("--list", help="List the formats.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Tell all problems and notes, write nothing.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="List the formats and engines.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Convert a model of another program into a model file that jobs read."""
-    from morembs.jobs.import_job import ImportJob, list_formats, material_of, run_import
+    from morembs.importers.deck_options import density_of
+    from morembs.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
 
     if listed:
-        formats = list_formats()
+        formats, engines = list_formats(), list_engines()
         with messages(), printing():
             if as_json:
-                print_json(formats)
+                print_json({**formats, "engines": engines})
             else:
-                typer.echo("\n".join(f"{name}: {about}" for name, about in formats.items()))
+                lines = [f"{name}: {about}" for name, about in formats.items()]
+                typer.echo("\n".join([*lines, *(f"--engine {name}: {about}" for name, about in engines.items())]))
         return
     with messages():
+        if dry_run:
+            out = out or Path("dry.model.h5")
         if out is None:
             raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
         if not out.name.endswith((".h5", ".hdf5")):
@@ -75,8 +96,14 @@ def import_model(
             out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
-            dialect=dialect, options=pairs(option or []), allow_includes_outside=allow_includes_outside,
+            dialect=dialect, density=density_of(density or []), contact=contact,
+            skip=tuple(word.strip() for text in skip or [] for word in text.split(",") if word.strip()),
+            engine=engine, engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
+            options=pairs(option or []), allow_includes_outside=allow_includes_outside,
         )  # fmt: skip
+        if dry_run:
+            _dry_run(job, check=check, strict=strict, as_json=as_json)
+            return
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)
         with printing([str(done.path)]):
@@ -84,6 +111,54 @@ def import_model(
                 print_json(_document(done))
             else:
                 typer.echo("\n".join(_lines(done)))
+
+
+def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:
+    """The options of engines that are not as they are by default."""
+    given = {"boundary": (boundary, "drop"), "preload": (preload, 0), "timeout": (timeout, 600.0),
+             "keep_files": ("" if keep is None else str(keep), "")}  # fmt: skip
+    return {name: value for name, (value, default) in given.items() if value != default}
+
+
+def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> None:
+    """What an import would say; nothing is written.
+
+    Raises:
+        typer.Exit: the model cannot be imported, with code 2.
+    """
+    from morembs.importers.problems import DeckError, answered_by
+    from morembs.jobs.import_job import run_import
+
+    try:
+        with progress_line() as progress:
+            done = run_import(job, check=check, strict=strict, dry=True, progress=progress)
+    except DeckError as error:
+        command = answered_by(error.source, error.problems, error.given)
+        with printing():
+            if as_json:
+                print_json({
+                    "importable": False, "command": command,
+                    "problems": [
+                        {"what": p.what, "file": p.file, "line": p.line, "keyword": p.keyword, "flags": list(p.flags)}
+                        for p in error.problems
+                    ],
+                })  # fmt: skip
+            else:
+                lines = [f"problem: {problem.what}" for problem in error.problems]
+                lines += [f"all of it is answered by: {command}"] if command else []
+                lines += [error.hint] if error.hint else []
+                typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {len(error.problems)} problems"]))
+        raise typer.Exit(2) from None
+    with printing():
+        if as_json:
+            document = _document(done)
+            document.pop("written")
+            print_json({"importable": True, **document})
+        else:
+            lines = _lines(done)
+            size, nodes = done.model.size, len(done.model.nodes)
+            lines[0] = f"can be imported: {size:,} dofs at {nodes:,} nodes, read as {done.format}; nothing was written"
+            typer.echo("\n".join(lines))
 
 
 def _document(done: ImportResult) -> dict[str, Any]:

@@ -35,6 +35,8 @@ from morembs.progress import duration_words
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10
 BODIES_PER_TABLE = 2
+# Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
+RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01
 
 
 def result_json(result: JobResult) -> dict[str, Any]:
@@ -167,7 +169,9 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
         else:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
         table.add_row(key.removesuffix("bytes_words").replace("_", " "), escape(shown))
-    titled(console, f"{job} is sound", table)
+    count = len(forecast.warnings)
+    warned = f" can be run, with {count} warning{'s' if count > 1 else ''} below" if count else " is sound"
+    titled(console, job + warned, table)
     if forecast.choice:
         console.print(f"solver: {forecast.choice}", highlight=False, soft_wrap=True)
     for text in forecast.warnings:
@@ -176,20 +180,22 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
 
 def print_contenders(console: Console, job: str, compared: Sequence[Contender]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
-    heads = ("order", "error", "mean", "limit", "static", "held, median", "seconds", "peak memory")
+    heads = ("order", "error", "limit", "mean, pointwise", "static", "held, median", "seconds", "peak memory")
     table = plain_table("body", *heads)
     for contender in compared:
-        known = contender.bound, contender.static_error, contender.held_error
+        known = contender.bound, contender.mean_error, contender.static_error, contender.held_error
         table.add_row(
             ("* " if contender.best else "  ") + contender.name, str(contender.order), f"{contender.error:.1e}",
-            f"{contender.mean_error:.1e}", *("-" if value is None else f"{value:.1e}" for value in known),
+            *("-" if value is None else f"{value:.1e}" for value in known),
             f"{contender.seconds:.2f}", bytes_words(contender.peak_memory_bytes),
         )  # fmt: skip
     titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
+    measures = " and ".join(sorted({contender.measure for contender in compared}))
     console.print(
-        "error: reached in the band, limit: not exceeded in it, by the measure of the certificate; held: with one "
-        "interface held still, median over the band, worst interface; seconds: what reductions share (modes, the "
-        "reference model) counts for the first that needs it; peak memory: of the process during it",
+        f"error: reached in the band, limit: not exceeded in it, by the measure of the certificate ({measures}); mean, "
+        "pointwise: of |E(f)| / |H(f)| at the stored frequencies; held: the same with one interface held still, median "
+        "over the band, worst interface; seconds: what reductions share (modes, the reference model) counts for the "
+        "first that needs it; peak memory: of the process during it",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
 
@@ -205,11 +211,14 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     table = plain_table(*columns)
     elastic = None if full is None else full[rigid:]
     rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
+    frequencies = [body.frequencies_hz[body.reduced.rigid_count :] for body in bodies]
+    if elastic is not None:
+        frequencies = [_beside(elastic, own) if RESPONSES.intersection(body.reduced.mode_kind) else own
+                       for body, own in zip(bodies, frequencies, strict=True)]  # fmt: skip
     for number in range(rows):
         row = [str(number + 1)] + ([] if elastic is None else [f"{elastic[number]:,.2f}"])
-        for body in bodies:
-            own = body.frequencies_hz[body.reduced.rigid_count :]
-            known = number < len(own)
+        for body, own in zip(bodies, frequencies, strict=True):
+            known = number < len(own) and np.isfinite(own[number])
             row.append(f"{own[number]:,.2f}" if known else "-")
             if elastic is not None:
                 # Modes beyond those kept are not approximations of anything; held bodies have other modes.
@@ -219,6 +228,17 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
                 row.append(percent(own[number] / elastic[number] - 1) if fits else "-")
         table.add_row(*row)
     return table
+
+
+def _beside(full: Floats, own: Floats) -> Floats:
+    """(k,) of ``own`` frequencies (n,), ascending, the one that stands for each of ``full`` (k,), nan where none does:
+    bodies that follow responses have modes of no load neither in number nor in order."""
+    found, first = np.full(len(full), np.nan), 0
+    for k, hz in enumerate(full):
+        near = first + int(np.abs(own[first:] - hz).argmin()) if first < len(own) else len(own)
+        if near < len(own) and abs(own[near] - hz) <= NEAR * hz:
+            found[k], first = own[near], near + 1
+    return found
 
 
 def _cost(result: JobResult) -> Table:

@@ -156,13 +156,13 @@ def _frequencies(given: Delivered, values: Floats, findings: list[Finding], fact
     if given.full_hz is None or not given.symmetric:
         return
     count = min(len(given.full_hz), len(hz))
-    full, mine = given.full_hz[given.rigid_count : count], hz[given.rigid_count : count]
-    low = np.flatnonzero(mine < full * (1 - FREQUENCY))
+    full, reduced = given.full_hz[given.rigid_count : count], hz[given.rigid_count : count]
+    low = np.flatnonzero(reduced < full * (1 - FREQUENCY))
     if len(low):
         k = int(low[0])
         sentence = (
-            f"elastic mode {k + 1} of the body ({mine[k]:.6g} Hz) is below that of the full model ({full[k]:.6g} Hz), "
-            "which no projection does"
+            f"elastic mode {k + 1} of the body ({reduced[k]:.6g} Hz) is below that of the full model "
+            f"({full[k]:.6g} Hz), which no projection does"
         )
         cure = "check that body and model belong together"
         findings.append(Finding(code="below-full-model", severity="error", sentence=sentence, cure=cure))

@@ -27,6 +27,7 @@ from morembs.errors import InputError
 from morembs.linalg.congruence import magnitudes
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, FEModel, Mesh, Nodes
+from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material
 from morembs.units import Units
 
@@ -211,16 +212,15 @@ def _map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
     if dofs is None or not len(dofs):
         return findings
     top = len(nodes) if nodes is not None else np.inf
-    outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > 5)
+    outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > SCALAR)
     if outside.any():
         sentence = (
             f"{int(outside.sum())} dofs name nodes or components that do not exist (row "
             f"{np.flatnonzero(outside)[0] + 1})"
         )
-        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="components are 0 to 5"))
+        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="components are 0 to 6"))
         return findings
-    key = np.sort(6 * dofs.node + dofs.component)
-    twice = np.unique(key[1:][key[1:] == key[:-1]])
+    twice = dofs.twice()
     if len(twice):
         labels = Names(nodes=nodes).node_labels(twice // 6)
         sentence = f"{len(twice)} dofs appear twice in the map, the first at node {labels[0]}"

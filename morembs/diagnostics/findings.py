@@ -15,7 +15,7 @@ from morembs.model import DofMap, Nodes
 
 Ints = NDArray[np.int64]
 SEVERITIES = ("error", "warning", "note")
-MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
+MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "scalar")
 # Labels written into a sentence, and kept with a finding.
 SHOWN, KEPT = 5, 1000
 

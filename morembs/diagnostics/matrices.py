@@ -255,7 +255,7 @@ def _massless(rows: Ints, names: Names) -> list[Finding]:
     if not len(rows):
         return []
     labels, places = names.places(rows)
-    turning = names.dofs is not None and bool((names.dofs.component[rows] > 2).all())
+    turning = names.dofs is not None and bool(names.dofs.turning[rows].all())
     sentence = f"{len(rows)} {'rotations' if turning else 'dofs'} have stiffness but no mass: {places}"
     cure = (
         "as lumped masses have it; reduce with statics or condense them"

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.diagnostics.matrices import pieces
-from morembs.linalg.congruence import magnitudes
+from morembs.linalg.congruence import cancelling, magnitudes
 from morembs.model import DofMap, Nodes, rigid_motion, skew
+from morembs.model.fe_model import SCALAR
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -68,7 +69,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, magnitudes(K, R).max(axis=1)
+    force, size = K @ R, cancelling(K, R, dofs.component == SCALAR).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 

@@ -44,8 +44,8 @@ def diagnosis_of(
         diagnosis = examine(
             K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget
         )
-    told = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
-    return Diagnosis(findings=(*told, *diagnosis.findings), facts=diagnosis.facts)
+    of_import = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
+    return Diagnosis(findings=(*of_import, *diagnosis.findings), facts=diagnosis.facts)
 
 
 def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:

@@ -37,16 +37,16 @@ class Links:
             interface = of[name]
             xyz = model.nodes.xyz[interface.nodes]
             self.arms[name] = xyz - interface.point
-            mine = model.dofs.of_nodes(interface.nodes).ravel()
+            rows = model.dofs.of_nodes(interface.nodes).ravel()
             forces = interface.kind.nodal_forces(model, interface)
             if forces is None:
                 self.carried.add(name)
-                forces = np.zeros((len(mine), 6))
-            row, col = np.repeat(mine, 6), np.tile(np.arange(6), len(mine))
+                forces = np.zeros((len(rows), 6))
+            row, col = np.repeat(rows, 6), np.tile(np.arange(6), len(rows))
             spread.append(sp.csc_array((forces.ravel(), (row, col)), shape=(model.size, 6)))
-            self.places[name] = slice(at, at + len(mine))
-            dofs.append(mine)
-            at += len(mine)
+            self.places[name] = slice(at, at + len(rows))
+            dofs.append(rows)
+            at += len(rows)
         self.dofs = np.concatenate(dofs) if dofs else np.empty(0, dtype=np.int64)
         # Forces of unit wrenches where the coupling alone spreads them, stiffness and mass: at interface nodes only.
         self.spread = sp.csr_array(sp.hstack(spread))[self.dofs] if spread else sp.csr_array((0, 0))

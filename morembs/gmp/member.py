@@ -77,9 +77,9 @@ class ReducedMember:
         self.data, self.modes, self.length = data, data.count, data.length
         self.M = sp.csr_matrix(data.fields.M)
         self._eye = np.eye(3 + data.count, 6 + data.count, 3)
-        one, turn, (r, p) = data.fields.one, data.fields.turn, (len(data.fields.one), data.fields.size)
+        unit, turn, (r, p) = data.fields.one, data.fields.turn, (len(data.fields.one), data.fields.size)
         self.rigid = np.zeros((p, 3))
-        self.rigid[:r, 0] = self.rigid[r : 2 * r, 1] = one
+        self.rigid[:r, 0] = self.rigid[r : 2 * r, 1] = unit
         self.rigid[2 * r :, 2] = turn
         self._Psi = data.Psi[:, : data.count]
         self._Lambda = data.squares[: data.count]

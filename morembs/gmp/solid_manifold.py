@@ -69,7 +69,7 @@ class SolidEquilibria(Closing):
         self.tangents.close()
 
     def _settled(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
-        X = self._newton.found(guess, np.zeros(len(self.held)), 1.0, resultants)
+        X = self._newton.equilibrium(guess, np.zeros(len(self.held)), 1.0, resultants)
         if X[self.second[0]] <= 0.05 * self.length:
             raise SolverError("the ends of the component meet, its chord has no direction")
         K = self.solid.tangent(X)

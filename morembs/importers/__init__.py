@@ -25,7 +25,9 @@ from morembs.importers.meshes import import_mesh, read_with_meshio
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
+from morembs.importers.unv import import_unv, read_unv
 from morembs.model import Mesh, Nodes
+from morembs.model.handedness import right_handed
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.options import Text, checked, known
 from morembs.plugins import Registry
@@ -34,7 +36,7 @@ from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[..., Mesh]] = {
-    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran
+    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran, ".unv": read_unv
 }  # fmt: skip
 
 
@@ -89,9 +91,10 @@ _OWN: dict[str, Importer] = {
     "hdf5": Importer(
         about="sparse matrices in HDF5 groups (SciPy, MATLAB, Octave)", endings=(".h5", ".hdf5"), read=import_hdf5
     ),
+    "unv": Importer(about="universal file of I-deas or Salome: mesh and groups", endings=(".unv",), read=import_unv),
     "mesh": Importer(
         about="solid mesh without materials, all that meshio reads",
-        endings=(".msh", ".vtk", ".vtu", ".med", ".xdmf", ".mesh", ".unv"),
+        endings=(".msh", ".vtk", ".vtu", ".med", ".rmed", ".xdmf", ".mesh"),
         read=import_mesh,
     ),
 }
@@ -100,11 +103,14 @@ IMPORTERS: Registry[Importer] = Registry(
 )
 
 
-def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_includes_outside: bool = False) -> Mesh:
+def read_mesh(
+    path: str | Path, units: Units | str | None = None, *, dialect: str = "auto", allow_includes_outside: bool = False
+) -> Mesh:
     """Mesh with node sets and element sets, coordinates in m.
 
     Args:
         units: of the file, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+        dialect: the program that a deck .inp was written for: "abaqus", "calculix", or "auto".
         allow_includes_outside: a deck may include files from beyond its folder.
 
     Raises:
@@ -119,12 +125,15 @@ def read_mesh(path: str | Path, units: Units | str | None = None, *, allow_inclu
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
     reader = READERS.get(path.suffix.lower())
-    mesh = reader(path, allow_includes_outside=allow_includes_outside) if reader else read_with_meshio(path)
+    given = {"dialect": dialect} if dialect != "auto" else {}
+    if given and reader is not read_abaqus:
+        raise InputError(f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out")
+    mesh = reader(path, allow_includes_outside=allow_includes_outside, **given) if reader else read_with_meshio(path)
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
-    return mesh_in_order(replace(mesh, nodes=scaled, source=path.name))
+    return right_handed(mesh_in_order(replace(mesh, nodes=scaled, source=path.name)))
 
 
 def format_of(path: Path, given: str | None = None) -> str:
@@ -172,17 +181,25 @@ def _hdf5_kind(path: Path) -> str:
     return ""
 
 
-def import_file(path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Imported:
+def import_file(
+    path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None, *, engine: str | None = None
+) -> Imported:
     """What a file holds, in its units.
 
     Args:
         format: a name of ``IMPORTERS``; by default the ending of the file tells.
-        options: keyword arguments of the importer.
+        options: keyword arguments of the importer, or of the engine.
+        engine: the program that assembles a deck, NAME or NAME:PATH with a name of ``engines.ENGINES``.
 
     Raises:
         InputError: the file is missing or cannot be used, or an option that its format does not have.
     """
     path = Path(path)
+    if engine is not None:
+        # Not at the top: other imports do without programs.
+        from morembs.importers.engines import import_with_engine
+
+        return import_with_engine(path, format_of(path, format), engine, options or {})
     importer = IMPORTERS[format_of(path, format)]
     given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
     values = checked(

@@ -1,4 +1,4 @@
-"""Abaqus and CalculiX input decks with their labels: mesh, sets, surfaces, materials, couplings, point masses.
+"""Abaqus and CalculiX input decks with their labels: mesh, sets, surfaces, materials, and all that ties or hangs on it.
 
 Read here and not by meshio, which drops labels, sets named inside keywords, instances in their places and materials.
 """
@@ -17,61 +17,82 @@ from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck, read_deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.deck_options import deck_options, lacking_problems
 from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.problems import Problem
 from morembs.model import Mesh
 
 Ints = NDArray[np.int64]
 
 
-def read_abaqus(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
+def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:
     """Mesh of an input deck in the deck's own units; its materials are not read.
 
     Raises:
-        InputError: not a deck, an element type that is not supported, or couplings and point masses, which a mesh
-            cannot carry.
+        InputError: not a deck, an element type that is not supported, or couplings, springs and point masses, which a
+            mesh cannot carry.
     """
-    deck = read_deck(path, outside=allow_includes_outside)
+    deck = read_deck(path, outside=allow_includes_outside, dialect=_known(dialect))
     scopes = [deck.top, *deck.parts.values(), *(instance.scope for instance in deck.instances.values())]
     ties = [card for scope in scopes for card, *_ in scope.constraints]
-    if ties or any(scope.points for scope in scopes):
-        what = f"*{ties[0].keyword}" if ties else "point masses"
-        raise InputError(
-            f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out of it"
-        )
-    return _with_warnings(mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0], deck)
+    if ties or any(scope.discrete for scope in scopes):
+        what = f"*{ties[0].keyword}" if ties else "point masses or springs"
+        deck.problems.add(
+            Problem(
+                what=f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out",
+                file=deck.name, keyword=ties[0].keyword if ties else "ELEMENT",
+            )
+        )  # fmt: skip
+    with deck.problems.ending():
+        mesh = mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0]
+    deck.problems.refuse()
+    return _with_warnings(mesh, deck)
 
 
-def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Imported:
+def import_abaqus(
+    path: str | Path, *, dialect: str = "auto", density: float | dict[str, float] | None = None,
+    contact: str = "refuse", skip: list[str] | str = "", allow_includes_outside: bool = False,
+) -> Imported:  # fmt: skip
     """All of an input deck that a model can carry, in the deck's own units.
 
     The rows of ``nodes`` are those of ``mesh.nodes``, and behind them nodes that belong to no element but are named
-    by a coupling or a point mass. Boundary conditions and steps are not applied (``notes`` say so).
+    by a coupling, an equation, a spring or a point mass. Boundary conditions and steps are not applied (``notes`` say
+    so).
 
     Args:
         allow_includes_outside: includes may name files beyond the folder of the deck.
         dialect: the program whose element types are meant, "abaqus" or "calculix"; "auto" looks at keywords and
             comments.
+        density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
+        contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
+        skip: keywords and element types to leave out, although stiffness or mass may depend on them.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
 
     Raises:
-        InputError: the file is not a deck, contradicts itself, or holds what a model cannot carry.
+        DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
+        InputError: options that are not known.
     """
-    if dialect not in DIALECTS:
-        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
-    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=dialect)
-    assembly = Assembly(deck)
-    if not assembly.blocks:
-        raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
-    constraints = Constraints(assembly)
-    constraints.surfaces()
-    constraints.constraints()
-    constraints.point_masses()
-    materials, material_notes, lacking = materials_of(deck, assembly)
-    got = constraints.found
-    mesh, nodes, row = mesh_of(assembly, nodes_of([*got.rigid, *got.average, *got.masses]))
-    surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in got.surfaces.items()}
+    options = deck_options(density, contact, skip)
+    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        if not assembly.blocks:
+            raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
+        constraints = Constraints(deck, assembly)
+        got = constraints.read()
+        found = materials_of(deck, assembly)
+        ties = Imported(
+            source=deck.name, rigid=tuple(got.rigid), average=tuple(got.average), equations=tuple(got.equations),
+            masses=tuple(got.masses), discrete=tuple(got.discrete),
+        ).ties  # fmt: skip
+        mesh, nodes, row = mesh_of(assembly, nodes_of(ties))
+    materials, lacking, said = options.completed(found.materials, found.lacking)
+    if deck.problems.found:
+        deck.problems.found += lacking_problems(deck.name, lacking)
+    deck.problems.refuse()
+    surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in constraints.surfaces.nodes.items()}
     for instance in deck.instances.values():
         if instance.moves:
             assembly.notes.append(f"The instance {instance.scope.name} was moved to its place.")
@@ -82,11 +103,29 @@ def import_abaqus(path: str | Path, *, dialect: str = "auto", allow_includes_out
         materials=materials,
         rigid=on_rows(got.rigid, row),
         average=on_rows(got.average, row),
+        equations=on_rows(got.equations, row),
         masses=on_rows(got.masses, row),
+        discrete=on_rows(got.discrete, row),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
-        notes=(*_notes(deck), *assembly.notes, *material_notes, *got.notes),
+        notes=(*_notes(deck), *assembly.notes, *found.notes, *got.notes),
+        warnings=(*_skipped(deck), *got.warnings, *found.warnings, *said),
         incomplete=lacking,
     )
+
+
+def _known(dialect: str) -> str:
+    if dialect not in DIALECTS:
+        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
+    return dialect
+
+
+def _skipped(deck: Deck) -> list[str]:
+    """What was left out as asked, a sentence each."""
+    warnings = []
+    for what, count in deck.skipped.items():
+        code = "contact-skipped" if what in ("*CONTACT PAIR", "*CONTACT") else "keywords-skipped"
+        warnings.append(f"{count} {what} left out as asked; stiffness or mass may depend on them [{code}]")
+    return warnings
 
 
 def _with_warnings(mesh: Mesh, deck: Deck) -> Mesh:
@@ -99,6 +138,9 @@ def _notes(deck: Deck) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
     for word in deck.noted:
+        if word == "END STEP":
+            notes.append("The last step is not ended (*END STEP is missing).")
+            continue
         reason = "is not applied; the body is free" if word == "BOUNDARY" else "is not carried over"
         notes.append(f"*{word} {reason}.")
     if deck.in_steps:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +42,27 @@ class Placed:
         return sets
 
 
+@dataclass(frozen=True, eq=False)
+class Discrete:
+    """An element of the type ``code`` on single ``nodes`` (rows of all), its label and its number among all."""
+
+    placed: Placed
+    code: str
+    label: int
+    number: int
+    nodes: list[int]
+
+
 class Assembly:
     """All nodes (n, 3) and elements of a deck, and what its names mean.
 
-    Elements are numbered block by block, point elements behind the solids.
+    Elements are numbered block by block, behind the solids those on single nodes, and behind these ``others`` (type,
+    labels, rows of nodes), which are not assembled here.
     """
 
     def __init__(self, deck: Deck) -> None:
         self.deck = deck.name
+        self.problems = deck.problems
         self.notes: list[str] = []
         self.warnings: list[str] = []
         self.top = Placed("", [deck.top], np.eye(3))
@@ -90,7 +104,7 @@ class Assembly:
     def _shifts(self, labels: list[Ints], what: str) -> list[int]:
         """What to add to the labels of each scope so that each is there once."""
         together = np.concatenate(labels)
-        if len(np.unique(together)) == len(together):
+        if not _repeats(together):
             return [0] * len(labels)
         step = 10 ** len(str(int(together.max(initial=1))))
         if step * len(labels) > 2**62:
@@ -110,12 +124,18 @@ class Assembly:
                     kinds.setdefault(deck.kind(code), []).extend(pieces)
                     pieces.clear() if len(self.placed) < 2 else None
             per_scope.append({kind: np.concatenate(pieces) for kind, pieces in kinds.items()})
-        point_labels = [
-            np.array([n for scope in placed.contents for n, *_ in scope.points], dtype=np.int64) for placed in scopes
+        extra_labels = [
+            np.array(
+                [n for scope in placed.contents for n, *_ in scope.discrete]
+                + [n for scope in placed.contents for _, rows in scope.others for n in rows[:, 0].tolist()],
+                dtype=np.int64,
+            )
+            for placed in scopes
         ]
+        order_of = list(dict.fromkeys(kind for by_type in per_scope for kind in by_type))
         own = [
-            np.concatenate([*(rows[:, 0] for rows in by_type.values()), extra])
-            for by_type, extra in zip(per_scope, point_labels, strict=True)
+            np.concatenate([*(by_type[kind][:, 0] for kind in order_of if kind in by_type), extra])
+            for by_type, extra in zip(per_scope, extra_labels, strict=True)
         ]
         for placed, labels in zip(scopes, own, strict=True):
             order = np.argsort(labels, kind="stable")
@@ -130,7 +150,7 @@ class Assembly:
         shifts = self._shifts(own, "element")
         number = [np.empty(len(labels), dtype=np.int64) for labels in own]
         filled, count, blocks = [0] * len(scopes), 0, []
-        for kind in dict.fromkeys(kind for by_type in per_scope for kind in by_type):
+        for kind in order_of:
             nodes, ids = [], []
             for j, placed in enumerate(scopes):
                 rows = per_scope[j].pop(kind, None)
@@ -148,13 +168,30 @@ class Assembly:
             )
         self.blocks: list[ElementBlock] = blocks
         self.solids = count
-        self.points: list[tuple[Placed, int, str, int]] = []
+        self.discrete: list[Discrete] = []
         for j, placed in enumerate(scopes):
-            items = [item for scope in placed.contents for item in scope.points]
-            number[j][filled[j] :] = np.arange(count, count + len(items))
-            count += len(items)
-            self.points += [(placed, self.one_node(placed, ref), code, n + shifts[j]) for n, ref, code in items]
+            items = [item for scope in placed.contents for item in scope.discrete]
+            number[j][filled[j] : filled[j] + len(items)] = np.arange(count, count + len(items))
+            filled[j] += len(items)
+            for label_, nodes_, code in items:
+                ends = [self.one_node(placed, ref) for ref in nodes_]
+                self.discrete.append(Discrete(placed, code, label_ + shifts[j], count, ends))
+                count += 1
+        self.others: list[tuple[str, Ints, Ints]] = []
+        for j, placed in enumerate(scopes):
+            for scope in placed.contents:
+                for code, rows in scope.others:
+                    at = self.rows_of(placed, rows[:, 1:], "elements name")
+                    self.others.append((code, rows[:, 0] + shifts[j], at))
+            left = len(number[j]) - filled[j]
+            number[j][filled[j] :] = np.arange(count, count + left)
+            count += left
             placed.element_rows = number[j][np.argsort(own[j], kind="stable")]
+
+    def element_labels(self) -> Ints:
+        """Labels of all elements by their numbers."""
+        discrete = np.array([element.label for element in self.discrete], dtype=np.int64)
+        return np.concatenate([_NONE, *(b.ids for b in self.blocks), discrete, *(ids for _, ids, _ in self.others)])
 
     def _in_order(self, kind: str, nodes: Ints, ids: Ints) -> Ints:
         """Nodes in VTK order; surfaces, too, go by it. Programs differ in the order of the 7 inner nodes of hex27, so
@@ -180,10 +217,30 @@ class Assembly:
         at[at == len(placed.labels)] = 0
         wrong = placed.labels[at] != labels if len(placed.labels) else np.ones(labels.shape, dtype=bool)
         if wrong.any():
-            raise InputError(f"{self.deck}: {who} the node {labels[wrong][0]}{_of(placed)}, which is not defined")
+            missing = np.unique(labels[wrong])
+            some = ", ".join(map(str, missing[:10].tolist()))
+            raise InputError(
+                f"{self.deck}: {who} the node {missing[0]}{_of(placed)}, which is not defined"
+                if len(missing) == 1
+                else f"{self.deck}: {who} {len(missing)} nodes{_of(placed)} that are not defined: {some}"
+            )
         return placed.rows[at]
 
-    def _split(self, placed: Placed, text: str) -> tuple[Placed, str]:
+    @cached_property
+    def in_solids(self) -> NDArray[np.bool_]:
+        """Which nodes belong to solids."""
+        used = np.zeros(len(self.ids), dtype=bool)
+        for block in self.blocks:
+            used[block.nodes] = True
+        return used
+
+    def new_node(self, xyz: Floats) -> int:
+        """Row of a node that the deck does not have."""
+        self.ids = np.append(self.ids, self.ids.max() + 1)
+        self.xyz = np.vstack([self.xyz, xyz])
+        return len(self.ids) - 1
+
+    def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
         """The scope that a reference "INSTANCE.NAME" means and what it names there."""
         first, dot, rest = text.partition(".")
         if dot and placed is self.top and first.upper() in self.placed:
@@ -199,7 +256,7 @@ class Assembly:
 
     def nodes_of(self, placed: Placed, text: str) -> Ints:
         """Rows of the nodes that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self.rows_of(scope, np.array([value]), "a line names")
@@ -207,7 +264,7 @@ class Assembly:
 
     def elements_of(self, placed: Placed, text: str) -> Ints:
         """Numbers of the elements that a label or the name of a set means."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
             return self._found("element", scope, np.array([value]), text)
@@ -230,7 +287,7 @@ class Assembly:
                 for named in sets[name.upper()]
                 for part in named.parts
             ]
-            self._cache[key] = np.unique(np.concatenate(pieces)) if pieces else _NONE
+            self._cache[key] = _ascending(np.concatenate(pieces)) if pieces else _NONE
         return self._cache[key]
 
     def _part(self, kind: str, placed: Placed, part: Members, name: str, seen: tuple[str, ...]) -> Ints:
@@ -242,6 +299,8 @@ class Assembly:
                 )
             scope = self.placed[part.instance.upper()]
         labels, rows = (scope.labels, scope.rows) if kind == "node" else (scope.element_labels, scope.element_rows)
+        if part.of_elements:
+            return self.nodes_of_elements(self._part("element", placed, replace(part, of_elements=False), name, ()))
         pieces = [self._found(kind, scope, part.labels, name)]
         for first, last, step in part.ranges:
             low, high = np.searchsorted(labels, [first, last + 1])
@@ -254,13 +313,24 @@ class Assembly:
                 )
             pieces.append(rows[low:high][on])
         for other in part.names:
-            target, rest = self._split(scope, other)
+            target, rest = self.split(scope, other)
             value = label(rest)
             if value is not None:
                 pieces.append(self._found(kind, target, np.array([value]), name))
             else:
                 pieces.append(self.members(kind, target, rest, seen if target is placed else ()))
         return np.concatenate(pieces)
+
+    def nodes_of_elements(self, numbers: Ints) -> Ints:
+        """Rows of the nodes of elements by their numbers, ascending."""
+        rows, start = [_NONE], 0
+        for block in self.blocks:
+            own = numbers[(numbers >= start) & (numbers < start + len(block.nodes))] - start
+            rows.append(np.unique(block.nodes[own]))
+            start += len(block.nodes)
+        chosen = set(numbers[numbers >= start].tolist())
+        rows += [np.array(element.nodes) for element in self.discrete if element.number in chosen]
+        return np.unique(np.concatenate(rows))
 
     def _found(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:
         if kind == "node":
@@ -292,11 +362,21 @@ class Assembly:
 
     def final_name(self, kind: str, placed: Placed, text: str) -> str:
         """Name that the set ``text`` of a scope has in the end."""
-        scope, rest = self._split(placed, text)
+        scope, rest = self.split(placed, text)
         for name, (where, own) in self.named(kind).items():
             if where is scope and own.upper() == rest.upper():
                 return name
         raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s")
+
+
+def _repeats(labels: Ints) -> bool:
+    """Whether a label is there twice."""
+    return len(_ascending(labels)) < len(labels)
+
+
+def _ascending(labels: Ints) -> Ints:
+    """Each label once; those of most files ascend already."""
+    return labels if (labels[1:] > labels[:-1]).all() else np.unique(labels)
 
 
 def _of(placed: Placed) -> str:
@@ -307,7 +387,7 @@ def _gathered(placed: Placed, deck: str) -> tuple[Ints, Floats]:
     """Labels and coordinates of a scope as they are written."""
     ids = np.concatenate([_NONE, *(a for scope in placed.contents for a in scope.node_ids)])
     xyz = np.concatenate([np.empty((0, 3)), *(a for scope in placed.contents for a in scope.xyz)])
-    if len(ids) and (len(np.unique(ids)) != len(ids) or ids.min() < 1):
+    if len(ids) and (_repeats(ids) or ids.min() < 1):
         raise InputError(f"{deck} defines some nodes{_of(placed)} twice, or below 1; expected unique node labels")
     return ids, xyz
 

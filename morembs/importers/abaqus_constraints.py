@@ -1,4 +1,4 @@
-"""Surfaces, couplings, rigid bodies and point masses of an input deck, as rows of all its nodes."""
+"""Couplings, rigid bodies, equations, ties, springs and point masses of an input deck, as rows of all its nodes."""
 
 from __future__ import annotations
 
@@ -7,160 +7,132 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, nearest
-from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_deck import Rows, values
+from morembs.errors import InputError
+from morembs.importers.abaqus_assembly import Assembly, Discrete, Placed
+from morembs.importers.abaqus_deck import Deck, Rows, values
+from morembs.importers.abaqus_equations import Axes, equations_of, mpc_sums, solved
 from morembs.importers.abaqus_keywords import Card, number
-from morembs.importers.imported import PointMass
-from morembs.model import Mesh, Nodes
-from morembs.model.constraints import AverageElement, RigidElement
-from morembs.model.elements import TYPES
-from morembs.model.surface import outer_faces
+from morembs.importers.abaqus_springs import spring_of
+from morembs.importers.abaqus_surfaces import Surfaces
+from morembs.importers.abaqus_ties import glued, is_sector
+from morembs.importers.imported import DiscreteElement, PointMass
+from morembs.importers.problems import Problem
+from morembs.model.constraints import AverageElement, Equations, RigidElement, Term
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# Corners of the faces S1, S2, ...
-_FACES = {
-    "t": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)),
-    "h": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (0, 3, 4, 7)),
-    "w": ((0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (1, 2, 4, 5), (0, 2, 3, 5)),
-}
-_NO_CARD = Card("", {}, "")
 _ALL = (0, 1, 2, 3, 4, 5)
+_PROPERTY_OF = {
+    "MASS": "MASS", "ROTARYI": "ROTARY INERTIA", "SPRING1": "SPRING", "SPRING2": "SPRING", "SPRINGA": "SPRING",
+    "DASHPOT1": "DASHPOT", "DASHPOT2": "DASHPOT", "DASHPOTA": "DASHPOT",
+}  # fmt: skip
+_SECTOR = "CYCLIC SYMMETRY MODEL"
+_NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")
 
 
 @dataclass
 class Found:
     """What the lines of a deck tie to the mesh; rows are those of all nodes."""
 
-    surfaces: dict[str, Ints] = field(default_factory=dict)
     rigid: list[RigidElement] = field(default_factory=list)
     average: list[AverageElement] = field(default_factory=list)
+    equations: list[Equations] = field(default_factory=list)
     masses: list[PointMass] = field(default_factory=list)
+    discrete: list[DiscreteElement] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 class Constraints:
-    """Reads what stands in the scopes of an assembly.
+    """Reads what stands in the scopes of an assembly; what cannot be read is a problem of the deck."""
 
-    Raises:
-        InputError: a line names what is not there, or ties nodes in a way that cannot be carried.
-    """
-
-    def __init__(self, assembly: Assembly) -> None:
+    def __init__(self, deck: Deck, assembly: Assembly) -> None:
         self.assembly = assembly
-        self.deck = assembly.deck
+        self.deck, self.problems, self.options = deck.name, deck.problems, deck.options
+        self.dialect = deck.dialect
         self.found = Found()
-        self._weights: dict[tuple[int, str], tuple[Ints, Floats]] = {}
-        self._outer: dict[str, Ints] | None = None
+        self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
+        self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
+        self._distributing = {one.number: one.nodes[0] for one in assembly.discrete if one.code == "DCOUP3D"}
 
-    def surfaces(self) -> None:
-        """All surfaces as rows of nodes."""
-        several = len(self.assembly.placed) > 1
-        for placed in (self.assembly.top, *self.assembly.placed.values()):
-            for scope in placed.contents:
-                for card, rows in scope.surfaces:
-                    name = card.need("NAME")
-                    kind = card.options.get("TYPE", "ELEMENT").upper()
-                    if kind not in ("ELEMENT", "NODE") or "COMBINE" in card.options:
-                        self.found.notes.append(f"The surface {name} is not one of nodes or faces and was left out.")
-                        continue
-                    of = self._of_nodes if kind == "NODE" else self._of_faces
-                    nodes, weights = of(placed, [row for row in rows if row], card)
-                    self._weights[id(placed), name.upper()] = nodes, weights
-                    clash = placed.name and (several or name in self.found.surfaces)
-                    self.found.surfaces[f"{placed.name}.{name}" if clash else name] = nodes
-
-    def _of_nodes(self, placed: Placed, rows: Rows, card: Card) -> tuple[Ints, Floats]:
-        weight = np.zeros(len(self.assembly.ids))
-        inside = np.zeros(len(weight), dtype=bool)
-        for row in rows:
-            nodes = self.assembly.nodes_of(placed, row[0])
-            inside[nodes] = True
-            weight[nodes] = number(row[1], card) if len(row) > 1 else 1.0
-        nodes = np.flatnonzero(inside)
-        return nodes, weight[nodes]
-
-    def _of_faces(self, placed: Placed, rows: Rows, card: Card) -> tuple[Ints, Floats]:
-        weight = np.zeros(len(self.assembly.ids))
-        inside = np.zeros(len(weight), dtype=bool)
-        for row in rows:
-            numbers = self.assembly.elements_of(placed, row[0])
-            side = row[1].upper() if len(row) > 1 else ""
-            for kind, faces in self._faces(numbers, side, card):
-                corners = self.assembly.xyz[faces[:, : 3 if kind.startswith("tri") else 4]]
-                legs = (corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-                if corners.shape[1] == 4:
-                    legs = (corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-                area = 0.5 * np.linalg.norm(np.cross(*legs), axis=1)
-                np.add.at(weight, faces, np.repeat(area[:, None] / faces.shape[1], faces.shape[1], axis=1))
-                inside[faces] = True
-        nodes = np.flatnonzero(inside)
-        return nodes, weight[nodes]
-
-    def _faces(self, numbers: Ints, side: str, card: Card) -> list[tuple[str, Ints]]:
-        """Type and nodes (nf, k) of the faces ``side`` (S1, ...) of elements; of their free faces if it is empty."""
-        blocks, start = [], 0
-        for block in self.assembly.blocks:
-            kind, nodes = block.type, block.nodes
-            own = numbers[(numbers >= start) & (numbers < start + len(nodes))] - start
-            start += len(nodes)
-            if not len(own):
-                continue
-            if not side:
-                for face, local in TYPES[kind].face_nodes:
-                    blocks.append((face, self._free(face, nodes[own][:, local])))
-                continue
-            table = _FACES[kind[0]]
-            at = int(side[1:]) - 1 if side[:1] == "S" and side[1:].isdigit() and len(side) < 4 else -1
-            if not 0 <= at < len(table):
-                raise InputError(f"{card}: the face {side!r} was given; a {kind} has the faces S1 to S{len(table)}")
-            for face, local in TYPES[kind].face_nodes:
-                if set(local[: len(table[at])].tolist()) == set(table[at]):
-                    blocks.append((face, nodes[own][:, local]))
-        return blocks
-
-    def _free(self, kind: str, faces: Ints) -> Ints:
-        """Those of ``faces`` that no other element has."""
-        if self._outer is None:
-            assembly = self.assembly
-            nodes = Nodes(ids=assembly.ids, xyz=assembly.xyz)
-            self._outer = outer_faces(Mesh(nodes=nodes, blocks=tuple(assembly.blocks)))
-        free = self._outer[kind]
-        both = np.sort(np.concatenate([free, faces]), axis=1)
-        _, group = np.unique(both, axis=0, return_inverse=True)
-        group = group.ravel()
-        return faces[np.isin(group[len(free) :], group[: len(free)])]
-
-    def _surface(self, placed: Placed, name: str, card: Card) -> tuple[Ints, Floats]:
-        first, _, rest = name.partition(".")
-        scope = self.assembly.placed.get(first.upper()) if placed is self.assembly.top else None
-        key = (id(scope), rest.upper()) if scope else (id(placed), name.upper())
-        if key not in self._weights:
-            raise InputError(f"{card} names the surface {name!r}; {nearest(name, self.found.surfaces)}")
-        return self._weights[key]
-
-    def constraints(self) -> None:
-        """Couplings, rigid bodies and *MPC."""
+    def read(self) -> Found:
+        """All of them, ties last: they leave alone what follows something else."""
+        self.surfaces.read()
+        self.axes.read()
+        self.found.notes += self.surfaces.notes
+        self._point_elements()
+        pairs: list[tuple[Placed, Card, Rows]] = []
         for placed in (*self.assembly.placed.values(), self.assembly.top):
             for scope in placed.contents:
                 for card, rows, kind, kind_rows in scope.constraints:
                     rows = [row for row in rows if row]
-                    if card.keyword == "COUPLING":
-                        self._coupling(placed, card, kind, [row for row in kind_rows if row])
-                    elif card.keyword == "KINEMATIC COUPLING":
-                        self._kinematic_coupling(placed, card, rows)
-                    elif card.keyword == "RIGID BODY":
-                        self._rigid_body(placed, card)
-                    else:
-                        self._mpc(placed, card, rows)
+                    if card.keyword in ("TIE", "CONTACT PAIR"):
+                        pairs.append((placed, card, rows))
+                        continue
+                    with self.problems.collected(card, (f"--skip {card.keyword}",)):
+                        self._one(placed, card, rows, kind, [row for row in kind_rows if row])
+        for name, sums in self._sums.items():
+            if sums:
+                with self.problems.collected(Card(name[1:], {}, self.deck)):
+                    self.found.equations.append(solved(name, sums, self.axes))
+        taken = self._followers()
+        for placed, card, rows in pairs:
+            with self.problems.collected(card, (f"--skip {card.keyword}",)):
+                self._tie(placed, card, rows, taken)
+        return self.found
 
-    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+    def _one(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
+        if card.keyword == "COUPLING":
+            self.coupling(placed, card, kind, kind_rows)
+        elif card.keyword == "KINEMATIC COUPLING":
+            self._kinematic_coupling(placed, card, rows)
+        elif card.keyword == "DISTRIBUTING COUPLING":
+            self.distributing_coupling(placed, card, rows)
+        elif card.keyword == "RIGID BODY":
+            self._rigid_body(placed, card)
+        elif card.keyword == "EQUATION":
+            self._sums["*EQUATION"] += equations_of(self.assembly, self.axes, placed, card, rows)
+        else:
+            self._mpc(placed, card, rows)
+
+    def _tie(self, placed: Placed, card: Card, rows: Rows, taken: set[int]) -> None:
+        if card.keyword == "TIE" and is_sector(card):
+            if not self.options.skips(_SECTOR):
+                what = (
+                    f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip "
+                    f"{_SECTOR!r} takes the sector alone, with free sides"
+                )
+                self.problems.add(
+                    Problem(
+                        what=what, file=card.file, line=card.line, keyword=card.keyword, flags=(f"--skip {_SECTOR}",)
+                    )
+                )
+            return
+        for row in rows:
+            equations, notes, warnings = glued(
+                self.assembly, self.surfaces, placed, card, row, taken, self.dialect
+            )
+            self.found.equations += [equations] if equations else []
+            self.found.notes += notes
+            self.found.warnings += warnings
+
+    def _followers(self) -> set[int]:
+        """Nodes that follow something in a displacement."""
+        nodes: set[int] = set()
+        for rigid in self.found.rigid:
+            nodes.update(rigid.slaves.tolist() if set(rigid.components) & {0, 1, 2} else [])
+        nodes.update(average.reference for average in self.found.average)
+        for given in self.found.equations:
+            nodes.update(given.nodes[given.components < 3].tolist())
+        return nodes
+
+    def coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+        """*COUPLING with what it is: *KINEMATIC or *DISTRIBUTING."""
         name = card.options.get("CONSTRAINT NAME", "")
         if kind is None:
             raise InputError(f"{card} {name!r} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
-        nodes, weights = self._surface(placed, card.need("SURFACE"), card)
+        nodes, weights = self.surface(placed, card.need("SURFACE"), card)
         components = _components(rows, kind)
         if card.options.get("ORIENTATION") and components not in (_ALL, (0, 1, 2)):
             raise InputError(f"{card} {name!r} ties some directions of an *ORIENTATION; expected all, or global axes")
@@ -199,35 +171,69 @@ class Constraints:
         for components, parts in groups.items():
             self._rigid(self._title(placed, "kinematic coupling"), reference, np.concatenate(parts), components, card)
 
+    def distributing_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Nodes and weights in lines; the reference is the node of the DCOUP3D of its element set."""
+        elements = self.assembly.elements_of(placed, card.need("ELSET")).tolist()
+        references = [self._distributing[number_] for number_ in elements if number_ in self._distributing]
+        if len(references) != 1:
+            raise InputError(f"{card} of {card.need('ELSET')!r} has {len(references)} elements DCOUP3D; expected one")
+        weights: dict[int, float] = {}
+        for row in rows:
+            for node in self.assembly.nodes_of(placed, row[0]).tolist():
+                weights[node] = number(row[1], card) if len(row) > 1 and row[1] else 1.0
+        weights.pop(references[0], None)
+        nodes = np.array(sorted(weights), dtype=np.int64)
+        given = np.array([weights[node] for node in nodes.tolist()])
+        if not len(nodes) or not (given >= 0).all() or not given.sum() > 0:
+            raise InputError(f"{card} of {card.need('ELSET')!r} has no nodes with positive weights; check its lines")
+        title = self._title(placed, card.options["ELSET"])
+        self.found.average.append(AverageElement(name=title, reference=references[0], nodes=nodes, weights=given))
+
     def _rigid_body(self, placed: Placed, card: Card) -> None:
         options = card.options
-        if options.get("POSITION", "INPUT").upper() != "INPUT" or "ANALYTICAL SURFACE" in options:
-            raise InputError(f"{card} is given with POSITION or ANALYTICAL SURFACE; expected nodes and a REF NODE")
-        reference = self.assembly.one_node(placed, card.need("REF NODE"))
+        if "ANALYTICAL SURFACE" in options:
+            self.found.notes.append(f"{card} moves an analytical surface and was left out.")
+            return
         parts = [
             self.assembly.nodes_of(placed, options[key]) for key in ("NSET", "TIE NSET", "PIN NSET") if options.get(key)
         ]
         if options.get("ELSET"):
-            numbers, start = self.assembly.elements_of(placed, options["ELSET"]), 0
-            for block in self.assembly.blocks:
-                own = numbers[(numbers >= start) & (numbers < start + len(block.nodes))] - start
-                parts.append(np.unique(block.nodes[own]))
-                start += len(block.nodes)
+            parts.append(self.assembly.nodes_of_elements(self.assembly.elements_of(placed, options["ELSET"])))
+        if not parts:
+            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
+        slaves = np.unique(np.concatenate(parts))
+        title = self._title(placed, options.get("NSET") or options.get("ELSET") or "rigid body")
+        if not len(slaves):
+            self.found.notes.append(f"{card} ({title}) has no nodes of solids and was left out.")
+            return
+        if options.get("REF NODE"):
+            reference = self.assembly.one_node(placed, options["REF NODE"])
+            if options.get("POSITION", "INPUT").upper() != "INPUT":
+                self.found.notes.append(f"The reference node of the rigid body {title} stays where the deck has it.")
+        else:
+            reference = self.assembly.new_node(self.assembly.xyz[slaves].mean(axis=0))
+            self.found.notes.append(
+                f"The rigid body {title} names no reference node; node {self.assembly.ids[reference]} was put at its "
+                "mean place."
+            )
         if options.get("ROT NODE"):
             self.found.notes.append(
                 f"A rigid body has its rotations at the node {options['ROT NODE']}; here they are those of its "
                 "reference node."
             )
-        if not parts:
-            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
-        title = self._title(placed, options.get("NSET") or options.get("ELSET") or "rigid body")
-        self._rigid(title, reference, np.concatenate(parts), _ALL, card)
+        self._rigid(title, reference, slaves, _ALL, card)
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
         for row in rows:
-            if row[0].upper() != "BEAM" or len(row) != 3:
+            kind = row[0].upper()
+            if kind in ("LINEAR", "LINK", "PIN", "TIE"):
+                self._sums["*MPC"] += mpc_sums(self.assembly, placed, card, row)
+                continue
+            if kind != "BEAM" or len(row) != 3:
+                why = "is not linear" if kind in _NONLINEAR_MPC else "cannot be carried"
                 raise InputError(
-                    f"{card} of the type {row[0]!r} cannot be carried; expected BEAM with two nodes or sets"
+                    f"{card} of the type {row[0]!r} {why}; expected LINEAR, LINK, PIN, TIE, or BEAM with two nodes or "
+                    "sets; --skip MPC leaves all *MPC out"
                 )
             slaves, masters = (self.assembly.nodes_of(placed, text) for text in row[1:])
             if len(masters) == 1:
@@ -253,28 +259,51 @@ class Constraints:
             title = f"{first} {count}"
         return title
 
-    def point_masses(self) -> None:
-        """*MASS and *ROTARY INERTIA on their elements."""
-        given: dict[int, tuple[Card, Floats]] = {}
+    def surface(self, placed: Placed, name: str, card: Card) -> tuple[Ints, Floats]:
+        """Rows of the nodes of a surface, and their weights."""
+        surface = self.surfaces.of(placed, name, card)
+        return surface.nodes, surface.weights
+
+    def _point_elements(self) -> None:
+        """Point masses, springs and dashpots with their properties."""
+        given: dict[int, tuple[Placed, Card, Rows]] = {}
         for placed in (*self.assembly.placed.values(), self.assembly.top):
             for scope in placed.contents:
                 for card, rows in scope.properties:
                     if card.keyword != "SOLID SECTION":
-                        value = _point_value(placed, card, [row for row in rows if row])
-                        for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
-                            if element < self.assembly.solids or element in given:
-                                why = "has a property already" if element in given else "is a solid"
-                                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}")
-                            given[element] = card, value
-        for j, (_, node, code, element) in enumerate(self.assembly.points):
-            card, value = given.get(self.assembly.solids + j, (_NO_CARD, np.zeros((3, 3))))
-            if card.keyword != {"MASS": "MASS", "ROTARYI": "ROTARY INERTIA"}[code]:
-                raise InputError(f"{self.deck}: the element {element} of the type {code} has no property of its kind")
-            name = f"{card.options['ELSET']}:{element}"
-            if code == "MASS":
-                self.found.masses.append(PointMass(name=name, node=node, mass=float(value[0, 0])))
-            else:
-                self.found.masses.append(PointMass(name=name, node=node, mass=0.0, inertia=value))
+                        with self.problems.collected(card):
+                            self._given(placed, card, rows, given)
+        for element in self.assembly.discrete:
+            if element.code == "DCOUP3D":
+                continue
+            placed, card, rows = given.get(element.number, (element.placed, Card("", {}, self.deck), []))
+            if self.options.skips(element.code, _PROPERTY_OF[element.code]):
+                continue
+            with self.problems.collected(card, (f"--skip {element.code}",)):
+                self._property(placed, element, card, rows)
+
+    def _given(self, placed: Placed, card: Card, rows: Rows, given: dict[int, tuple[Placed, Card, Rows]]) -> None:
+        for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
+            if element < self.assembly.solids or element in given:
+                why = "has a property already" if element in given else "is a solid"
+                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}")
+            given[element] = placed, card, [row for row in rows if row]
+
+    def _property(self, placed: Placed, element: Discrete, card: Card, rows: Rows) -> None:
+        if card.keyword != _PROPERTY_OF[element.code]:
+            raise InputError(
+                f"{self.deck}: the element {element.label} of the type {element.code} has no property of its kind; "
+                f"expected *{_PROPERTY_OF[element.code]}"
+            )
+        if element.code in ("MASS", "ROTARYI"):
+            value, name = point_value(placed, card, rows), f"{card.options['ELSET']}:{element.label}"
+            mass = PointMass(name=name, node=element.nodes[0], mass=float(value[0, 0]))
+            spin = PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value)
+            self.found.masses.append(mass if element.code == "MASS" else spin)
+        else:
+            self.found.discrete.append(
+                spring_of(self.assembly, self.axes, element, card, rows, self.found.warnings)
+            )
 
 
 def _components(rows: Rows, card: Card) -> tuple[int, ...]:
@@ -288,7 +317,7 @@ def _components(rows: Rows, card: Card) -> tuple[int, ...]:
     return tuple(sorted(components)) if components else _ALL
 
 
-def _point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
+def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
     """Mass times the identity, or the inertia (3, 3) about the node."""
     if card.options.get("TYPE", "ISOTROPIC").upper() != "ISOTROPIC" or card.options.get("ORIENTATION"):
         raise InputError(f"{card} is given with TYPE or ORIENTATION; expected a plain mass, or inertia in global axes")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +21,22 @@ from morembs.importers.abaqus_keywords import (
     node_rows,
     number,
 )  # fmt: skip
+from morembs.importers.abaqus_words import (
+    CONSTRAINTS,
+    CONTACT,
+    GAPS,
+    MATERIAL,
+    NOTED,
+    OF_OTHER_ELEMENTS,
+    PROPERTIES,
+    SILENT,
+    STRUCTURAL,
+    WHY_REFUSED,
+)
+from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialect_of, dialects_of_comments, meaning_of
 from morembs.importers.includes import open_text
+from morembs.importers.problems import Problem, Problems
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,54 +48,36 @@ _KINDS = {
 }  # fmt: skip
 # Variants of one shape: hybrid, modified, reduced integration, incompatible modes, improved stress, thermal.
 _VARIANTS = {
-    "C3D4": ("H",), "C3D10": ("H", "I", "M", "MH", "HS", "T"), "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS"),
-    "C3D20": ("H", "R", "RH"), "C3D27": ("H", "R", "RH"), "C3D6": ("H",), "C3D15": ("H",),
+    "C3D4": ("H", "T", "HT"), "C3D10": ("H", "I", "M", "MH", "HS", "T", "HT", "MT", "MHT", "R"),
+    "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS", "T", "RT", "HT", "RHT", "IT"), "C3D6": ("H", "T", "HT"),
+    "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"), "C3D27": ("H", "R", "RH"), "C3D15": ("H",),
 }  # fmt: skip
 SOLIDS = _KINDS | {code + end: _KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
 POINTS = ("MASS", "ROTARYI")
+# Elements on single nodes, with how many they have.
+DISCRETE = {
+    "MASS": 1, "ROTARYI": 1, "DCOUP3D": 1, "SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "DASHPOT1": 1, "DASHPOT2": 2,
+    "DASHPOTA": 2,
+}  # fmt: skip
+_BEAMS = re.compile(r"B3([123])")
+_PLANES = re.compile(r"(?:S|CPS|CPE|CPEG|CAX|M3D|T3D|T2D|R3D|STRI|SFM3D|DC3D|F3D|AC3D|COH3D|SC|GK3D|CONN3D)(\d\d?)")
+_OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
+# Elements that have neither stiffness nor mass.
+_EMPTY = ("SFM3D",)
 # Bytes at the begin of a deck whose comments may name the program that wrote it.
 _HEAD = 1 << 16
-CONSTRAINTS = ("COUPLING", "KINEMATIC COUPLING", "RIGID BODY", "MPC")
-PROPERTIES = ("SOLID SECTION", "MASS", "ROTARY INERTIA")
-# Properties of a material; which of them a model can carry is seen when materials are built.
-MATERIAL = {
-    "ELASTIC", "DENSITY", "EXPANSION", "CONDUCTIVITY", "SPECIFIC HEAT", "LATENT HEAT", "PLASTIC", "DAMPING", "CREEP",
-    "CYCLIC HARDENING", "RATE DEPENDENT", "POTENTIAL", "DEPVAR", "HYPERELASTIC", "HYPERFOAM", "VISCOELASTIC",
-    "USER MATERIAL", "ELECTRICAL CONDUCTIVITY", "FAIL STRESS", "FAIL STRAIN", "DEFORMATION PLASTICITY", "NO TENSION",
-    "NO COMPRESSION", "FLUID CONSTANTS", "MAGNETIC PERMEABILITY", "USER DEFINED FIELD", "PERMEABILITY",
-}  # fmt: skip
-SILENT = {"HEADING", "PREPRINT"}
-# Neither stiffness nor mass of the model depends on these; they are left out with a note.
-NOTED = {
-    "BOUNDARY", "INITIAL CONDITIONS", "AMPLITUDE", "TIME POINTS", "PHYSICAL CONSTANTS", "TRANSFORM", "FILTER",
-    "SECTION CONTROLS", "SURFACE INTERACTION", "SURFACE BEHAVIOR", "FRICTION", "RESTART", "FILE FORMAT", "NODE PRINT",
-    "NODE FILE", "NODE OUTPUT", "EL PRINT", "EL FILE", "ELEMENT OUTPUT", "CONTACT PRINT", "CONTACT FILE", "OUTPUT",
-    "ENERGY PRINT", "ENERGY FILE", "MONITOR", "HOURGLASS STIFFNESS", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "CFLUX",
-    "DFLUX", "FILM", "RADIATE", "GAP CONDUCTANCE", "FLUID SURFACE", "IMPERFECTION", "BASE MOTION",
-}  # fmt: skip
-WHY_REFUSED = {
-    "EQUATION": "linear equations between motions cannot be carried",
-    "TIE": "meshes glued at a surface cannot be carried",
-    "CONTACT PAIR": "contact is not linear",
-    "SHELL SECTION": "shells are not supported",
-    "BEAM SECTION": "beams are not supported",
-    "BEAM GENERAL SECTION": "beams are not supported",
-    "SPRING": "springs are not supported",
-    "DASHPOT": "dashpots are not supported",
-    "EMBEDDED ELEMENT": "embedded elements are not supported",
-    "SYSTEM": "moved coordinates are not supported",
-    "DISTRIBUTING COUPLING": "elements DCOUP3D are not supported; use *COUPLING with *DISTRIBUTING",
-}
 
 
 @dataclass
 class Members:
-    """What data lines put into a set: labels, ranges (first, last, step), names of sets, all of ``instance``."""
+    """What data lines put into a set: labels, ranges (first, last, step), names of sets, all of ``instance``; nodes of
+    the elements of sets where they are ``of_elements``."""
 
     labels: Ints
     ranges: list[tuple[int, int, int]]
     names: list[str]
     instance: str
+    of_elements: bool = False
 
 
 @dataclass
@@ -93,18 +90,24 @@ class NamedSet:
 
 @dataclass
 class Scope:
-    """What a part, an instance, or the assembly (with all that stands outside of parts) defines."""
+    """What a part, an instance, or the assembly (with all that stands outside of parts) defines.
+
+    ``others`` are elements that are not assembled here: type, label and nodes (k, 1 + width), of which a program that
+    takes them needs all and others none.
+    """
 
     name: str
     node_ids: list[Ints] = field(default_factory=list)
     xyz: list[Floats] = field(default_factory=list)
     elements: dict[str, list[Ints]] = field(default_factory=dict)
-    points: list[tuple[int, str, str]] = field(default_factory=list)
+    discrete: list[tuple[int, list[str], str]] = field(default_factory=list)
+    others: list[tuple[str, Ints]] = field(default_factory=list)
     node_sets: dict[str, NamedSet] = field(default_factory=dict)
     element_sets: dict[str, NamedSet] = field(default_factory=dict)
     surfaces: list[tuple[Card, Rows]] = field(default_factory=list)
     properties: list[tuple[Card, Rows]] = field(default_factory=list)
     orientations: dict[str, tuple[Card, Rows]] = field(default_factory=dict)
+    transforms: list[tuple[Card, Rows]] = field(default_factory=list)
     constraints: list[tuple[Card, Rows, Card | None, Rows]] = field(default_factory=list)
 
 
@@ -120,16 +123,20 @@ class Instance:
 
 @dataclass
 class Deck:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect; ``dialect`` is
-    the program whose types are meant, and ``guessed`` says that the deck does not tell."""
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect, ``skipped``
+    what was left out as asked; ``dialect`` is the program whose types are meant, and ``guessed`` says that the deck
+    does not tell."""
 
     name: str
+    options: DeckOptions = field(default_factory=DeckOptions)
+    problems: Problems = field(default_factory=lambda: Problems(""))
     top: Scope = field(default_factory=lambda: Scope(""))
     parts: dict[str, Scope] = field(default_factory=dict)
     instances: dict[str, Instance] = field(default_factory=dict)
     materials: dict[str, list[tuple[Card, Rows]]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     noted: dict[str, int] = field(default_factory=dict)
+    skipped: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
     dialects: set[str] = field(default_factory=set)
     dialect: str = "calculix"
@@ -141,31 +148,33 @@ class Deck:
         return SOLIDS[code], meaning.formulation, meaning.mass
 
 
-def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto") -> Deck:
+def read_deck(
+    path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None
+) -> Deck:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
-    parts is taken for one of CalculiX.
+    parts is taken for one of CalculiX. What a model cannot carry is among the ``problems`` of the deck.
 
     Raises:
-        InputError: the text is not an input deck, or holds what a model cannot carry.
+        InputError: the text is not an input deck.
     """
-    deck = Deck(path.name)
-    reader = _Reader(deck)
-    for card, pieces in cards(path, outside=outside):
-        reader.take(card, pieces)
-    if reader.open:
-        raise InputError(
-            f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
-            f"(*END {reader.open[-1]} is missing); the file may be cut off"
-        )
-    unknown = {code: n for code, n in deck.counts.items() if code not in SOLIDS and code not in POINTS}
-    if unknown:
-        listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
-        raise InputError(
-            f"{path.name} has elements that are not supported: {listed}; expected solids ({', '.join(_KINDS)} and "
-            "their variants) and MASS or ROTARYI; take the others out of the deck"
-        )
+    options = options or DeckOptions()
+    deck = Deck(path.name, options, Problems(path.name, options.flags))
+    with deck.problems.ending():
+        reader = DeckReader(deck)
+        for card, pieces in cards(path, outside=outside):
+            reader.take(card, pieces)
+        if reader.open == ["STEP"]:
+            # Nothing of a step is applied, so its end does not matter.
+            reader.open.clear()
+            deck.noted["END STEP"] = 0
+        if reader.open:
+            raise InputError(
+                f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
+                f"(*END {reader.open[-1]} is missing); the file may be cut off"
+            )
+    _others(deck)
     with open_text(path) as file:
         deck.dialects |= dialects_of_comments(file.read(_HEAD))
     told = deck.dialects if dialect == "auto" else {dialect}
@@ -174,7 +183,31 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto") -> De
     return deck
 
 
-class _Reader:
+def _others(deck: Deck) -> None:
+    """A problem where there are elements that a model cannot carry; those to be skipped are counted."""
+    unknown = {code: n for code, n in deck.counts.items() if code not in SOLIDS and code not in DISCRETE and n}
+    for code in list(unknown):
+        if code.startswith(_EMPTY):
+            deck.noted[f"ELEMENT, TYPE={code}"] = unknown.pop(code)
+        elif deck.options.skips(code) or (code in GAPS and deck.options.contact == "skip"):
+            deck.skipped[f"elements {code}"] = unknown.pop(code)
+    if not unknown:
+        return
+    listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
+    gaps = set(unknown) <= GAPS
+    flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
+    deck.problems.add(
+        Problem(
+            what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(_KINDS)} and "
+            f"their variants), {', '.join(DISCRETE)}; take the others out of the deck, or leave them out with "
+            f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
+            f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
+            file=deck.name, keyword="ELEMENT", flags=flags,
+        )
+    )  # fmt: skip
+
+
+class DeckReader:
     """Puts each card where it belongs."""
 
     def __init__(self, deck: Deck) -> None:
@@ -184,6 +217,8 @@ class _Reader:
         self.material: list[tuple[Card, Rows]] | None = None
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
+        """One card with its data; what keeps it from being read is a problem of the deck, unless nothing makes sense
+        after it."""
         word, deck = card.keyword, self.deck
         told = dialect_of(word, card.options)
         deck.dialects |= {told} if told else set()
@@ -193,18 +228,28 @@ class _Reader:
             if word == "END STEP":
                 self.open.pop()
             deck.in_steps[word] = deck.in_steps.get(word, 0) + 1
-        elif word in MATERIAL and self.material is not None:
-            self.material.append((card, fields(b"".join(pieces))))
-        elif word in ("PART", "ASSEMBLY", "INSTANCE") or word.startswith("END "):
+        elif word in STRUCTURAL:
             self._structure(card, pieces)
-        elif word in ("NODE", "ELEMENT", "NSET", "ELSET"):
-            {"NODE": self._nodes, "ELEMENT": self._elements}.get(word, self._set)(card, pieces)
+        elif word in ("NODE", "ELEMENT"):
+            {"NODE": self._nodes, "ELEMENT": self._elements}[word](card, pieces)
+        elif deck.options.skips(word):
+            deck.skipped[f"*{word}"] = deck.skipped.get(f"*{word}", 0) + 1
+        elif word in NOTED or word in OF_OTHER_ELEMENTS:
+            deck.noted[word] = deck.noted.get(word, 0) + 1
+        elif word not in SILENT:
+            with deck.problems.collected(card):
+                self._rest(card, pieces)
+
+    def _rest(self, card: Card, pieces: Iterator[bytes]) -> None:
+        word = card.keyword
+        if word in MATERIAL and self.material is not None:
+            self.material.append((card, fields(b"".join(pieces))))
+        elif word in ("NSET", "ELSET"):
+            self._set(card, pieces)
         elif word == "MATERIAL":
             self._material(card)
             _refuse_data(card, pieces)
-        elif word in NOTED:
-            deck.noted[word] = deck.noted.get(word, 0) + 1
-        elif word not in SILENT:
+        else:
             self._small(card, fields(b"".join(pieces)))
 
     def _begin(self, word: str, card: Card) -> None:
@@ -251,7 +296,7 @@ class _Reader:
                 xyz = np.column_stack([r * np.cos(angle), r * np.sin(angle), xyz[:, 2]])
             self.scope.node_ids.append(ids)
             self.scope.xyz.append(xyz)
-            _join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
+            join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))
 
     def _elements(self, card: Card, pieces: Iterator[bytes]) -> None:
         code = card.options.get("TYPE", "").upper()
@@ -261,29 +306,50 @@ class _Reader:
             for rows in _records(card, pieces, code):
                 counts[code] += len(rows)
                 self.scope.elements.setdefault(code, []).append(rows)
-                _join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
+                join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
-        for row in fields(b"".join(pieces)):
+        count, missing, others = _nodes_of(code), 0, list[int]()
+        for row in fields(b"".join(pieces), ends=True):
+            if not row:
+                continue
+            here, open_end = len([text for text in row if text]), not row[-1]
+            if missing > 0:
+                missing -= here
+                continue
+            # Where nobody knows how many nodes a type has, a line that ends in a comma goes on.
+            missing = count + 1 - here if count else int(open_end)
             counts[code or "(none)"] += 1
-            if code in POINTS:
-                number_ = label(row[0]) if len(row) == 2 else None
-                if number_ is None:
-                    raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a label and a node")
-                self.scope.points.append((number_, row[1], code))
-                _join(self.scope.element_sets, name, Members(np.array([number_]), [], [], ""))
+            given = label(row[0])
+            if code in DISCRETE:
+                nodes = [text for text in row[1:] if text]
+                if given is None or len(nodes) != DISCRETE[code]:
+                    raise InputError(
+                        f"{card}: {', '.join(row)[:60]!r} was given; expected a label and "
+                        f"{'a node' if DISCRETE[code] == 1 else 'two nodes'}"
+                    )
+                self.scope.discrete.append((given, nodes, code))
+            elif given is not None:
+                others.append(given)
+            if given is not None:
+                join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
+        if others:
+            self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
         name, instance = card.need(card.keyword), card.options.get("INSTANCE", "")
         if "ELSET" in card.options and card.keyword == "NSET":
-            raise InputError(f"{card} makes {name!r} of the nodes of an element set; list the nodes")
-        _join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
+            source = [card.options["ELSET"]] if card.options["ELSET"] else []
+            source += [text for row in fields(b"".join(pieces)) for text in row if text]
+            join(sets, name, Members(np.empty(0, dtype=np.int64), [], source, instance, of_elements=True))
+            return
+        join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
         for piece in pieces:
             if "GENERATE" in card.options:
                 ranges = [_range(row, card) for row in fields(piece) if row]
-                _join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
+                join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
             elif piece:
-                _join(sets, name, Members(*_split(piece, card), instance))
+                join(sets, name, Members(*_split(piece, card), instance))
 
     def _material(self, card: Card) -> None:
         name = card.need("NAME")
@@ -304,6 +370,10 @@ class _Reader:
             if name in scope.orientations:
                 raise InputError(f"{card}: the name {name!r} is given twice; expected each orientation once")
             scope.orientations[name] = (card, rows)
+        elif word == "TRANSFORM":
+            scope.transforms.append((card, rows))
+        elif word in CONTACT:
+            self._contact(card, rows)
         elif word in CONSTRAINTS:
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
@@ -313,10 +383,37 @@ class _Reader:
         else:
             named = next((card.options[k] for k in ("NAME", "ELSET", "NSET") if card.options.get(k)), "")
             why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-            raise InputError(
-                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck if the model "
-                "is right without it"
+            what = (
+                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck, or leave it "
+                f"out with --skip {word!r}, if the model is right without it"
             )
+            self.deck.problems.add(
+                Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(f"--skip {word}",))
+            )
+
+    def _contact(self, card: Card, rows: Rows) -> None:
+        """Contact is refused, left out, or glued."""
+        deck, contact = self.deck, self.deck.options.contact
+        if contact == "skip":
+            deck.skipped[f"*{card.keyword}"] = deck.skipped.get(f"*{card.keyword}", 0) + 1
+        elif contact == "tie" and card.keyword == "CONTACT PAIR":
+            self.scope.constraints.append((card, rows, None, []))
+        else:
+            pair = card.keyword == "CONTACT PAIR"
+            cure = "--contact skip leaves it out, --contact tie glues it" if pair else "--contact skip leaves it out"
+            what = f"{card} cannot be read: contact is not linear; {cure}"
+            deck.problems.add(
+                Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=("--contact skip",))
+            )
+
+
+def _nodes_of(code: str) -> int:
+    """Nodes of an element that is no solid, 0 where that is not known."""
+    if code in DISCRETE:
+        return DISCRETE[code]
+    beam = _BEAMS.match(code)
+    plane = _PLANES.match(code)
+    return (2, 3, 2)[int(beam.group(1)) - 1] if beam else int(plane.group(1)) if plane else 0
 
 
 def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
@@ -324,7 +421,7 @@ def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
         raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
 
 
-def _join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
+def join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
     if name:
         sets.setdefault(name.upper(), NamedSet(name)).parts.append(part)
 

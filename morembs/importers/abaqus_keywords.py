@@ -7,7 +7,8 @@ A keyword line begins with one star, a comment with two; a keyword line that end
 from __future__ import annotations
 
 import re
-from collections.abc import Generator, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_words import canonical
 from morembs.importers.includes import Includes, open_text
 from morembs.importers.text_matrices import integers, numbers, table
 
@@ -28,7 +30,6 @@ _MOST_LINES = 32
 # Beyond it lengths and areas overflow.
 LARGEST = 1e100
 _COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
-_EMPTY_FIELD = re.compile(rb",[ \t]*(?=[,\n])|^[ \t]*,", re.MULTILINE)
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
 _WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
 # How an included file begins: a keyword, or data of numbers.
@@ -43,14 +44,15 @@ _LAST = re.compile(rb"\*\*|\*[ \t]*END[ \t]*(STEP|PART|ASSEMBLY|INSTANCE)$", re.
 
 @dataclass(frozen=True, eq=False)
 class Card:
-    """A keyword line: ``keyword`` in capitals, ``options`` with their names in capitals, ``file`` it stands in."""
+    """A keyword line: ``keyword`` in capitals, ``options`` with their names in capitals, its ``file`` and ``line``."""
 
     keyword: str
     options: dict[str, str]
     file: str
+    line: int = 0
 
     def __str__(self) -> str:
-        return f"{self.file}: *{self.keyword}"
+        return f"{self.file}{f', line {self.line}' if self.line else ''}: *{self.keyword}"
 
     def need(self, option: str) -> str:
         """Value of an option that must be there."""
@@ -77,19 +79,19 @@ def _stream(
 ) -> Generator[tuple[Card, bytes], None, Card | None]:
     """Cards with pieces of data; begins inside ``card`` and returns the one it ends in."""
     outer, above = card, (*above, path.resolve())
-    for text in _texts(path):
+    for text, number in _texts(path):
         at = 0
         while (star := _next_keyword(text, at)) >= 0:
             yield from _data(card, text[at:star], path, swallowed=card is outer)
             line, at = _keyword_line(text, star)
-            following = _card(line, path.name)
+            following = _card(line, path.name, number(star))
             if following.keyword == "INCLUDE":
                 card = yield from _stream(_included(path, following, above, includes), above, card, includes)
                 continue
             card = following
             yield card, b""
             if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
-                for piece in _texts(_included(path, card, above, includes)):
+                for piece, _ in _texts(_included(path, card, above, includes)):
                     yield card, piece
         yield from _data(card, text[at:], path, swallowed=card is outer)
     return card
@@ -105,7 +107,7 @@ def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> It
             f"{path.name} begins with data where a keyword belongs: {behind} stands before them; expected an Abaqus or "
             "CalculiX input deck"
         )
-    if _NO_STAR.search(piece):
+    if b"INCLUDE" in piece.upper() and _NO_STAR.search(piece):
         raise InputError(f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE")
     yield card, piece
 
@@ -115,9 +117,12 @@ def _included(path: Path, card: Card, above: tuple[Path, ...], includes: Include
     return includes.take(card.need("INPUT"), str(card), (path.parent, includes.path.parent), above, _BEGIN)
 
 
-def _texts(path: Path) -> Iterator[bytes]:
-    """Pieces of whole lines without comments; a keyword line is never at the end of a piece but the last."""
-    rest = b""
+def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int]]]:
+    """Pieces of whole lines without comments, and what gives the line of the file at an ascending place in the piece.
+
+    A keyword line is never at the end of a piece but the last.
+    """
+    rest, above = b"", 0
     try:
         with open_text(path) as file:
             while chunk := file.read(PIECE):
@@ -130,11 +135,14 @@ def _texts(path: Path) -> Iterator[bytes]:
                     raise InputError(f"{path.name} has no ends of lines; expected an input deck, which is text")
                 rest = text[cut:]
                 if cut:
-                    yield _clean(text[:cut])
+                    piece, lines = _clean(text[:cut])
+                    yield piece, lines.since(above)
+                    above += lines.count
     except OSError as error:
         raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
     if rest:
-        yield _clean(rest + b"\n")
+        piece, lines = _clean(rest + b"\n")
+        yield piece, lines.since(above)
         last = rest[rest.rfind(b"\n") + 1 :].strip()
         if last and not _LAST.match(last):
             raise InputError(
@@ -156,10 +164,44 @@ def _before_last_keyword(text: bytes, cut: int) -> int:
     return cut
 
 
-def _clean(text: bytes) -> bytes:
+class _Lines:
+    """Lines of the ``text`` of a piece, from which lines at the places ``left`` were taken out."""
+
+    def __init__(self, text: bytes, left: list[int]) -> None:
+        self.text, self.left = text, left
+
+    @property
+    def count(self) -> int:
+        """Lines that the piece had."""
+        return self.text.count(b"\n") + len(self.left)
+
+    def since(self, above: int) -> Callable[[int], int]:
+        """The line of the file at a place, ``above`` lines being before the piece; places ascend from call to call."""
+        line, counted = above + 1, 0
+
+        def number(place: int) -> int:
+            nonlocal line, counted
+            line += self.text.count(b"\n", counted, place)
+            counted = place
+            return line + bisect_right(self.left, place)
+
+        return number
+
+
+def _clean(text: bytes) -> tuple[bytes, _Lines]:
+    """The text without comments, with ends of lines of one kind, and the lines it had."""
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return _COMMENT.sub(b"", text) if b"**" in text else text
+    if b"**" not in text:
+        return text, _Lines(text, [])
+    parts, left, at, taken = [], [], 0, 0
+    for comment in _COMMENT.finditer(text):
+        parts.append(text[at : comment.start()])
+        left.append(comment.start() - taken)
+        at = comment.end()
+        taken += at - comment.start()
+    text = b"".join([*parts, text[at:]])
+    return text, _Lines(text, left)
 
 
 def _next_keyword(text: bytes, at: int) -> int:
@@ -192,23 +234,24 @@ def decoded(text: bytes) -> str:
         return text.decode("latin-1")
 
 
-def _card(line: bytes, file: str) -> Card:
+def _card(line: bytes, file: str, number: int) -> Card:
     head, *rest = decoded(line).lstrip()[1:].split(",")
     options = {}
     for part in rest:
         key, _, value = part.partition("=")
         if key.strip():
             options[" ".join(key.upper().split())] = value.strip().strip('"').strip()
-    return Card(" ".join(head.upper().split()), options, file)
+    return Card(canonical(head), options, file, number)
 
 
-def fields(lines: bytes) -> list[list[str]]:
-    """Fields of each data line, without empty ones at its end."""
+def fields(lines: bytes, *, ends: bool = False) -> list[list[str]]:
+    """Fields of each data line without empty ones at its end; with ``ends`` one where the line ends in a comma."""
     rows = []
     for line in decoded(lines).split("\n"):
         row = [part.strip().strip('"') for part in line.split(",")]
         while row and not row[-1]:
             row.pop()
+        row += [""] * (ends and bool(row) and line.rstrip().endswith(","))
         if row or line.strip():
             rows.append(row)
     return rows
@@ -234,7 +277,7 @@ def label(text: str) -> int | None:
 
 def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
     """Labels (n,) and coordinates (n, 3) of the data lines of *NODE."""
-    if not _EMPTY_FIELD.search(piece) and not _GAP.search(piece):
+    if _is_plain(piece):
         try:
             rows = table(piece, 4, card.file)
         except InputError:
@@ -253,9 +296,33 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
     return np.array(ids, dtype=np.int64), np.array(xyz, dtype=np.float64).reshape(-1, 3)
 
 
+_ALL_SEPARATORS, _SEPARATORS = (
+    bytes(int(chr(code) in marks) for code in range(256)) for marks in (", \t\n", ",\n")
+)
+
+
+def _words(text: bytes, separators: bytes) -> int:
+    """How many words there are between separators."""
+    apart = np.frombuffer(text.translate(separators), dtype=np.uint8)
+    return int(np.count_nonzero(apart[1:] < apart[:-1])) + int(len(apart) > 0 and not apart[0])
+
+
+def _has_gap(piece: bytes) -> bool:
+    """Whether a blank stands within a field."""
+    if b" " not in piece and b"\t" not in piece:
+        return False
+    return _words(piece, _ALL_SEPARATORS) != _words(piece.translate(None, b" \t"), _SEPARATORS)
+
+
+def _is_plain(piece: bytes) -> bool:
+    """Whether no field is empty and none has a blank within it; searches for plain bytes take a tenth of patterns."""
+    text = piece.translate(None, b" \t")
+    return not (b",," in text or b",\n" in text or b"\n," in text or text[:1] == b"," or _has_gap(piece))
+
+
 def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     """All integers (k,) of data lines, and which of them are the first of their line (k,)."""
-    gap = _GAP.search(piece)
+    gap = _GAP.search(piece) if _has_gap(piece) else None
     if gap:
         line = piece[piece.rfind(b"\n", 0, gap.start()) + 1 :].split(b"\n")[0]
         raise InputError(f"{card}: {line.decode('latin-1')[:60]!r} has a blank within a field; expected commas")
@@ -274,7 +341,7 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
 
 def members(piece: bytes, card: Card) -> tuple[Ints, list[str]]:
     """Labels and names in the data lines of a set."""
-    if not piece.translate(None, b"0123456789, \t\n") and not _GAP.search(piece):
+    if not piece.translate(None, b"0123456789, \t\n") and not _has_gap(piece):
         return integers(numbers(piece, card.file), "a label", card.file), []
     labels: list[int] = []
     names: list[str] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,102 +11,127 @@ from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly, Placed
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
 from morembs.importers.abaqus_keywords import LARGEST, Card
+from morembs.importers.imported import Lacking
 from morembs.model.material import VOIGT, Material, isotropic, orthotropic
 
 Floats = NDArray[np.float64]
-_WITHOUT_EFFECT = {
-    "EXPANSION", "CONDUCTIVITY", "SPECIFIC HEAT", "LATENT HEAT", "PLASTIC", "CREEP", "CYCLIC HARDENING",
-    "RATE DEPENDENT", "POTENTIAL", "DEPVAR", "ELECTRICAL CONDUCTIVITY", "FAIL STRESS", "FAIL STRAIN", "DAMPING",
-    "USER DEFINED FIELD", "MAGNETIC PERMEABILITY", "PERMEABILITY",
+# What has a stiffness of its own, but no linear one.
+_NOT_LINEAR = {
+    "HYPERELASTIC", "HYPERFOAM", "USER MATERIAL", "HYPOELASTIC", "POROUS ELASTIC", "EOS", "LOW DENSITY FOAM",
+    "FLUID CONSTANTS", "ACOUSTIC MEDIUM", "FABRIC", "JOINTED MATERIAL",
 }  # fmt: skip
+_TWO_WAYS = {"NO TENSION", "NO COMPRESSION"}
 # Where the constants of anisotropic elasticity go; Abaqus orders shear 12, 13, 23, which is 5, 4, 3 here.
 _ORDER = (0, 1, 2, 5, 4, 3)
 _ORTHOTROPIC = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2), (3, 3), (4, 4), (5, 5))
 _ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
 
 
-def materials_of(deck: Deck, assembly: Assembly) -> tuple[tuple[Material, ...], list[str], dict[str, str]]:
-    """A material for each solid section, notes on what was left out, and what the materials of some sets lack.
+@dataclass
+class Found:
+    """A material for each solid section, what those of other sets lack, and what is to be said."""
 
-    Raises:
-        InputError: a section names what is not there, or a material that is not linear elastic.
-    """
-    materials: list[Material] = []
-    notes: list[str] = []
-    lacking: dict[str, str] = {}
+    materials: list[Material] = field(default_factory=list)
+    lacking: dict[str, Lacking] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def materials_of(deck: Deck, assembly: Assembly) -> Found:
+    """The materials of a deck; sections that name what is not there are problems of it."""
+    found = Found()
     for placed in (*assembly.placed.values(), assembly.top):
         for scope in placed.contents:
             for card, _ in scope.properties:
                 if card.keyword == "SOLID SECTION":
-                    material = _section(deck, assembly, placed, scope, card, notes, lacking)
-                    materials += [material] if material else []
-    if not materials and not deck.materials:
-        notes.append("The deck has no materials; give them when the model is built.")
-    return tuple(materials), list(dict.fromkeys(notes)), lacking
+                    with deck.problems.collected(card):
+                        _section(deck, assembly, placed, scope, card, found)
+    if not found.materials and not deck.materials:
+        found.notes.append("The deck has no materials; give them when the model is built.")
+    found.notes[:] = dict.fromkeys(found.notes)
+    found.warnings[:] = dict.fromkeys(found.warnings)
+    return found
 
 
-def _section(
-    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, notes: list[str],
-    lacking: dict[str, str],
-) -> Material | None:  # fmt: skip
+def _section(deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, found: Found) -> None:
     elset, name = card.need("ELSET"), card.need("MATERIAL")
     for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
         if option in card.options:
             raise InputError(f"{card} of {elset!r} is given with {option}; expected a section of one material")
     numbers = assembly.elements_of(placed, elset)
     if not (numbers < assembly.solids).any():
-        notes.append(f"The solid section of {elset} has no elements and was left out.")
-        return None
+        found.notes.append(f"The solid section of {elset} has no elements and was left out.")
+        return
     if name.upper() not in deck.materials:
         raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
+    given = _properties(deck, name, found)
+    final = assembly.final_name("element", placed, elset)
+    of_set = f"the material {name} of the set {final}"
+    if "ELASTIC" not in given:
+        other = [own.keyword for own, _ in deck.materials[name.upper()] if own.keyword in _NOT_LINEAR]
+        missing = "ELASTIC" if "DENSITY" in given else "ELASTIC and no *DENSITY"
+        sentence = f"is *{other[0]} only, which is not linear elastic" if other else f"has no *{missing}"
+        found.lacking[final] = Lacking(sentence=f"{of_set} {sentence}")
+        return
+    elastic, rows = given["ELASTIC"]
+    axes = None
+    if elastic.options.get("TYPE", "ISO").upper()[:3] != "ISO":
+        orientation = card.options.get("ORIENTATION", "").upper()
+        own_axes = np.eye(3)
+        # CalculiX takes the global axes where a section names none.
+        if orientation or deck.dialect != "calculix":
+            own_axes = _axes(placed, scope, deck, orientation, elset, name)
+        axes = own_axes @ placed.rotation.T
+    if "DENSITY" not in given:
+        stiffness = _elastic(elastic, rows, final, name, 1.0, axes, found.warnings).stiffness
+        found.lacking[final] = Lacking(sentence=f"{of_set} has no *DENSITY", stiffness=stiffness)
+        return
+    density = _numbers(*given["DENSITY"], 1, name, found.warnings)[0]
+    found.materials.append(_elastic(elastic, rows, final, name, density, axes, found.warnings))
+
+
+def _properties(deck: Deck, name: str, found: Found) -> dict[str, tuple[Card, Rows]]:
+    """*ELASTIC and *DENSITY of a material."""
     given: dict[str, tuple[Card, Rows]] = {}
     for own, rows in deck.materials[name.upper()]:
         if own.keyword in given:
             raise InputError(f"{own} is given twice in the material {name!r}; expected one, the one that holds")
+        rows = [row for row in rows if row]
         if own.keyword in ("ELASTIC", "DENSITY"):
-            given[own.keyword] = own, [row for row in rows if row]
-        elif own.keyword in _WITHOUT_EFFECT:
-            notes.append(f"Material {name}: *{own.keyword} is not carried over.")
-        else:
-            raise InputError(f"{own} of the material {name!r} is not linear elastic; expected *ELASTIC and *DENSITY")
-    missing = [word for word in ("ELASTIC", "DENSITY") if word not in given]
-    final = assembly.final_name("element", placed, elset)
-    if missing:
-        lacking[final] = f"the material {name} of the set {final} has no *{' and no *'.join(missing)}"
-        return None
-    density = _numbers(*given["DENSITY"], 1, name)[0]
-    orientation = card.options.get("ORIENTATION", "").upper()
-    axes = None
-    elastic, rows = given["ELASTIC"]
-    if elastic.options.get("TYPE", "ISO").upper()[:3] != "ISO":
-        axes = _axes(placed, scope, deck, orientation, elset, name) @ placed.rotation.T
-    return _elastic(elastic, rows, final, name, density, axes)
+            given[own.keyword] = own, rows
+        elif own.keyword == "DEFORMATION PLASTICITY" and rows:
+            # Its first two constants are Young's modulus and Poisson's ratio.
+            given["ELASTIC"] = Card("ELASTIC", {}, own.file, own.line), [rows[0][:2]]
+            found.notes.append(f"Material {name}: of *{own.keyword} the elastic constants were taken.")
+        elif own.keyword in _TWO_WAYS:
+            found.warnings.append(f"material {name}: *{own.keyword} is not linear; it is elastic both ways here")
+        elif own.keyword not in _NOT_LINEAR:
+            found.notes.append(f"Material {name}: *{own.keyword} is not carried over.")
+    return given
 
 
-def _numbers(card: Card, rows: Rows, count: int, name: str) -> list[float]:
-    """``count`` constants, eight on a line; a temperature may stand behind them."""
+def _numbers(card: Card, rows: Rows, count: int, name: str, warnings: list[str]) -> list[float]:
+    """``count`` constants, eight on a line; of a table the first temperature, which may stand behind them."""
     lines = -(-count // 8)
-    for option in ("DEPENDENCIES", "MODULI"):
-        if card.options.get(option, "LONG TERM").upper() != "LONG TERM":
-            raise InputError(f"{card} of the material {name!r} is given with {option}; expected constants")
-    if len(rows) > lines:
-        raise InputError(
-            f"{card} of the material {name!r} depends on temperature ({len(rows)} lines); keep the line of the "
-            "temperature that the model is for"
+    if len(rows) > lines or card.options.get("DEPENDENCIES"):
+        warnings.append(
+            f"*{card.keyword} of the material {name} is a table; its first line was taken [temperature-first-row]"
         )
-    flat = [number for row in rows for number in values(row, card)]
-    if len(flat) not in (count, count + 1):
+    flat = [number for row in rows[:lines] for number in values(row, card)]
+    if len(flat) < count or (len(flat) > count + 1 and not card.options.get("DEPENDENCIES")):
         raise InputError(f"{card} of the material {name!r} has {len(flat)} constants; expected {count}")
     return flat[:count]
 
 
-def _elastic(card: Card, rows: Rows, final: str, name: str, density: float, axes: Floats | None) -> Material:
+def _elastic(
+    card: Card, rows: Rows, final: str, name: str, density: float, axes: Floats | None, warnings: list[str]
+) -> Material:
     kind = " ".join(card.options.get("TYPE", "ISOTROPIC").upper().split())
     if kind.startswith("ISO"):
-        young, poisson = _numbers(card, rows, 2, name)
+        young, poisson = _numbers(card, rows, 2, name, warnings)
         return isotropic(set=final, young=young, poisson=poisson, density=density)
     if kind.startswith("ENGINEERING"):
-        c = _numbers(card, rows, 9, name)
+        c = _numbers(card, rows, 9, name, warnings)
         return orthotropic(
             set=final, young=(c[0], c[1], c[2]), poisson=(c[3], c[4], c[5]), shear=(c[6], c[7], c[8]),
             density=density, axes=axes,
@@ -116,7 +143,7 @@ def _elastic(card: Card, rows: Rows, final: str, name: str, density: float, axes
             "ORTHOTROPIC or ANISOTROPIC"
         )
     C = np.zeros((6, 6))
-    for (i, j), value in zip(places, _numbers(card, rows, len(places), name), strict=True):
+    for (i, j), value in zip(places, _numbers(card, rows, len(places), name, warnings), strict=True):
         i, j = _ORDER[i], _ORDER[j]
         C[i, j] = C[j, i] = value
     return Material(set=final, stiffness=C if axes is None else turned(C, axes), density=density)

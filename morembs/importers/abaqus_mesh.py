@@ -28,10 +28,11 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     row[kept] = np.arange(len(kept))
     row[loose] = len(kept) + np.arange(len(loose))
     blocks = [replace(block, nodes=row[block.nodes]) for block in assembly.blocks]
-    assembly.blocks = []
     node_sets = {}
     for name, (placed, own) in assembly.named("node").items():
-        rows = row[assembly.members("node", placed, own)]
+        rows = np.empty(0, dtype=np.int64)
+        with assembly.problems.collected():
+            rows = row[assembly.members("node", placed, own)]
         if (rows >= 0).any():
             node_sets[name] = np.sort(rows[rows >= 0])
         else:
@@ -39,10 +40,13 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     spans = np.cumsum([0, *(len(block.ids) for block in blocks)])
     element_sets = {}
     for name, (placed, own) in assembly.named("element").items():
-        numbers = assembly.members("element", placed, own)
+        numbers = np.empty(0, dtype=np.int64)
+        with assembly.problems.collected():
+            numbers = assembly.members("element", placed, own)
         picked = tuple(numbers[slice(*np.searchsorted(numbers, [a, b]))] - a for a, b in pairwise(spans.tolist()))
         if any(len(p) for p in picked):
             element_sets[name] = picked
+    assembly.blocks = []
     left = len(assembly.ids) - len(kept) - len(loose)
     if left:
         first = assembly.ids[row < 0].min()

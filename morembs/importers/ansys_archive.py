@@ -14,16 +14,20 @@ from morembs.errors import InputError
 from morembs.importers import ansys_blocks as blocks
 from morembs.importers.ansys_elements import Elements, from_plain_form, from_solid_form
 from morembs.importers.ansys_properties import ELASTIC, SAID
+from morembs.importers.deck_options import DeckOptions
+from morembs.importers.problems import Problems
+from morembs.model.constraints import Term
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# What ties nodes together: without it the model would be another one.
-TIES = {
-    "CE": "constraint equations", "CP": "coupled dofs", "CERIG": "rigid regions", "RBE3": "RBE3 constraints",
+# What ties nodes together, and would have to be worked out: without it the model would be another one.
+REFUSED = {
+    "CERIG": "rigid regions", "RBE3": "RBE3 constraints",
     "CEINTF": "constraint equations", "CPINTF": "coupled dofs", "CPLGEN": "coupled dofs", "CPNGEN": "coupled dofs",
     "CECYC": "cyclic constraints", "CPCYC": "cyclic constraints", "EINTF": "interface elements",
 }  # fmt: skip
+DIRECTIONS = {"UX": 0, "UY": 1, "UZ": 2, "ROTX": 3, "ROTY": 4, "ROTZ": 5}
 ELSEWHERE = {"CDREAD": "another archive", "/INPUT": "another file", "*USE": "a macro"}
 LOADS = {
     "F": "nodal forces", "SF": "surface loads", "SFE": "surface loads", "BF": "body loads", "BFE": "body loads",
@@ -31,6 +35,15 @@ LOADS = {
 }  # fmt: skip
 # Tables that change the elastic stiffness; those of plasticity and the like act beyond it.
 ELASTIC_TABLES = ("ELAS", "ANEL", "HYPE", "FOAM", "GASK", "COMP", "USER", "PELA", "SMA", "BB", "MOONEY", "CAST")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a command stands, for a problem with it."""
+
+    file: str
+    line: int
+    keyword: str
 
 
 @dataclass
@@ -50,19 +63,28 @@ class Archive:
     properties: dict[int, dict[str, float]] = field(default_factory=dict)
     reals: dict[int, list[float]] = field(default_factory=dict)
     supports: int = 0
+    skipped: Counter[str] = field(default_factory=Counter)
     loads: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    # What to call each and its terms (node, component, coefficient), which vanish together.
+    equations: list[tuple[str, list[Term]]] = field(default_factory=list)
+    numbers: dict[int, int] = field(default_factory=dict)
+    coupled: dict[tuple[int, int], list[int]] = field(default_factory=dict)
+    tables: dict[int, str] = field(default_factory=dict)
+    table: tuple[int, str] = (0, "")
     current_type: int = 1
     current_real: int = 0
 
 
-def read_commands(path: Path) -> Archive:
-    """All commands of an archive that matter to a model.
+def read_commands(path: Path, problems: Problems | None = None, options: DeckOptions | None = None) -> Archive:
+    """All commands of an archive that matter to a model; what a model cannot carry is among the ``problems``.
 
     Raises:
         InputError: the file is missing, not an archive, cut off or damaged, or holds what a model cannot carry.
     """
     archive = Archive(path.name)
+    problems, options = problems or Problems(path.name), options or DeckOptions()
     lines = blocks.Lines(path)
     for line in lines:
         text = line.decode("latin-1").split("!")[0].strip()
@@ -70,7 +92,14 @@ def read_commands(path: Path) -> Archive:
             continue
         fields = [part.strip() for part in text.split(",")]
         command = fields[0].upper()
+        if options.skips(command):
+            archive.skipped[command] += 1
+            continue
         try:
+            if command in REFUSED:
+                with problems.collected(Place(path.name, lines.number, command), (f"--skip {command}",)):
+                    _refuse(archive, command, fields)
+                continue
             _take(archive, command, fields, lines)
         except (ValueError, IndexError, OverflowError) as error:
             if isinstance(error, InputError):
@@ -111,6 +140,11 @@ def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines
         _take_type(archive, command, fields)
     elif command in ("MP", "MPDATA", "MPTEMP", "UIMP", "TB"):
         _take_material(archive, command, fields)
+    elif command == "TBDATA" and archive.table[1].startswith("ELAS") and fields[1] in ("", "1"):
+        # Isotropic elasticity: Young's modulus and Poisson's ratio.
+        known = archive.properties.setdefault(archive.table[0], {})
+        if archive.tables.pop(archive.table[0], "") and len(fields) == 4:
+            known |= {"EX": _number(fields[2]), "PRXY": _number(fields[3])}
     elif command == "D" and len(fields) > 1:
         archive.supports += 1
     elif command in LOADS:
@@ -123,11 +157,8 @@ def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines
         )
     elif command == "CMGRP":
         archive.notes.append(f"the assembly of components {fields[1]} (CMGRP) was left out; its components are there")
-    elif command in TIES:
-        raise InputError(
-            f"{archive.name} holds {TIES[command]} ({command}), which are not read; delete them (CEDELE, CPDELE) and "
-            "couple the nodes as an interface of the job, or export the matrices with HBMAT, where they are eliminated"
-        )
+    elif command in ("CE", "CP"):
+        (_take_equation if command == "CE" else _take_coupling)(archive, fields, lines.number)
     elif command in ELSEWHERE and len(fields) > 1:
         raise InputError(
             f"{archive.name} reads {ELSEWHERE[command]} ({command},{fields[1]}), which is not followed; write one "
@@ -138,6 +169,49 @@ def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines
             f"{archive.name}, line {lines.number}: {command} defines a node or element by itself, which is not read; "
             "write the archive in blocks (CDWRITE,DB,model,cdb without UNBLOCKED)"
         )
+
+
+def _refuse(archive: Archive, command: str, fields: list[str]) -> None:
+    raise InputError(
+        f"{archive.name} holds {REFUSED[command]} ({command}), which are not read; delete them, leave them out with "
+        f"--skip {command}, or export the matrices with HBMAT, where they are eliminated"
+    )
+
+
+def _take_equation(archive: Archive, fields: list[str], line: int) -> None:
+    """CE, number, constant, then node, direction and coefficient; or CE,R5.0,DEFI and lines CE,R5.0,NODE."""
+    title = f"{archive.name}, line {line}: CE"
+    given = fields[1:]
+    if given[0].upper().startswith("R"):
+        if given[1].upper().startswith("DEFI"):
+            archive.equations.append((title, []))
+            return
+        terms = given[2:]
+    else:
+        number = archive.numbers.setdefault(int(given[0]), len(archive.equations))
+        if number == len(archive.equations):
+            archive.equations.append((title, []))
+        terms = given[2:]
+    of = archive.equations[-1 if given[0].upper().startswith("R") else number][1]
+    for at in range(0, len(terms), 3):
+        node, label, value = (*terms[at : at + 3], "", "", "")[:3]
+        if node and int(node):
+            if label.upper() not in DIRECTIONS:
+                raise InputError(f"{title} is on the motion {label!r}; expected one of {', '.join(DIRECTIONS)}")
+            of.append((int(node), DIRECTIONS[label.upper()], _number(value)))
+
+
+def _take_coupling(archive: Archive, fields: list[str], line: int) -> None:
+    """CP, set, direction, nodes; lines of one set add nodes to it."""
+    given = [word for word in fields[1:] if word]
+    if given[0].upper().startswith("R"):
+        given = given[1:]
+    at = next((i for i, word in enumerate(given) if word.upper() in DIRECTIONS), None)
+    nodes = [] if at is None else [abs(int(word)) for word in given[at + 1 :] if word.upper() != "NODE"]
+    if at is None or at < 1 or not nodes:
+        raise InputError(f"{archive.name}, line {line}: CP gives no direction of some nodes; expected CP,1,UX,12,13")
+    key = int(given[at - 1]), DIRECTIONS[given[at].upper()]
+    archive.coupled.setdefault(key, []).extend(nodes)
 
 
 def _take_table(archive: Archive, command: str, fields: list[str], lines: blocks.Lines) -> None:
@@ -184,11 +258,10 @@ def _take_material(archive: Archive, command: str, fields: list[str]) -> None:
     if command == "MPTEMP":
         return
     if command == "TB":
+        archive.table = int(fields[2]), fields[1].upper()
         if fields[1].upper().startswith(ELASTIC_TABLES):
-            raise InputError(
-                f"{archive.name} gives elastic constants in a table (TB,{fields[1]}), which is not read; give EX, NUXY "
-                "and DENS (MP), or the material in the job"
-            )
+            archive.tables[int(fields[2])] = fields[1].upper()
+            return
         archive.notes.append(f"the material table TB,{fields[1]},{fields[2]} was left out: it is not linear elastic")
         return
     if command == "UIMP":
@@ -212,12 +285,13 @@ def _set(archive: Archive, label: str, number: int, words: list[str]) -> None:
         return
     values = [_number(word) for word in words]
     known = archive.properties.setdefault(number, {})
+    if not values:
+        return
     if any(value != values[0] for value in values) or known.get(label, values[0]) != values[0]:
-        raise InputError(
-            f"{archive.name}: {label} of material {number} depends on temperature (or is given twice); expected one "
-            "value, that of the temperature of interest"
+        archive.warnings.append(
+            f"{label} of material {number} depends on temperature; its first value was taken [temperature-first-row]"
         )
-    known[label] = values[0]
+    known.setdefault(label, values[0])
 
 
 def _number(word: str) -> float:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,14 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive, read_commands
-from morembs.importers.ansys_elements import CARRIERS, MASS, SOLIDS, Elements, element_name, solids
+from morembs.importers.ansys_elements import CARRIERS, CONTACT, MASS, NAMES, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material, point_masses
+from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
 from morembs.importers.formulations import Meaning, ansys_meaning, warnings_of
-from morembs.importers.imported import Imported, PointMass
+from morembs.importers.imported import Imported, Lacking, PointMass
+from morembs.importers.problems import Problem, Problems
 from morembs.model import ElementBlock, Mesh, Nodes
+from morembs.model.constraints import Term, solved_for_first
 from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
@@ -55,48 +57,106 @@ def read_ansys_archive(path: str | Path) -> AnsysArchive:
     return AnsysArchive(nodes=Nodes(ids=ids, xyz=xyz, sets=_node_sets(archive, ids, ids, [])), rotated=rotated)
 
 
-def import_ansys_cdb(path: str | Path, *, skip: Sequence[str] = ()) -> Imported:
-    """Mesh of an archive with its materials, components and point masses (MASS21).
+def import_ansys_cdb(
+    path: str | Path, *, density: float | dict[str, float] | None = None, contact: str = "refuse",
+    skip: list[str] | str = "",
+) -> Imported:  # fmt: skip
+    """Mesh of an archive with its materials, components, point masses (MASS21), CE and CP.
 
-    Elements of material n are in the set "material n", those of type n in "type n". ``skip`` names elements to leave
-    out with a note, such as ("CONTA174", "TARGE170"). Supports and loads are counted in the notes and left out. Memory
-    is that of the mesh and about 150 bytes per line of an EBLOCK.
+    Elements of material n are in the set "material n", those of type n in "type n". Supports and loads are counted in
+    the notes and left out. Memory is that of the mesh and about 150 bytes per line of an EBLOCK.
+
+    Args:
+        density: of materials without DENS, or set -> density, "all" standing for all.
+        contact: "refuse" or "skip" elements of contact and their targets.
+        skip: elements (such as SURF154) and commands to leave out, although stiffness or mass may depend on them.
 
     Raises:
-        InputError: the file is missing, not an archive, cut off or damaged; elements that are no solids, pyramids,
-            constraint equations and couplings; sets or elements that name what is not defined.
+        DeckError: all that keeps the archive from becoming a model: an ``InputError`` with ``problems``.
     """
-    archive = read_commands(Path(path))
-    ids, xyz, rotated = _nodes(archive)
-    notes = list(archive.notes)
-    parts, masses = _sorted_elements(archive, {word.upper() for word in skip}, notes)
-    warnings = warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))
-    if not parts:
-        raise InputError(f"{archive.name} has no solid elements; expected an archive with a mesh of solids")
-    named = [part.nodes.ravel() for part in parts] + [elements.nodes[:, 0] for _, elements in masses]
-    used = np.unique(np.concatenate(named))
-    unknown = used[~np.isin(used, ids)]
-    if len(unknown):
-        raise InputError(f"{archive.name}: elements name the node {unknown[0]}, which is not defined")
-    blocks, materials_of, types_of, systems = _blocks(parts, used, archive.name)
-    points: list[PointMass] = []
-    for kind, elements in masses:
-        row = {int(label): int(np.searchsorted(used, label)) for label in elements.nodes[:, 0]}
-        points += point_masses(elements, archive.types[kind][1], archive.reals, row, archive.name)
-    others = np.unique(np.concatenate([elements.ids for _, elements in archive.elements]))
-    nodes = Nodes(ids=used, xyz=xyz[np.searchsorted(ids, used)], sets=_node_sets(archive, ids, used, notes))
-    element_sets = _element_sets(archive, blocks, others, notes)
-    for label, of in (("material", materials_of), ("type", types_of)):
-        for number in np.unique(np.concatenate(of)):
-            element_sets[f"{label} {number}"] = tuple(np.flatnonzero(values == number) for values in of)
-    lacking: dict[str, str] = {}
-    materials = _materials(archive, materials_of, systems, notes, lacking)
+    options = deck_options(density, contact, skip)
+    if options.contact == "tie":
+        raise InputError("contact = 'tie' was given; contact of ANSYS archives is refused or skipped: contact = 'skip'")
+    problems = Problems(Path(path).name, options.flags)
+    with problems.ending():
+        archive = read_commands(Path(path), problems, options)
+        ids, xyz, rotated = _nodes(archive)
+        notes = list(archive.notes)
+        parts, masses = _sorted_elements(archive, options, problems, notes)
+        if not parts:
+            raise InputError(f"{archive.name} has no solid elements; expected an archive with a mesh of solids")
+        named = [part.nodes.ravel() for part in parts] + [elements.nodes[:, 0] for _, elements in masses]
+        of_solids = np.unique(np.concatenate([part.nodes.ravel() for part in parts]))
+        sums = _sums(archive, of_solids, set(rotated.tolist()), notes)
+        named.append(np.array([node for _, terms in sums for node, *_ in terms], dtype=np.int64))
+        used = np.unique(np.concatenate(named))
+        unknown = used[~np.isin(used, ids)]
+        if len(unknown):
+            some = ", ".join(map(str, unknown[:10].tolist()))
+            raise InputError(f"{archive.name}: elements name the node {some}, which is not defined")
+        sums = [(t, [(int(np.searchsorted(used, n)), c, value) for n, c, value in terms]) for t, terms in sums]
+        equations = (solved_for_first("CE", sums),) if sums else ()
+        blocks, materials_of, types_of, systems = _blocks(parts, used, archive.name)
+        points: list[PointMass] = []
+        for kind, elements in masses:
+            row = {int(label): int(np.searchsorted(used, label)) for label in elements.nodes[:, 0]}
+            points += point_masses(elements, archive.types[kind][1], archive.reals, row, archive.name)
+        others = np.unique(np.concatenate([elements.ids for _, elements in archive.elements]))
+        nodes = Nodes(ids=used, xyz=xyz[np.searchsorted(ids, used)], sets=_node_sets(archive, ids, used, notes))
+        element_sets = _element_sets(archive, blocks, others, notes)
+        for label, of in (("material", materials_of), ("type", types_of)):
+            for number in np.unique(np.concatenate(of)):
+                element_sets[f"{label} {number}"] = tuple(np.flatnonzero(values == number) for values in of)
+        lacking: dict[str, Lacking] = {}
+        materials = _materials(archive, materials_of, systems, notes, lacking)
+    whole, rest, said = options.completed(materials, lacking)
+    if problems.found:
+        problems.found += lacking_problems(archive.name, rest)
+    problems.refuse()
     _say_rest(archive, rotated, len(ids) - len(used), notes)
-    mesh = Mesh(nodes=nodes, blocks=blocks, element_sets=element_sets, source=archive.name, warnings=tuple(warnings))
-    return Imported(
-        source=archive.name, nodes=nodes, mesh=mesh, materials=materials, masses=tuple(points), notes=tuple(notes),
-        incomplete=lacking,
+    inner = np.isin(used, of_solids)
+    mesh_nodes = nodes if inner.all() else _of_solids(nodes, inner)
+    inner_row = np.cumsum(inner) - 1
+    mesh = Mesh(
+        nodes=mesh_nodes, blocks=tuple(replace(block, nodes=inner_row[block.nodes]) for block in blocks),
+        element_sets=element_sets, source=archive.name,
+        warnings=tuple(warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))),
     )  # fmt: skip
+    skipped = [
+        f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
+        for name, count in archive.skipped.items()
+    ]
+    return Imported(
+        source=archive.name, nodes=nodes, mesh=mesh, materials=whole, masses=tuple(points), equations=equations,
+        notes=tuple(notes), warnings=(*skipped, *dict.fromkeys(archive.warnings), *said), incomplete=rest,
+    )  # fmt: skip
+
+
+def _of_solids(nodes: Nodes, inner: NDArray[np.bool_]) -> Nodes:
+    row = np.where(inner, np.cumsum(inner) - 1, -1)
+    sets = {name: row[rows][row[rows] >= 0] for name, rows in nodes.sets.items()}
+    return Nodes(
+        ids=nodes.ids[inner], xyz=nodes.xyz[inner], sets={name: rows for name, rows in sets.items() if len(rows)}
+    )
+
+
+def _sums(
+    archive: Archive, of_solids: Ints, rotated: set[int], notes: list[str]
+) -> list[tuple[str, list[Term]]]:
+    """Equations of CE and CP by labels; those of rotations that solids do not have are left out."""
+    sums = [(title, terms) for title, terms in archive.equations if terms]
+    for (number, component), nodes in archive.coupled.items():
+        first, *others = dict.fromkeys(nodes)
+        title = f"{archive.name}: CP {number}"
+        sums += [(title, [(node, component, 1.0), (first, component, -1.0)]) for node in others]
+    bad = [title for title, terms in sums if any(node in rotated for node, *_ in terms)]
+    if bad:
+        raise InputError(f"{bad[0]} is on nodes with rotated axes, which is not supported; --skip CE,CP leaves it out")
+    solid = set(of_solids.tolist()) if sums else set()
+    kept = [(t, terms) for t, terms in sums if not all(c > 2 and node in solid for node, c, _ in terms)]
+    if len(kept) < len(sums):
+        notes.append(f"{len(sums) - len(kept)} equations between rotations of solids, which have none, were left out")
+    return kept
 
 
 def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
@@ -113,7 +173,7 @@ def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
 
 
 def _sorted_elements(
-    archive: Archive, skip: set[str], notes: list[str]
+    archive: Archive, options: DeckOptions, problems: Problems, notes: list[str]
 ) -> tuple[list[_Part], list[tuple[int, Elements]]]:  # fmt: skip
     """Solids, and (type, elements) of point masses; everything else is refused, or noted where it has no stiffness."""
     parts: list[_Part] = []
@@ -123,8 +183,11 @@ def _sorted_elements(
             raise InputError(f"{archive.name}: EBLOCK has elements of the type {kind}, which no ET defines")
         routine, keys = archive.types[kind]
         name, count = element_name(routine), len(elements.ids)
-        if name in skip or str(routine) in skip:
-            notes.append(f"{count} elements {name} were left out, as asked")
+        if options.skips(name, str(routine)) or (routine in CONTACT and options.contact == "skip"):
+            code = "contact-skipped" if routine in CONTACT else "keywords-skipped"
+            archive.warnings.append(
+                f"{count} elements {name} left out as asked; stiffness or mass may depend on them [{code}]"
+            )
         elif routine in CARRIERS:
             notes.append(f"{count} elements {name} were left out: they have neither stiffness nor mass")
         elif routine == MASS:
@@ -140,11 +203,15 @@ def _sorted_elements(
                 for shape, (rows, nodes) in solids(routine, elements, archive.name).items()
             ]  # fmt: skip
         else:
-            raise InputError(
-                f"{archive.name} has {count} elements {name} (first: {elements.ids[0]}), which are not supported; "
-                f"expected {', '.join(f'SOLID{n}' for n in sorted(SOLIDS))} or MASS21. Delete them, or leave them out "
-                f"with skip=({name!r},) if the body is right without them"
-            )
+            flag = "--contact skip" if routine in CONTACT else f"--skip {name if routine in NAMES else routine}"
+            problems.add(
+                Problem(
+                    what=f"{archive.name} has {count} elements {name} (first: {elements.ids[0]}), which are not "
+                    f"supported; expected {', '.join(f'SOLID{n}' for n in sorted(SOLIDS))} or MASS21. Delete them, or "
+                    f"leave them out with {flag} if the body is right without them",
+                    file=archive.name, keyword=name, flags=(flag,),
+                )
+            )  # fmt: skip
     return parts, masses
 
 
@@ -225,7 +292,8 @@ def _element_sets(
 
 
 def _materials(
-    archive: Archive, materials_of: list[Ints], systems: list[Ints], notes: list[str], lacking: dict[str, str]
+    archive: Archive, materials_of: list[Ints], systems: list[Ints], notes: list[str],
+    lacking: dict[str, Lacking],
 ) -> tuple[Material, ...]:  # fmt: skip
     numbers, turned = np.concatenate(materials_of), np.concatenate(systems) != 0
     materials = (
@@ -235,7 +303,12 @@ def _materials(
         )
         for number in np.unique(numbers)
     )  # fmt: skip
-    return tuple(each for each in materials if each is not None)
+    found = tuple(each for each in materials if each is not None)
+    for name, lack in lacking.items():
+        table = archive.tables.get(int(name.split()[-1]))
+        if table and lack.stiffness is None:
+            lacking[name] = Lacking(sentence=f"{lack.sentence}, but a table TB,{table}, which is not read")
+    return found
 
 
 def _say_rest(archive: Archive, rotated: Ints, loose: int, notes: list[str]) -> None:

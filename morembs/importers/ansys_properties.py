@@ -8,7 +8,7 @@ import numpy as np
 
 from morembs.errors import InputError
 from morembs.importers.ansys_elements import Elements
-from morembs.importers.imported import PointMass
+from morembs.importers.imported import Lacking, PointMass
 from morembs.model.material import Material, isotropic, orthotropic
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
@@ -18,7 +18,8 @@ _DEFAULT_POISSON = 0.3
 
 
 def material(
-    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str], lacking: dict[str, str]
+    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str],
+    lacking: dict[str, Lacking],
 ) -> Material | None:  # fmt: skip
     """Material of the element set ``name``, or None where EX or DENS is missing, which goes into ``lacking``.
 
@@ -29,8 +30,13 @@ def material(
         InputError: constants that no material has, or an orthotropic material in turned elements.
     """
     missing = [key for key in ("EX", "DENS") if key not in given]
+    if missing == ["DENS"]:
+        like = material(number, name, {**given, "DENS": 1.0}, turned, notes, lacking)
+        stiffness = None if like is None else like.stiffness
+        lacking[name] = Lacking(sentence=f"material {number} has no DENS", stiffness=stiffness)
+        return None
     if missing:
-        lacking[name] = f"material {number} has no {' and no '.join(missing)}"
+        lacking[name] = Lacking(sentence=f"material {number} has no {' and no '.join(missing)}")
         return None
     major, minor = ("PRXY", "PRYZ", "PRXZ"), ("NUXY", "NUYZ", "NUXZ")
     e1 = given["EX"]

@@ -29,8 +29,8 @@ class CalculixMatrices:
     dof: Ints
 
 
-def read_calculix_matrices(path: str | Path) -> CalculixMatrices:
-    """Matrices of a job; ``path`` is any of its three files or the path without an ending.
+def read_calculix_matrices(path: str | Path, *, several: bool = False) -> CalculixMatrices:
+    """Matrices of a job; ``path`` is any of its three files or the path without an ending, ``several`` as below.
 
     Memory is that of the two matrices (CSR) and blocks of text.
 
@@ -39,13 +39,16 @@ def read_calculix_matrices(path: str | Path) -> CalculixMatrices:
     """
     path = Path(path)
     stem = path.with_suffix("") if path.suffix in (".sti", ".mas", ".dof") else path
-    node, dof = read_dofs(stem.with_name(stem.name + ".dof"))
+    node, dof = read_dofs(stem.with_name(stem.name + ".dof"), several=several)
     K, M = (_triangle(stem.with_name(stem.name + end), len(node)) for end in (".sti", ".mas"))
     return CalculixMatrices(K=K, M=M, node=node, dof=dof)
 
 
-def read_dofs(path: Path) -> tuple[Ints, Ints]:
+def read_dofs(path: Path, *, several: bool = False) -> tuple[Ints, Ints]:
     """Node and direction (N,) of each row, of lines "node.direction".
+
+    Args:
+        several: dofs may be there several times, as nodes of expanded shells and beams carry the label of their parent.
 
     Raises:
         InputError: not such a file, or a dof twice.
@@ -61,7 +64,7 @@ def read_dofs(path: Path) -> tuple[Ints, Ints]:
     node, dof = labels[:, 0], labels[:, 1]
     if not len(node) or node.min() < 1 or dof.min() < 1 or dof.max() > 9:
         raise InputError(f"{path.name} holds no nodes from 1 and directions 1 to 9; expected lines such as 12.3")
-    if len(np.unique(node * 10 + dof)) < len(node):
+    if not several and len(np.unique(node * 10 + dof)) < len(node):
         raise InputError(f"{path.name} names a dof twice; it belongs to another version of CalculiX or is damaged")
     return node, dof
 

@@ -1,7 +1,8 @@
-"""Rigid and average elements of a model: which dofs follow which, and the interfaces that they offer.
+"""Rigid and average elements and equations of a model: which dofs follow which, and the interfaces of the elements.
 
 A slave of a rigid element moves as u_s = u_m + theta_m x (x_s - x_m), its rotations as theta_m; the reference of an
-average element moves as the mean of its nodes (``interface.averaging``). A master may follow another element.
+average element moves as the mean of its nodes (``interface.averaging``); equations say it themselves. What a dof
+follows may follow others.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError, nearest
 from morembs.interface import Average, Interface, Rigid, averaging
 from morembs.model import FEModel, rigid_motion
-from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
+from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,40 +28,36 @@ MOST_SPREAD = 50_000_000
 
 
 def dof_table(model: FEModel) -> Ints:
-    """Dof (n, 6) of each node and component, -1 where there is none."""
-    table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
-    table[model.dofs.node, model.dofs.component] = np.arange(model.size)
-    return table
+    """Dof (n, 7) of each node and component, -1 where there is none."""
+    return model.dofs.table(len(model.nodes))
 
 
 def dependent_dofs(
-    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]
+    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], equations: Sequence[Equations]
 ) -> DependentDofs | None:
-    """Dofs that depend on others through the elements, None without any.
+    """Dofs that depend on others through elements and equations, None without any.
 
     Raises:
-        InputError: a dof that follows two elements, elements that follow each other in a circle, average elements
-            whose nodes lie on a line, or one of so many nodes that its loads would fill the matrices.
+        InputError: a dof that follows two of them, some that follow each other in a circle, average elements whose
+            nodes lie on a line, or one of so many nodes that its loads would fill the matrices.
     """
-    if not rigid and not average:
+    elements: list[RigidElement | AverageElement | Equations] = [*rigid, *average, *equations]
+    if not elements:
         return None
     table, owner = dof_table(model), np.full(model.size, -1, dtype=np.int64)
-    elements: list[RigidElement | AverageElement] = [*rigid, *average]
     names = tuple(element.name for element in elements)
     rows, columns, values = [], [], []
     for number, element in enumerate(elements):
         if isinstance(element, RigidElement):
             dofs, at, weight = _rigid_rows(model, element, table)
-        else:
+            own = np.unique(dofs)
+        elif isinstance(element, AverageElement):
             dofs, at, weight = _mean_rows(model, element, table)
-        own = np.unique(dofs)
-        if (owner[own] >= 0).any():
-            dof = own[owner[own] >= 0][0]
-            raise InputError(
-                f"component {model.dofs.component[dof]} of node {model.nodes.ids[model.dofs.node[dof]]} follows both "
-                f"{names[owner[dof]]!r} and {element.name!r}; a node can follow one element only"
-            )
-        owner[own] = number
+            own = np.unique(dofs)
+        else:
+            own, weight = table[element.nodes, element.components], element.coefficients
+            dofs, at = own[element.equation], table[element.term_nodes, element.term_components]
+        _own(model, names, owner, own, number)
         rows.append(dofs)
         columns.append(at)
         values.append(weight)
@@ -68,7 +66,30 @@ def dependent_dofs(
     where = (np.concatenate([free, *rows]), np.concatenate([free, *columns]))
     S = sp.csr_array(sp.coo_array((data, where), shape=(model.size, model.size)))
     S.eliminate_zeros()
-    return DependentDofs(S=_resolved(S, owner, names), owner=owner, names=names)
+    _refuse_circles(model, S, owner, names)
+    return DependentDofs(S=_resolved(S, owner), owner=owner, names=names)
+
+
+def _own(model: FEModel, names: Sequence[str], owner: Ints, dofs: Ints, number: int) -> None:
+    """``dofs`` (n,) depend on the element ``number`` from now on.
+
+    Raises:
+        InputError: one is there twice, or follows another element already.
+    """
+    taken = dofs[owner[dofs] >= 0]
+    first = owner[taken]
+    owner[dofs] = number
+    twice = np.sort(dofs)
+    twice = twice[1:][twice[1:] == twice[:-1]]
+    for dof in [*taken, *twice][:1]:
+        pair = f"both {names[first[0]]!r} and {names[number]!r}" if len(first) else f"{names[number]!r} twice"
+        raise InputError(
+            f"{_dof_name(model, dof)} follows {pair}; a node can follow one element only, a dof one equation"
+        )
+
+
+def _dof_name(model: FEModel, dof: int) -> str:
+    return f"component {model.dofs.component[dof]} of node {model.nodes.ids[model.dofs.node[dof]]}"
 
 
 def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
@@ -80,7 +101,7 @@ def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Int
     node = np.repeat(slaves, len(element.components))[dofs.ravel() >= 0]
     dofs = dofs.ravel()[dofs.ravel() >= 0]
     motion = rigid_motion(model.nodes.xyz[node] - model.nodes.xyz[element.master], model.dofs.component[dofs])
-    return np.repeat(dofs, 6), np.tile(table[element.master], len(dofs)), motion.ravel()
+    return np.repeat(dofs, 6), np.tile(table[element.master, :6], len(dofs)), motion.ravel()
 
 
 def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:
@@ -104,22 +125,30 @@ def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[In
     return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()
 
 
-def _resolved(S: sp.csr_array, owner: Ints, names: tuple[str, ...]) -> sp.csr_array:
-    """S with every dependent dof given by independent ones alone, where masters follow other elements."""
+def _refuse_circles(model: FEModel, S: sp.csr_array, owner: Ints, names: Sequence[str]) -> None:
+    follows = np.flatnonzero(owner >= 0)
+    among = S[follows][:, follows]
+    if not among.nnz:
+        return
+    _, circle = connected_components(among, directed=True, connection="strong")
+    stuck = np.flatnonzero((np.bincount(circle)[circle] > 1) | (among.diagonal() != 0))
+    if len(stuck):
+        dof = follows[stuck[0]]
+        raise InputError(
+            "rigid elements, average elements or equations follow each other in a circle: one of them is "
+            f"{names[owner[dof]]!r} where it gives {_dof_name(model, dof)}"
+        )
+
+
+def _resolved(S: sp.csr_array, owner: Ints) -> sp.csr_array:
+    """S with every dependent dof given by independent ones alone, where there are chains and no circles."""
     follows = owner >= 0
-    step = S
-    for _ in range(len(names) + 1):
-        row = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
-        pending = follows[S.indices]
-        if not pending.any():
-            S.sort_indices()
-            return S
-        stuck = row[pending][0]
-        S = sp.csr_array(S @ step)
+    while follows[S.indices].any():
+        # Squares halve the chains each time.
+        S = sp.csr_array(S @ S)
         S.eliminate_zeros()
-    raise InputError(
-        f"rigid or average elements follow each other in a circle ({names[owner[stuck]]!r} is one of them)"
-    )
+    S.sort_indices()
+    return S
 
 
 def _average_interface(model: FEModel, element: AverageElement) -> Interface:

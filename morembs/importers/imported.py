@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.model import DofMap, Mesh, Nodes, frozen
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.material import Material
 
 Floats = NDArray[np.float64]
@@ -33,10 +33,39 @@ class PointMass:
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
 
 
-Tied = TypeVar("Tied", RigidElement, AverageElement, PointMass)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiscreteElement:
+    """Entries of one matrix between a few dofs: a spring, a dashpot, a mass that differs by direction.
+
+    ``matrix`` "K", "M" or "D"; ``nodes`` (d,) rows and ``components`` (d,) of the dofs; ``values`` (d, d).
+    """
+
+    name: str
+    matrix: str
+    nodes: Ints
+    components: Ints
+    values: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("nodes", "components"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.int64)))
+        object.__setattr__(self, "values", frozen(np.asarray(self.values, dtype=np.float64)))
 
 
-def nodes_of(elements: Iterable[RigidElement | AverageElement | PointMass]) -> Ints:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lacking:
+    """What the material of an element set lacks, in a ``sentence``; its ``stiffness`` (6, 6) where only the density is
+    missing."""
+
+    sentence: str
+    stiffness: Floats | None = None
+
+
+Tied = TypeVar("Tied", RigidElement, AverageElement, Equations, PointMass, DiscreteElement)
+Ties = RigidElement | AverageElement | Equations | PointMass | DiscreteElement
+
+
+def nodes_of(elements: Iterable[Ties]) -> Ints:
     """Rows of the nodes that ``elements`` are on, ascending."""
     rows: list[Ints] = [np.empty(0, dtype=np.int64)]
     for element in elements:
@@ -44,6 +73,10 @@ def nodes_of(elements: Iterable[RigidElement | AverageElement | PointMass]) -> I
             rows.append(np.append(element.slaves, element.master))
         elif isinstance(element, AverageElement):
             rows.append(np.append(element.nodes, element.reference))
+        elif isinstance(element, Equations):
+            rows += [element.nodes, element.term_nodes]
+        elif isinstance(element, DiscreteElement):
+            rows.append(element.nodes)
         else:
             rows.append(np.array([element.node]))
     return np.unique(np.concatenate(rows)).astype(np.int64)
@@ -58,6 +91,10 @@ def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
             change = {"master": int(row[element.master]), "slaves": row[element.slaves]}
         elif isinstance(element, AverageElement):
             change = {"reference": int(row[element.reference]), "nodes": row[element.nodes]}
+        elif isinstance(element, Equations):
+            change = {"nodes": row[element.nodes], "term_nodes": row[element.term_nodes]}
+        elif isinstance(element, DiscreteElement):
+            change = {"nodes": row[element.nodes]}
         else:
             change = {"node": int(row[element.node])}
         return replace(element, **change)
@@ -73,7 +110,7 @@ class Imported:
     ``dofs``; or a ``mesh`` with ``materials``; or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
     ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry; ``warnings``
     what makes the model another one than that of the file, beside what ``mesh`` warns of. ``incomplete`` maps an
-    element set to the sentence that tells what its material lacks: such a model is refused until the set has one.
+    element set to what its material lacks: such a model is refused until the set has one.
     """
 
     source: str
@@ -86,8 +123,15 @@ class Imported:
     materials: tuple[Material, ...] = ()
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
+    equations: tuple[Equations, ...] = ()
     masses: tuple[PointMass, ...] = ()
+    discrete: tuple[DiscreteElement, ...] = ()
     surfaces: Mapping[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    incomplete: Mapping[str, str] = field(default_factory=dict)
+    incomplete: Mapping[str, Lacking] = field(default_factory=dict)
+
+    @property
+    def ties(self) -> list[Ties]:
+        """All that joins nodes or hangs on them."""
+        return [*self.rigid, *self.average, *self.equations, *self.masses, *self.discrete]

@@ -44,7 +44,7 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
         raise InputError(f"{path.name} cannot be read as a MATLAB file ({reason}); save it again") from error
     left = [f"{name} ({kind})" for name, kind in other.items()]
     notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()
-    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
+    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes, besides=held)
 
 
 def _once(source: str, value: Any) -> sp.csr_array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,13 +16,17 @@ from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.imported import Imported
 from morembs.importers.named import matrices_by_name, square_csr
+from morembs.importers.nastran_cards import Cards
+from morembs.importers.nastran_geometry import Grids
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes
+from morembs.model.fe_model import SCALAR
 
 Ints = NDArray[np.int64]
-# Rows of the two scalar kinds of dof that have no component of their own.
-_SCALAR = 0
+_GRID = re.compile(rb"^GRID[ *,][^\n]*\n(?:[*+ ,][^\n]*\n)*", re.MULTILINE)
+# The component of rows of scalar points.
+_SCALAR_POINT = 0
 # Names that Nastran gives the matrices of a superelement, and those by which it takes them.
 _USUAL = {
     "K": ("KAAX", "KAA", "K2GG", "K2PP"), "M": ("MAAX", "MAA", "M2GG", "M2PP"), "D": ("BAAX", "BAA", "B2GG", "B2PP")
@@ -49,8 +54,10 @@ def import_dmig(
 ) -> Imported:  # fmt: skip
     """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
 
+    Where the file has a GRID for each of them, nodes are at their places. Scalar points become scalar dofs.
+
     Raises:
-        InputError: not such a file, no matrix of a name, or scalar points.
+        InputError: not such a file, or no matrix of a name.
     """
     path = Path(path)
     text = BulkText(path, outside=allow_includes_outside)
@@ -58,15 +65,32 @@ def import_dmig(
     labels = np.unique(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
-    if (labels[:, 1] == _SCALAR).any():
-        raise InputError(f"{path.name} has rows of scalar points, which have no place in space; leave them out")
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
-    nodes, dofs = labelled(labels[:, 0], labels[:, 1] - 1)
+    nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, SCALAR, labels[:, 1] - 1))
+    nodes = _placed(nodes, text)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
     whole = matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
     return replace(whole, warnings=text.warnings)
+
+
+def _placed(nodes: Nodes, text: BulkText) -> Nodes:
+    """The nodes at the GRID cards of the text, as far as it has some, along the basic axes."""
+    grids = Grids(text.file)
+    for piece in text:
+        cards = b"".join(_GRID.findall(piece.text)) if b"GRID" in piece.text else b""
+        if cards:
+            for table in Cards(replace(piece, text=cards), text).tables():
+                grids.add(table)
+    if not grids.count:
+        return nodes
+    grids.sort([])
+    if grids.cp.any() or (grids.cd > 0).any():
+        return nodes
+    at = np.minimum(np.searchsorted(grids.ids, nodes.ids), len(grids.ids) - 1)
+    xyz = np.where((grids.ids[at] == nodes.ids)[:, None], grids.xyz[at], np.nan)
+    return Nodes(ids=nodes.ids, xyz=xyz)
 
 
 def _spread(read: DmigMatrix, labels: Ints) -> sp.csr_array:

@@ -44,6 +44,8 @@ _LAST_LINES = (
 _BINARY = re.compile(rb"^BINARY\s*$|[\x00-\x08\x0e-\x1f\x7f-\xff]", re.MULTILINE)
 # Node tags up to this many, and this many for each node, are taken: a table of them is no larger than a mesh.
 SPARSE_TAGS, SPARSE_RATIO = 1_000_000, 20
+# Meshes of Salome, and results of code_aster, which hold one too.
+_MED = (".med", ".rmed")
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
 CARRIERS = {
     "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9",
@@ -63,7 +65,7 @@ def read_with_meshio(path: Path) -> Mesh:
         label += len(cells.data)
         if cells.type in SOLIDS:
             kind = SOLIDS[cells.type]
-            nodes = cells.data[:, _mirror(kind)] if path.suffix.lower() == ".med" else cells.data
+            nodes = cells.data[:, _mirror(kind)] if path.suffix.lower() in _MED else cells.data
             joined = parts.setdefault(kind, [])
             place[index] = kind, sum(len(i) for _, i in joined)
             joined.append((nodes, ids))
@@ -116,7 +118,7 @@ def _read(path: Path) -> meshio.Mesh:
     words = io.StringIO()
     try:
         with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words), _bounded_tags():
-            return meshio.read(path)
+            return meshio.read(path, file_format="med" if path.suffix.lower() in _MED else None)
     except (SystemExit, Exception) as error:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
         reason = " ".join(said.split())[:300] or type(error).__name__

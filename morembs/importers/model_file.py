@@ -46,7 +46,7 @@ def write_model(
     sums = [sha256(file) for file in files]
     with writing(target) as out:
         out.rows("", MODEL, {
-            "format": FORMAT, "format_version": FORMAT_VERSION, "unit_system": "SI",
+            "format": FORMAT, "format_version": FORMAT_VERSION if model.equations else 1, "unit_system": "SI",
             "source": {
                 "name": model.source, "files": [file.name for file in files], "sha256": sums,
                 "format": importer or "none", "units": units or "m-kg-s", "notes": model.notes,
@@ -57,6 +57,7 @@ def write_model(
             "node": model.dofs.node, "component": model.dofs.component,
             "elements": model.mesh and _elements(model.mesh), "element_sets": model.mesh and _element_sets(model.mesh),
             "materials": model.materials or None, "couplings": _couplings(model) if model.couplings else None,
+            "equations": _equations(model) if model.equations else None,
         })  # fmt: skip
         for matrix in out.file.get("matrices", {}).values():
             matrix.attrs["format"] = np.bytes_("csr")
@@ -130,3 +131,7 @@ def _couplings(model: FEModel) -> dict[str, object]:
             "weights": getattr(element, "weights", None),
         })  # fmt: skip
     return {"names": [element.name for element in model.couplings.values()], "couplings": couplings}
+
+
+def _equations(model: FEModel) -> dict[str, object]:
+    return {"names": [given.name for given in model.equations], "equations": model.equations}

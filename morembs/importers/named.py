@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -59,11 +59,12 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
 
 def matrices_by_name(
     source: str, matrices: Mapping[str, Any], *, K: str | None = None, M: str | None = None, D: str | None = None,
-    nodes: Nodes | None = None, dofs: DofMap | None = None, notes: tuple[str, ...] = (),
+    nodes: Nodes | None = None, dofs: DofMap | None = None, notes: tuple[str, ...] = (), besides: Iterable[str] = (),
 ) -> Imported:  # fmt: skip
     """The matrices that are named, else those with usual names; what is left over is noted.
 
-    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name.
+    ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name. ``besides`` are
+    names of what is no square matrix.
 
     Raises:
         InputError: no matrices, or none of a given name.
@@ -78,7 +79,7 @@ def matrices_by_name(
         elif name is not None:
             key = _there(source, matrices, name)
             taken[role] = (key, matrices[key])
-    if not taken and len(matrices) == 1:
+    if not taken and len(matrices) == 1 and not {"A", "B", "C"} <= {*matrices, *besides}:
         taken["K"] = next(iter(matrices.items()))
     used = {name for name, _ in taken.values()}
     for role, names in USUAL.items():
@@ -88,6 +89,11 @@ def matrices_by_name(
             taken[role] = (usual, matrices[usual])
             used.add(usual)
     chosen = ", ".join(f"{role} = {name}" for role, (name, _) in taken.items())
+    if "K" not in taken and {"A", "B", "C"} <= {*matrices, *besides}:
+        raise InputError(
+            f"{source} holds a first-order system (A, B, C): its states are no displacements and it has no mass; "
+            "expected a second-order one, M u'' + D u' + K u = B f"
+        )
     if "K" not in taken:
         raise InputError(
             f"{source} has the matrices {', '.join(matrices)}; say which is the stiffness and which the mass: "

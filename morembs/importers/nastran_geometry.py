@@ -111,6 +111,11 @@ class Grids:
         self._pieces.append((ids, table.reals(2, 5), *systems))
         self._systems.append((table.given(1, 2)[:, 0], table.given(5, 6)[:, 0]))
 
+    @property
+    def count(self) -> int:
+        """Cards that were added."""
+        return sum(len(ids) for ids, *_ in self._pieces)
+
     def sort(self, default: list[str]) -> None:
         """Join what was added, in the order of labels; ``default`` are the fields of GRDSET."""
         if not self._pieces:

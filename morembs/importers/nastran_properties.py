@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import turned
-from morembs.importers.imported import PointMass
+from morembs.importers.imported import Lacking, PointMass
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.model.constraints import AverageElement, RigidElement
@@ -32,7 +32,7 @@ class Materials:
     def __init__(self, file: str, scale: float) -> None:
         self.file, self.scale = file, scale
         self.notes: list[str] = []
-        self.lacking: dict[str, str] = {}
+        self.lacking: dict[str, Lacking] = {}
 
     def of(
         self, pids: list[int], psolid: Rows, mats: dict[str, Rows], systems: Systems, grids: Grids
@@ -47,14 +47,14 @@ class Materials:
         for pid in pids:
             name = f"PSOLID_{pid}"
             if pid not in properties:
-                self.lacking[name] = f"the property {pid} of solids is not in the file"
+                self.lacking[name] = Lacking(sentence=f"the property {pid} of solids is not in the file")
                 continue
             row = padded(properties[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
                 raise InputError(f"{self.file}: PSOLID {pid} is of the kind {row[6]!r}; expected a structural one")
             mid = integer(row[1], f"{self.file}: PSOLID {pid}")
             if not mid:
-                self.lacking[name] = f"PSOLID {pid} names no material"
+                self.lacking[name] = Lacking(sentence=f"PSOLID {pid} names no material")
             elif mid in cards["MAT1"]:
                 materials += self._mat1(name, mid, cards["MAT1"][mid])
             elif mid in cards["MAT9"]:
@@ -91,7 +91,7 @@ class Materials:
         if row[7] and real(row[7], what):
             self.notes.append(f"MAT1 {mid}: the structural damping GE = {row[7]} is not carried over.")
         if not rho:
-            return self._without_density(name, f"MAT1 {mid}")
+            return self._without_density(name, f"MAT1 {mid}", isotropic(set=name, young=E, poisson=nu, density=1.0))
         return [isotropic(set=name, young=E, poisson=nu, density=rho * self.scale)]
 
     def _mat9(self, name: str, mid: int, row: list[str], system: int, systems: Systems, grids: Grids) -> list[Material]:
@@ -100,8 +100,6 @@ class Materials:
         C = np.zeros((6, 6))
         C[np.triu_indices(6)] = numbers[:21]
         C = (C + np.triu(C, 1).T)[np.ix_(np.argsort(_MAT9), np.argsort(_MAT9))]
-        if not numbers[21]:
-            return self._without_density(name, f"MAT9 {mid}")
         if system:
             if system < 0:
                 raise InputError(
@@ -111,10 +109,12 @@ class Materials:
             if kind != "R":
                 raise InputError(f"{what}: its directions vary (CORDM = {system} is not rectangular); expected CORD2R")
             C = turned(C, axes)
+        if not numbers[21]:
+            return self._without_density(name, f"MAT9 {mid}", Material(set=name, stiffness=C, density=1.0))
         return [Material(set=name, stiffness=C, density=numbers[21] * self.scale)]
 
-    def _without_density(self, name: str, card: str) -> list[Material]:
-        self.lacking[name] = f"{card} of the set {name} has no density"
+    def _without_density(self, name: str, card: str, like: Material) -> list[Material]:
+        self.lacking[name] = Lacking(sentence=f"{card} of the set {name} has no density", stiffness=like.stiffness)
         return []
 
 

@@ -15,8 +15,9 @@ from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, Nodes
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.elements import TYPES
+from morembs.model.fe_model import SCALAR
 from morembs.model.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
@@ -26,7 +27,8 @@ from morembs.storage.table_check import TableCheck
 
 Ints = NDArray[np.int64]
 FORMAT = "morembs-model"
-FORMAT_VERSION = 1
+# Files with equations have version 2, as older readers would leave these out; others have version 1.
+FORMAT_VERSION = 2
 CURE = "import the model again"
 
 
@@ -113,13 +115,25 @@ _COUPLING = Table((
     Row("point", "real", "3", units="m", doc="where the reference is", read=False),
     Row("weights", "real", "followers", when="of average ones", doc="of the nodes"),
 ))  # fmt: skip
+_EQUATIONS_OF_ONE = Table((
+    Row("nodes", "whole", "equations", "rows of /nodes: the dofs that depend on others"),
+    Row("components", "whole", "equations", "of these dofs, as in dofs/component"),
+    Row("offsets", "whole", "any", "terms of equation i are `offsets[i]:offsets[i+1]`; without any it is held"),
+    Row("term_nodes", "whole", "terms", "rows of /nodes"),
+    Row("term_components", "whole", "terms", "as in dofs/component"),
+    Row("coefficients", "real", "terms", units="1, m or 1/m", doc="of the terms"),
+))  # fmt: skip
+_EQUATIONS = Table((
+    Row("names", "words", "origins", "of equations_0, equations_1, ...: what they came from"),
+    Row("equations_#", _EQUATIONS_OF_ONE, field="equations"),
+))  # fmt: skip
 _COUPLINGS = Table((
     Row("names", "words", "couplings", "of coupling_0, coupling_1, ..."),
     Row("coupling_#", _COUPLING, field="couplings"),
 ))  # fmt: skip
 MODEL = Table((
     Row("format", "text", doc="`morembs-model`", read=False),
-    Row("format_version", "whole", doc="1", read=False),
+    Row("format_version", "whole", doc="1, with equations 2", read=False),
     Row("unit_system", "text", doc="`SI`", read=False),
     Row("source", _SOURCE),
     Row("matrices/K", _matrix("N/m"), when="if", read=False),
@@ -129,11 +143,12 @@ MODEL = Table((
     Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
     Row("node_sets", _SETS),
     Row("dofs/node", "whole", "dofs", "row of /nodes, from 0, of each row of the matrices"),
-    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them"),
+    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars"),
     Row("elements", _ELEMENTS, when="if"),
     Row("element_sets", _SETS, when="if", doc="as `node_sets`; elements are counted through all blocks"),
     Row("materials", _MATERIALS, when="if"),
     Row("couplings", _COUPLINGS, when="if"),
+    Row("equations", _EQUATIONS, when="if"),
 ))  # fmt: skip
 
 
@@ -153,12 +168,13 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         for name, rows in nodes.sets.items():
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
         rigid, average = _couplings(path, values.get("couplings", {"names": (), "couplings": ()}), len(nodes))
+        equations = _equations(path, values.get("equations", {"names": (), "equations": ()}), len(nodes))
         mesh = _mesh(path, values["elements"], values["element_sets"], nodes) if "elements" in values else None
         Checksums(path, file).verify()
     return Imported(
         source=source["name"], K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh,
-        materials=values.get("materials", ()), rigid=rigid, average=average, notes=source["notes"],
-        warnings=source.get("warnings", ()),
+        materials=values.get("materials", ()), rigid=rigid, average=average, equations=equations,
+        notes=source["notes"], warnings=source.get("warnings", ()),
     )  # fmt: skip
 
 
@@ -229,3 +245,17 @@ def _couplings(
         else:
             average.append(AverageElement(name=name, **coupling))
     return tuple(rigid), tuple(average)
+
+
+def _equations(path: Path, group: Mapping[str, Any], count: int) -> tuple[Equations, ...]:
+    found = []
+    for name, given in zip(group["names"], group["equations"], strict=True):
+        _refuse_outside(path, np.append(given["nodes"], given["term_nodes"]), count, f"the equations {name!r}")
+        components = np.append(given["components"], given["term_components"])
+        if not np.isin(components, range(SCALAR + 1)).all():
+            raise InputError(f"{path}: the equations {name!r} have components beyond 0 to 6; {CURE}")
+        try:
+            found.append(Equations(name=name, **given))
+        except InputError as error:
+            raise InputError(f"{path}: {error}; {CURE}") from error
+    return tuple(found)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dof_table
-from morembs.importers.imported import PointMass
+from morembs.importers.imported import DiscreteElement, PointMass, Ties, nodes_of
 from morembs.model import DofMap, FEModel, skew
-from morembs.model.constraints import AverageElement, RigidElement
+from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.units import Units
 
 Floats = NDArray[np.float64]
@@ -44,24 +44,34 @@ def mass_about_node(mass: PointMass) -> Floats:
     return M
 
 
-def with_dofs(model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement]) -> FEModel:
-    """The model with the dofs that masters, references and dependent nodes outside elements need."""
+def with_dofs(model: FEModel, ties: Sequence[Ties]) -> FEModel:
+    """The model with the dofs that masters, references, equations and nodes outside elements need."""
     table = dof_table(model)
+    width = table.shape[1]
     bare = np.asarray((table < 0).all(axis=1))
     needed: list[Ints] = [np.empty(0, dtype=np.int64)]
     six = np.arange(6)
-    for element in rigid:
-        needed.append(6 * element.master + six)
-        alone = element.slaves[bare[element.slaves]]
-        needed.append((6 * alone[:, None] + np.array(element.components, dtype=np.int64)).ravel())
-    for distributing in average:
-        needed.append(6 * distributing.reference + np.array(distributing.components, dtype=np.int64))
+    for tie in ties:
+        if isinstance(tie, RigidElement):
+            needed.append(width * tie.master + six)
+            alone = tie.slaves[bare[tie.slaves]]
+            needed.append((width * alone[:, None] + np.array(tie.components, dtype=np.int64)).ravel())
+        elif isinstance(tie, AverageElement):
+            needed.append(width * tie.reference + np.array(tie.components, dtype=np.int64))
+        elif isinstance(tie, Equations):
+            needed += [width * tie.nodes + tie.components, width * tie.term_nodes + tie.term_components]
+        elif isinstance(tie, DiscreteElement):
+            loose = bare[tie.nodes]
+            # A node of its own moves along all axes, and turns where something resists that.
+            needed += [(width * tie.nodes[loose][:, None] + six[:3]).ravel()]
+            needed += [(width * tie.nodes + tie.components)[loose]]
     codes = np.unique(np.concatenate(needed))
     new = codes[table.ravel()[codes] < 0]
     if not len(new):
         return model
     dofs = DofMap(
-        node=np.concatenate([model.dofs.node, new // 6]), component=np.concatenate([model.dofs.component, new % 6])
+        node=np.concatenate([model.dofs.node, new // width]),
+        component=np.concatenate([model.dofs.component, new % width]),
     )
     K, M, D = (_grown(A, len(new)) for A in (model.K, model.M, model.D))
     return replace(model, dofs=dofs, K=K, M=M, D=D)
@@ -86,7 +96,7 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
     table = dof_table(model)
     rows, columns, values = [], [], []
     for mass in masses:
-        M, dofs = mass_about_node(mass), table[mass.node]
+        M, dofs = mass_about_node(mass), table[mass.node, :6]
         lost = np.flatnonzero((dofs < 0) & (np.abs(M) > 0).any(axis=1))
         if len(lost):
             raise InputError(
@@ -104,23 +114,18 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
     return replace(model, M=sp.csr_array(model.M + added))
 
 
-def refuse_loose(
-    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], masses: Sequence[PointMass]
-) -> None:
-    """Refuse point masses on nodes that neither have stiffness nor take part in a coupling.
+def refuse_loose(model: FEModel, ties: Sequence[Ties]) -> None:
+    """Refuse point masses on nodes that neither have stiffness nor take part in a coupling, a spring or an equation.
 
     Raises:
         InputError: as said.
     """
     held = np.zeros(len(model.nodes), dtype=bool)
     held[model.dofs.node[np.diff(model.K.indptr) > 0]] = True
-    for element in rigid:
-        held[element.slaves] = held[element.master] = True
-    for mean in average:
-        held[mean.reference] = True
-    for mass in masses:
-        if not held[mass.node]:
+    held[nodes_of(tie for tie in ties if not isinstance(tie, PointMass))] = True
+    for tie in ties:
+        if isinstance(tie, PointMass) and not held[tie.node]:
             raise InputError(
-                f"point mass {mass.name!r} is on node {model.nodes.ids[mass.node]}, which belongs to no element; "
+                f"point mass {tie.name!r} is on node {model.nodes.ids[tie.node]}, which belongs to no element; "
                 "couple it to the part by a rigid or an average element"
             )

@@ -1,7 +1,8 @@
 """What an importer read becomes a finite-element model in SI units.
 
-A mesh is assembled; point masses are added; rigid elements (RBE2) and average elements (RBE3) make dofs dependent,
-which are eliminated where the model is coupled to its interfaces, and named couplings that an interface can take over.
+A mesh is assembled; point masses are added; rigid elements (RBE2), average elements (RBE3) and equations (MPC) make
+dofs dependent, which are eliminated where the model is coupled to its interfaces. The elements are named couplings that
+an interface can take over.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
-from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.discrete import si_discrete, with_discrete
+from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.fe_model import refuse_far
+from morembs.model.constraints import Equations
+from morembs.model.fe_model import SCALAR, refuse_far
+from morembs.model.handedness import right_handed
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.progress import SILENT, Progress
@@ -49,7 +53,7 @@ def model_of(
     """
     units = units or Units()
     imported = _completed(imported)
-    touched = nodes_of([*imported.rigid, *imported.average, *imported.masses])
+    touched = nodes_of(imported.ties)
     _refuse_incomplete(imported)
     if imported.K is not None:
         base = _from_matrices(imported, units)
@@ -58,15 +62,19 @@ def model_of(
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
     rigid, average = on_rows(imported.rigid, base.row), on_rows(imported.average, base.row)
+    equations = equations_in_si(on_rows(imported.equations, base.row), units)
     masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
-    model = with_dofs(model, rigid, average)
-    refuse_loose(model, rigid, average, masses)
-    model = with_masses(model, masses)
+    discrete = [si_discrete(element, units) for element in on_rows(imported.discrete, base.row)]
+    ties: list[Ties] = [*rigid, *average, *equations, *masses, *discrete]
+    model = with_dofs(model, ties)
+    refuse_loose(model, ties)
+    model, said = with_discrete(with_masses(model, masses), discrete)
     return FEModel(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
-        dependent=dependent_dofs(model, rigid, average), notes=(*imported.notes, *base.notes),
+        equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
+        notes=(*imported.notes, *base.notes, *said),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
 
@@ -92,17 +100,19 @@ def _completed(imported: Imported) -> Imported:
         InputError: a set without any, in a file whose matrices are not there.
     """
     given = {material.set for material in imported.materials}
-    bare = {name: why for name, why in imported.incomplete.items() if not given & {name, "all"}}
+    bare = {name: lack for name, lack in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
+        stiff = all(lack.stiffness is not None for lack in bare.values())
+        cure = "a density: --density X" + (f",set={next(iter(bare))}" if len(bare) == 1 else "")
         raise InputError(
-            f"{imported.source}: {'; '.join(bare.values())}; complete them in the file, or give a material for "
-            f"{'each set' if len(bare) > 1 else 'the set'}: --material young=..,poisson=..,density=..,set="
-            f"{next(iter(bare))}"
+            f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
+            f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
+            f"--material young=..,poisson=..,density=..,set={next(iter(bare))}"
         )
-    told = tuple(
-        f"{why}; {'its elements have none here' if name in bare else 'the material that was given took its place'}"
-        for name, why in imported.incomplete.items()
-    )
+    told = []
+    for name, lack in imported.incomplete.items():
+        what = "its elements have none here" if name in bare else "the material that was given took its place"
+        told.append(f"{lack.sentence}; {what}")
     return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
 
 
@@ -135,12 +145,12 @@ def _refuse_names(names: Sequence[str], source: str) -> None:
 def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
     """K, M and D in N/m, kg and Ns/m; rows and columns of rotations are per rad.
 
-    A dof in rad has the force Nm: with w = 1 for displacements and w = m per unit of length for rotations an entry
-    is scaled by w_i w_j times the factor of displacements.
+    A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which are taken for such) and w = m per
+    unit of length for rotations an entry is scaled by w_i w_j times the factor of displacements.
     """
     factors = (units.stiffness, units.mass, units.mass / units.time)
-    weight = np.where(dofs.component > 2, units.length, 1.0)
-    plain = units.length == 1.0 or not (dofs.component > 2).any()
+    weight = np.where(dofs.turning, units.length, 1.0)
+    plain = units.length == 1.0 or not dofs.turning.any()
     scaled = []
     for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
         if matrix is None or (plain and factor == 1.0):
@@ -197,6 +207,7 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
             "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that mass "
             "properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",
         )  # fmt: skip
+    nodes = _with_places_of_scalars(nodes, dofs)
     if not np.isfinite(nodes.xyz).all():
         raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
     refuse_far(nodes, source)
@@ -212,6 +223,18 @@ def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple
     return nodes, dofs, notes
 
 
+def _with_places_of_scalars(nodes: Nodes, dofs: DofMap | None) -> Nodes:
+    """Nodes that hold scalars alone are put amid the others, where they change no extent."""
+    if dofs is None or len(dofs) == 0 or dofs.component.max() < SCALAR:
+        return nodes
+    placed = np.zeros(len(nodes), dtype=bool)
+    placed[dofs.node[dofs.component < SCALAR]] = True
+    bare = ~placed & ~np.isfinite(nodes.xyz).all(axis=1)
+    xyz = nodes.xyz.copy()
+    xyz[bare] = nodes.xyz[placed].mean(axis=0) if placed.any() else 0.0
+    return replace(nodes, xyz=xyz)
+
+
 def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
     """Refuse a map that does not fit.
 
@@ -222,11 +245,10 @@ def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
         raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
         raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
-    if size and not (dofs.component.min() >= 0 and dofs.component.max() < 6):
+    if size and not (dofs.component.min() >= 0 and dofs.component.max() <= SCALAR):
         raise InputError(f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; "
-                         "expected 0 to 5")  # fmt: skip
-    codes = np.sort(6 * dofs.node + dofs.component)
-    twice = codes[1:][codes[1:] == codes[:-1]]
+                         "expected 0 to 6")  # fmt: skip
+    twice = dofs.twice()
     if len(twice):
         node = nodes.ids[twice[0] // 6]
         raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")
@@ -261,6 +283,7 @@ def _from_mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
     )  # fmt: skip
+    part = right_handed(part)
     model = assemble(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,
         progress=progress,
@@ -320,6 +343,19 @@ def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
             f"{source} names node {missing[0]}, which does not exist; check that the files belong together"
         )
     return np.asarray(order[at], dtype=np.int64)
+
+
+def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equations, ...]:
+    """Equations between displacements in m and rotations in rad."""
+    if units.length == 1.0:
+        return tuple(equations)
+
+    def scaled(given: Equations) -> Equations:
+        both = (given.components, given.term_components)
+        size, of_terms = (np.where((c > 2) & (c < SCALAR), 1.0, units.length) for c in both)
+        return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
+
+    return tuple(map(scaled, equations))
 
 
 def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:

@@ -130,9 +130,11 @@ def _refuse_dependent(model: FEModel, dependent: DependentDofs, interface: Inter
     bad = dofs[dependent.owner[dofs] >= 0]
     if len(bad):
         name = dependent.names[dependent.owner[bad[0]]]
+        own = f'nodes = "coupling:{name}", ' if name in model.couplings else ""
         raise InputError(
-            f"interface {interface.name!r}: node {model.nodes.ids[model.dofs.node[bad[0]]]} follows the element "
-            f'{name!r} of the model; take nodes = "coupling:{name}", other nodes, or coupling = "average"'
+            f"interface {interface.name!r}: node {model.nodes.ids[model.dofs.node[bad[0]]]} follows "
+            f"{'the element' if own else 'equations'} {name!r} of the model; take {own}other nodes, or coupling = "
+            '"average"'
         )
 
 

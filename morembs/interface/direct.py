@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.interface.base import CouplingKind, Interface
 from morembs.model import FEModel
+from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -30,9 +31,7 @@ class Direct(CouplingKind):
     def attach(self, model: FEModel, interface: Interface) -> sp.csc_array:
         import scipy.sparse as sp
 
-        table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
-        table[model.dofs.node, model.dofs.component] = np.arange(model.size)
-        dofs = table[interface.nodes][:, list(interface.components)]
+        dofs = model.dofs.table(len(model.nodes))[interface.nodes][:, list(interface.components)]
         if (dofs < 0).any():
             node, component = np.argwhere(dofs < 0)[0]
             raise InputError(
@@ -44,8 +43,7 @@ class Direct(CouplingKind):
 
     def available(self, model: FEModel, name: str, nodes: Ints) -> tuple[int, ...]:
         """Components that all nodes have."""
-        here = np.isin(model.dofs.node, nodes)
-        count = np.bincount(model.dofs.component[here], minlength=6)
+        count = (model.dofs.table(len(model.nodes))[nodes, :SCALAR] >= 0).sum(axis=0)
         common = tuple(np.flatnonzero(count == len(nodes)).tolist())
         if not common:
             raise InputError(f"interface {name!r}: its nodes have no dof in common; take other nodes")

@@ -90,7 +90,7 @@ def _area_weights(model: FEModel, rows: Ints) -> tuple[Floats, int]:
     Ones, and no such nodes, where there are no faces at all.
     """
     if model.mesh is not None:
-        faces = outer_faces(model.mesh, within=rows)
+        faces = outer_faces(model.mesh, within=rows[rows < len(model.mesh.nodes)])
         areas = nodal_areas(model.nodes.xyz, faces)[rows]
         if areas.sum() > 0:
             on_face = np.isin(rows, np.concatenate([nodes.ravel() for nodes in faces.values()]))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.interface.base import Interface
 from morembs.model import FEModel, rigid_motion
+from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -37,7 +38,7 @@ def displacement_dofs(model: FEModel, interface: Interface) -> Ints:
 
 
 def all_dofs(model: FEModel, interface: Interface) -> Ints:
-    """All dofs of the interface's nodes, rotations too.
+    """All dofs of the interface's nodes, rotations too, but no scalars.
 
     Raises:
         InputError: a node lacks one of x, y and z.
@@ -45,7 +46,8 @@ def all_dofs(model: FEModel, interface: Interface) -> Ints:
     displacements = displacement_dofs(model, interface)
     if model.dofs.component.max(initial=0) < 3:
         return displacements
-    return np.flatnonzero(np.isin(model.dofs.node, interface.nodes))
+    here = np.isin(model.dofs.node, interface.nodes)
+    return np.flatnonzero(here & (model.dofs.component < SCALAR))
 
 
 def loads_on(model: FEModel, dofs: Ints, values: Floats) -> sp.csc_array:

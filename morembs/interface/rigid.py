@@ -41,7 +41,7 @@ class Rigid(CouplingKind):
     def check(self, model: FEModel, interface: Interface) -> None:
         xyz = model.nodes.xyz[interface.nodes]
         arms = xyz - xyz.mean(axis=0)
-        turning = model.dofs.component[np.isin(model.dofs.node, interface.nodes)] > 2
+        turning = model.dofs.turning[np.isin(model.dofs.node, interface.nodes)]
         if not turning.any():
             refuse_collinear(interface, condition_of(arms, np.ones(len(arms))))
             return

@@ -20,8 +20,10 @@ from morembs.importers.imported import Imported
 from morembs.importers.matrix_files import abaqus_matrices
 from morembs.importers.model_file import write_model
 from morembs.importers.named import square_csr
+from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.model import DofMap, FEModel, Nodes
+from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material, isotropic
 from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import check_writable
@@ -36,8 +38,10 @@ class ImportJob:
 
     ``file`` one file with the model, or ``matrices`` role -> file of one matrix each; ``nodes`` a mesh that gives
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
-    ``dialect`` is the program that a deck .inp was written for; ``allow_includes_outside`` lets decks include files
-    from beyond their folders.
+    ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
+    have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine``
+    is the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
+    ``allow_includes_outside`` lets decks include files from beyond their folders.
     """
 
     out: Path
@@ -50,6 +54,11 @@ class ImportJob:
     materials: tuple[Material, ...] = ()
     mass_integration: str = "element"
     dialect: str = "auto"
+    density: Mapping[str, float] = field(default_factory=dict)
+    contact: str = "refuse"
+    skip: tuple[str, ...] = ()
+    engine: str | None = None
+    engine_options: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     allow_includes_outside: bool = False
 
@@ -74,21 +83,23 @@ class ImportResult:
 
 
 def run_import(
-    job: ImportJob, *, check: bool = False, strict: bool = False, progress: Progress = SILENT
+    job: ImportJob, *, check: bool = False, strict: bool = False, dry: bool = False, progress: Progress = SILENT
 ) -> ImportResult:
     """Read, convert, examine where asked for, and write.
 
     Args:
         strict: write nothing where the examination finds errors.
+        dry: write nothing.
 
     Raises:
         InputError: files that cannot be used or do not fit together, or errors found with ``strict``.
         OutputError: the model cannot be written; an old file is kept.
     """
-    for path in job.sources:
+    for path in () if dry else job.sources:
         if path.resolve() == job.out.resolve():
             raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
-    check_writable(job.out)
+    if not dry:
+        check_writable(job.out)
     progress.stage("read")
     imported, format = _read(job)
     if imported.K is not None and imported.M is not None:
@@ -104,9 +115,10 @@ def run_import(
         if strict:
             diagnosis.refuse_errors()
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
-    write_model(
-        job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
-    )
+    if not dry:
+        write_model(
+            job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
+        )
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
     seen = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():
@@ -121,11 +133,19 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     """What the files hold together, and the name of the format."""
     if (job.file is None) == (not job.matrices):
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
-    if job.dialect != "auto" and not any(_takes_dialect(path, job) for path in (job.file, job.nodes)):
-        raise InputError(f"--dialect {job.dialect} was given without a deck .inp of Abaqus or CalculiX; leave it out")
+    if job.engine is not None:
+        return _assembled(job, job.engine)
+    if job.engine_options:
+        flag = next(iter(job.engine_options)).replace("_", "-").replace("timeout", "engine-timeout")
+        raise InputError(f"--{flag} was given without --engine; leave it out, or name the program that assembles")
+    for name, given in _given(job).items():
+        if not any(_takes(name, path, job) for path in (job.file, job.nodes)):
+            what = "a deck .inp of Abaqus or CalculiX" if name == "dialect" else "a deck that can take it"
+            value = f" {given}" if isinstance(given, str) else ""
+            raise InputError(f"--{name}{value} was given without {what}; leave it out")
     if job.file is not None:
         format = format_of(job.file, job.format)
-        imported = import_file(job.file, format, {**_of_decks(job, format), **job.options})
+        imported = _of_file(job, format)
     else:
         imported, format = _combined(job)
     if format == "native" and (job.units.name != "m-kg-s" or job.nodes or job.dofs):
@@ -142,9 +162,49 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
     return _with_geometry(imported, job), format
 
 
-def _takes_dialect(path: Path | None, job: ImportJob) -> bool:
+def _assembled(job: ImportJob, engine: str) -> tuple[Imported, str]:
+    """A deck that another program assembles."""
+    # Not at the top: other imports do without programs.
+    from morembs.importers.engines import engine_of
+
+    name = engine.partition(":")[0]
+    if job.file is None or job.materials or job.nodes or job.dofs:
+        raise InputError(f"--engine {name} takes one deck with its materials; leave --material, --nodes, --dofs out")
+    known = engine_of(engine)[0].options
+    wrong = next((word for word in _given(job) if word not in known), None)
+    if wrong:
+        raise InputError(f"--{wrong} was given with --engine {name}, whose own formulations are taken; leave it out")
+    format = format_of(job.file, job.format)
+    given = {**_given(job), **job.engine_options, **_outside(job), **job.options}
+    return import_file(job.file, format, given, engine=engine), f"{format} ({name})"
+
+
+def _of_file(job: ImportJob, format: str) -> Imported:
+    """What the one file holds; materials that are given count before its problems are told."""
+    try:
+        return import_file(job.file or Path(), format, {**_of_decks(job, format), **job.options})
+    except DeckError as error:
+        sets = {material.set for material in job.materials}
+        rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
+        told = error if len(rest) == len(error.problems) else DeckError(error.source, rest, error.given)
+        raise _with_engines(told, job, format) from None
+
+
+def _with_engines(error: DeckError, job: ImportJob, format: str) -> DeckError:
+    """The error, with a word about the programs that would read the deck."""
+    # Not at the top: other imports do without programs.
+    from morembs.importers.engines import engines_for
+
+    names = engines_for(job.file or Path(), format, {**_given(job), **_outside(job)})
+    if not names:
+        return error
+    hint = "; ".join(f"{name} would assemble this deck: --engine {name}" for name in names)
+    return DeckError(error.source, error.problems, error.given, hint=hint)
+
+
+def _takes(name: str, path: Path | None, job: ImportJob) -> bool:
     given = job.format if path is job.file else None
-    return path is not None and "dialect" in IMPORTERS[format_of(path, given)].options
+    return path is not None and name in IMPORTERS[format_of(path, given)].options
 
 
 def _combined(job: ImportJob) -> tuple[Imported, str]:
@@ -211,8 +271,19 @@ def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
 
 def _of_decks(job: ImportJob, format: str) -> dict[str, Any]:
     """The options of decks, where the format has them."""
-    given: dict[str, Any] = {"allow_includes_outside": job.allow_includes_outside, "dialect": job.dialect}
-    return {name: given[name] for name in IMPORTERS[format].options if given.get(name, "auto") not in (False, "auto")}
+    given = {**_given(job), **_outside(job)}
+    return {name: given[name] for name in IMPORTERS[format].options if name in given}
+
+
+def _outside(job: ImportJob) -> dict[str, Any]:
+    return {"allow_includes_outside": True} if job.allow_includes_outside else {}
+
+
+def _given(job: ImportJob) -> dict[str, Any]:
+    """The options of decks that are not as they are by default."""
+    given = {"dialect": (job.dialect, "auto"), "contact": (job.contact, "refuse"), "density": (dict(job.density), {}),
+             "skip": (list(job.skip), [])}  # fmt: skip
+    return {name: value for name, (value, default) in given.items() if value != default}
 
 
 def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Imported:
@@ -225,6 +296,10 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
         raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:
+        # Scalars are at nodes of no mesh, such as the scalar points of Nastran.
+        bare = np.setdiff1d(imported.nodes.ids[dofs.node[dofs.component == SCALAR]], nodes.ids)
+        ids, xyz = np.append(nodes.ids, bare), np.vstack([nodes.xyz, np.full((len(bare), 3), np.nan)])
+        nodes = Nodes(ids=ids, xyz=xyz, sets=nodes.sets)
         row = rows_of_labels(nodes, imported.nodes.ids, imported.source)
         dofs = DofMap(node=row[dofs.node], component=dofs.component)
     whole = Nodes(ids=nodes.ids, xyz=nodes.xyz, sets=nodes.sets)
@@ -232,6 +307,21 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
         imported, nodes=whole, dofs=dofs, mesh=held.mesh, rigid=(), average=(), masses=(), surfaces=held.surfaces,
         notes=(*imported.notes, f"nodes are those of {path.name}"),
     )  # fmt: skip
+
+
+def list_engines() -> dict[str, str]:
+    """A line for each program that may assemble decks: what it is, and where it is found."""
+    from morembs.importers.engines import ENGINES
+
+    lines = {}
+    for name, engine in ENGINES.items():
+        try:
+            program = engine.find("")
+            found = f"{program.name}{f' {program.version}' if program.version else ''} at {program.path}"
+        except InputError:
+            found = "not found"
+        lines[name] = f"{engine.about} ({found})"
+    return lines
 
 
 def list_formats() -> dict[str, str]:

@@ -244,8 +244,10 @@ def source_of(job: Job) -> Path:
 
 def mesh_of(job: Job) -> Mesh:
     """The mesh of the job, in SI units."""
-    outside = job.tables.model.allow_includes_outside
-    return read_mesh(source_of(job), units_of(job), allow_includes_outside=outside)
+    given = job.tables.model
+    return read_mesh(
+        source_of(job), units_of(job), dialect=given.dialect, allow_includes_outside=given.allow_includes_outside
+    )
 
 
 def wants_modes(job: Job) -> bool:

@@ -22,7 +22,8 @@ class Contender:
     memory ``peak_memory_bytes`` of the process during it.
 
     Relative errors of the transfer matrix: ``error`` that is reached in the band and ``bound`` that is not exceeded
-    (None without one), by the measure of the certificate, ``mean_error`` at the sampled frequencies,
+    (None without one), by the ``measure`` of the certificate; ``mean_error`` of the pointwise errors at the sampled
+    frequencies,
     ``static_error``, ``held_error`` the worst median over the band with one interface held still. What reductions
     share, such as the factorisation, counts for the first that needs it. ``best`` says that no other is at most as
     large and as wrong.
@@ -31,6 +32,7 @@ class Contender:
     name: str
     method: str
     order: int
+    measure: str
     error: float
     mean_error: float
     bound: float | None
@@ -65,6 +67,7 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
         compared.append(
             Contender(
                 name=body.name, method=str(body.recipe["method"]), order=own[0],
+                measure="pointwise" if certificate.kind == "sampled" else certificate.measure,
                 error=own[1] if certificate.kind == "sampled" else certificate.limit.lower,
                 mean_error=float(certificate.error.mean()),
                 bound=None if certificate.kind == "sampled" else certificate.limit.upper,

@@ -169,7 +169,7 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
 def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> None:
     """The size of the transfer functions above, the relative error of the reduced ones below."""
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
-    figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.115, hspace=0.09)
+    figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.115, hspace=0.2)
     hz = response.frequencies_hz
     upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=2.4, label="full model")
     for number, name in enumerate(response.reduced):
@@ -180,9 +180,15 @@ def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> No
             ends, limit = response.bound[name]
             limit = np.where(np.isfinite(limit), np.maximum(limit, 1e-16), np.nan)
             lower.loglog(ends, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, limit")
+        if name in response.tolerance:
+            lower.axhline(response.tolerance[name], color=color, linewidth=0.9, linestyle=(0, (6, 3)))
     upper.set_title("Elastic frequency response between the interfaces", loc="left")
     upper.set_ylabel("‖H‖ in m/N")
-    lower.set_ylabel("relative error" + ("\n(dotted: limit)" if response.bound else ""))
+    lower.set_ylabel("error")
+    meanings = ["solid: pointwise, |E| / |H|"]
+    meanings += [f"dotted: limit, {response.measure}"] if response.bound else []
+    meanings += [f"dashed: tolerance, {response.measure}"] if response.tolerance else []
+    lower.set_title("    ".join(meanings), loc="left", fontsize="small")
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")
     for panel in (upper, lower):

@@ -44,6 +44,9 @@ class ModelTable(Table):
     mass_integration: Literal["element", "exact", "reduced"] = Field(
         default="element", description='"element", "exact" or "reduced"'
     )
+    dialect: Literal["auto", "abaqus", "calculix"] = Field(
+        default="auto", description='"auto", "abaqus" or "calculix": the program that a deck .inp was written for'
+    )
     allow_includes_outside: bool = Field(
         default=False, description="true or false: a deck may include files from beyond its folder"
     )
@@ -56,6 +59,8 @@ class ModelTable(Table):
             raise ValueError("mesh and file were both given; choose one")
         if self.file is not None and "mass_integration" in self.model_fields_set:
             raise ValueError("mass_integration was given for a model file, whose matrices are ready; leave it out")
+        if self.dialect != "auto" and not (self.mesh or "").lower().endswith(".inp"):
+            raise ValueError(f'dialect = "{self.dialect}" was given without a deck .inp; leave it out')
         return self
 
 

@@ -126,8 +126,8 @@ def project_out(
     known = [V] if isinstance(V, np.ndarray) else [*V]
     if not sum(Q.shape[1] for Q in known):
         return np.zeros((0, W.shape[1]))
-    first = _take_out(known, W, M @ W if MW is None else MW, budget)
-    return np.asarray(first + _take_out(known, W, M @ W, budget))
+    first = take_out(known, W, M @ W if MW is None else MW, budget)
+    return np.asarray(first + take_out(known, W, M @ W, budget))
 
 
 def complement(
@@ -141,8 +141,9 @@ def split(
     V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
 ) -> tuple[Values, Values]:
     """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
-    before = m_norms(W, M @ W)
-    coefficients = project_out(V, W, M, budget=budget)
+    MW = M @ W
+    before = m_norms(W, MW)
+    coefficients = project_out(V, W, M, MW, budget)
     Q = orthonormal(W, M, before, passes=passes)
     # Scaling up what was small scaled up its part along V too.
     project_out(V, Q, M, budget=budget)
@@ -161,10 +162,8 @@ def orthonormal(
     sees alone: of use where columns have no other round-off.
     """
     G = W.conj().T @ _weighted(W, M) if gram is None else gram
-    norms = np.sqrt(np.maximum(np.diag(G).real, 0.0))
-    start = norms if reference is None else reference
-    keep = (norms > least * start) & (norms > 0)
-    Q = _by_gram(W[:, keep] / norms[keep], M, least, G[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]))
+    start = np.sqrt(np.maximum(np.diag(G).real, 0.0)) if reference is None else reference
+    Q = orthonormal_pair(W, M, start, G, least=least)[0]
     for _ in range(passes - 1):
         if not 0 < Q.shape[1] < W.shape[1]:
             break
@@ -174,24 +173,45 @@ def orthonormal(
         keep = (norms > least * start) & (norms > 0)
         if not keep.any():
             break
-        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M, least)])[:, : W.shape[1]]
+        Q = np.hstack([Q, _by_gram(W[:, keep] / norms[keep], M, least)[0]])[:, : W.shape[1]]
     return Q
 
 
-def _by_gram(Q: Values, M: sp.sparray | None, least: float, G: Values | None = None) -> Values:
-    """Orthonormal basis of unit columns ``Q`` (n, k), whose Gram matrix is ``G`` where it is known."""
+def orthonormal_pair(
+    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *,
+    MW: Values | None = None, least: float = DEPENDENT,
+) -> tuple[Values, Values]:  # fmt: skip
+    """``orthonormal`` in one pass, and M times it; ``MW`` is M W where that is known."""
+    if gram is None:
+        MW = _weighted(W, M) if MW is None else MW
+        gram = W.conj().T @ MW
+    norms = np.sqrt(np.maximum(np.diag(gram).real, 0.0))
+    start = norms if reference is None else reference
+    keep = (norms > least * start) & (norms > 0)
+    Q = W[:, keep] / norms[keep]
+    MQ = None if MW is None else MW[:, keep] / norms[keep]
+    return _by_gram(Q, M, least, gram[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]), MQ)
+
+
+def _by_gram(
+    Q: Values, M: sp.sparray | None, least: float, G: Values | None = None, MQ: Values | None = None
+) -> tuple[Values, Values]:
+    """Orthonormal basis of unit columns ``Q`` (n, k) and M times it; their Gram matrix is ``G`` and M Q is ``MQ``
+    where they are known."""
     for _ in range(4):
         if G is None:
-            G = Q.conj().T @ _weighted(Q, M)
+            MQ = _weighted(Q, M)
+            G = Q.conj().T @ MQ
         if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
             break
         values, U = sl.eigh(0.5 * (G + G.conj().T))
         good = values > max(NOISE, least**2) * values[-1]
-        Q, G = Q @ (U[:, good] / np.sqrt(values[good])), None
-    return Q
+        Q, MQ, G = Q @ (U[:, good] / np.sqrt(values[good])), None, None
+    return Q, _weighted(Q, M) if MQ is None else MQ
 
 
-def _take_out(known: Sequence[Values], W: Values, MW: Values, budget: Budget) -> Values:
+def take_out(known: Sequence[Values], W: Values, MW: Values, budget: Budget) -> Values:
+    """Take span(known) out of ``W`` in place, once, given M W; returns the coefficients."""
     parts = [dot(Q, MW, budget) for Q in known]
     for Q, C in zip(known, parts, strict=True):
         subtract(Q, C, W, budget)

@@ -58,6 +58,19 @@ def magnitudes(A: sp.csr_array, X: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
+def cancelling(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """What cancels in A X (n, k) of motions ``X``, which leave the ``scalar`` (n,) dofs at zero.
+
+    Modes of held nodes couple to other dofs by round-off alone, which is no measure of itself: a coupling that counts
+    is near sqrt(A_ii A_jj).
+    """
+    terms = magnitudes(A, X)
+    if scalar.any():
+        size = np.sqrt(np.abs(A.diagonal()))
+        terms[scalar] = np.maximum(terms[scalar], np.outer(size[scalar], (size[:, None] * np.abs(X)).max(axis=0)))
+    return terms
+
+
 def scaled_row_sums(A: sp.csr_array) -> NDArray[np.float64]:
     """Weights w (n,) with |x|' |A| |x| <= w' x^2 independent of the units: the row sums of the equilibrated ``A``."""
     d = np.sqrt(np.abs(A.diagonal()))

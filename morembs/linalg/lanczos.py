@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
-from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal, project_out
+from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal_pair, symmetric, take_out
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -46,38 +46,43 @@ class BlockLanczos:
         self.V = budget.empty((M.shape[0], self.capacity), order="F")
         self.T = np.zeros((self.capacity, self.capacity))
         self.size = 0
-        self.pending = orthonormal(start, M)
+        self.pending, self.M_pending = orthonormal_pair(start, M)
         self.rest_vectors = np.zeros((M.shape[0], 0))
         self.rest = np.zeros((0, 0))
         self.last = slice(0, 0)
 
     def expand(self) -> None:
         """One block more: afterwards ``size`` columns satisfy Op V = V T + W E'."""
-        Q = self.pending
-        k, b = self.size, Q.shape[1]
-        self.V[:, k : k + b] = Q
-        W = self.flexibility(self.M @ Q)
+        k, b = self.size, self.pending.shape[1]
+        self.V[:, k : k + b] = self.pending
+        known = [self.V[:, : k + b]]
+        W = self.flexibility(self.M_pending)
         MW = self.M @ W
         norms = m_norms(W, MW)
-        H = project_out(self.V[:, : k + b], W, self.M, MW, self.budget)
+        H = take_out(known, W, MW, self.budget)
+        # What is left of W keeps the round-off of what was taken out.
+        MW = self.M @ W
+        G = W.T @ MW
+        again = take_out(known, W, MW, self.budget)
+        H += again
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
         self.size = k + b
         self.rest_vectors = W
-        G = W.T @ (self.M @ W)
-        self.rest = 0.5 * (G + G.T)
+        self.rest = symmetric(G - again.T @ again)
         self.last = slice(k, k + b)
-        self.pending = self._next(W, norms)
+        self.pending, self.M_pending = self._next(W, norms)
 
-    def _next(self, W: Floats, norms: Floats) -> Floats:
-        Q = orthonormal(W, self.M, norms, self.rest)
+    def _next(self, W: Floats, norms: Floats) -> tuple[Floats, Floats]:
+        Q, MQ = orthonormal_pair(W, self.M, norms, self.rest)
         if Q.shape[1] < W.shape[1]:
             # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
             missing = self.block - Q.shape[1]
             fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
             Q = np.hstack([Q, complement([self.V[:, : self.size], Q], fresh, self.M, self.budget)])
-        return Q
+            MQ = self.M @ Q
+        return Q, MQ
 
     def ritz(self) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues theta (k,), largest magnitude first, coordinates (k, k), residual norms in M (k,)."""
@@ -98,7 +103,9 @@ class BlockLanczos:
 
     def store(self) -> None:
         """Put the blocks in use where the budget wants them, before something else needs the memory."""
-        self.pending, self.rest_vectors = self.budget.store(self.pending), self.budget.store(self.rest_vectors)
+        self.pending, self.M_pending, self.rest_vectors = (
+            self.budget.store(one) for one in (self.pending, self.M_pending, self.rest_vectors)
+        )
 
     def enlarge(self, capacity: int) -> None:
         """Make room for ``capacity`` columns."""

@@ -140,8 +140,8 @@ def mass_warnings(mesh: Mesh, mass_integration: str) -> tuple[str, ...]:
             others[block.type, block.mass] = others.get((block.type, block.mass), 0) + len(block.ids)
     return tuple(
         f"{count} elements {kind} have the mass {mass_integration!r}, as was asked for, where their program takes "
-        f"{theirs!r}: frequencies of a coarse mesh may differ by 10 %; leave the mass integration out for its mass"
-        for (kind, theirs), count in others.items()
+        f"{rule!r}: frequencies of a coarse mesh may differ by 10 %; leave the mass integration out for its mass"
+        for (kind, rule), count in others.items()
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
-from morembs.model.constraints import AverageElement, DependentDofs, RigidElement
+from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.model.material import Material
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ Ints = NDArray[np.int64]
 SYMMETRIC = 1e-8
 # Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
 LARGEST = 1e75
+# The component of dofs that are no motion of a node.
+SCALAR = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,9 +95,11 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DofMap:
-    """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..5.
+    """Meaning of each degree of freedom: ``node`` (N,) row of ``Nodes.xyz``, ``component`` (N,) 0..6.
 
-    Components 0, 1, 2 are displacements along x, y, z and 3, 4, 5 rotations about them.
+    Components 0, 1, 2 are displacements along x, y, z and 3, 4, 5 rotations about them. Component 6 is a scalar, such
+    as the coordinate of an incompatible mode: it has neither place nor direction, rigid motion leaves it at zero, and
+    its node, which may have several, only says where it belongs.
     """
 
     node: Ints
@@ -113,6 +117,23 @@ class DofMap:
 
     def __len__(self) -> int:
         return len(self.node)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """(N,) which dofs are rotations."""
+        return np.asarray((self.component > 2) & (self.component < SCALAR))
+
+    def table(self, nodes: int) -> Ints:
+        """Dof (nodes, 7) of each node and component, -1 where there is none; of several scalars of a node the last."""
+        table = np.full((nodes, SCALAR + 1), -1, dtype=np.int64)
+        table[self.node, self.component] = np.arange(len(self))
+        return table
+
+    def twice(self) -> Ints:
+        """Codes 6 node + component of dofs that are there more than once, each once; scalars may share a node."""
+        placed = self.component < SCALAR
+        codes = np.sort(6 * self.node[placed] + self.component[placed])
+        return np.unique(codes[1:][codes[1:] == codes[:-1]])
 
     @cached_property
     def is_solid(self) -> bool:
@@ -141,9 +162,10 @@ class FEModel:
     arrays of any form and dense arrays are taken too. ``mesh`` is None for models that came as matrices,
     ``materials`` are those that its elements were assembled with.
 
-    ``rigid`` and ``average`` elements make dofs ``dependent`` on others; the matrices cover these too, until the model
-    is coupled to its interfaces. Masters and references are nodes with dofs of their own. ``notes`` say what the
-    import found, ``warnings`` in what the model differs from its source; they go with it into every body.
+    ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
+    cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
+    own. ``notes`` say what the import found, ``warnings`` in what the model differs from its source; they go with it
+    into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
@@ -159,6 +181,7 @@ class FEModel:
     source: str = ""
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
+    equations: tuple[Equations, ...] = ()
     dependent: DependentDofs | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -234,13 +257,13 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     """Rows (N, 6) of the geometric rigid-body modes R = [translations, rotations about the origin].
 
     ``xyz`` (N, 3) is the point of each dof in m. A displacement row of a point x is [I, -x~], a
-    rotation row [0, I].
+    rotation row [0, I], the row of a scalar zero.
     """
     R = np.zeros((len(component), 6))
     moves = component < 3
     R[moves, component[moves]] = 1.0
     R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]
-    turns = ~moves
+    turns = (component > 2) & (component < SCALAR)
     R[turns, component[turns]] = 1.0
     return R
 

@@ -226,7 +226,7 @@ def formulation_of(block: ElementBlock) -> Formulation:
     return FORMULATIONS[block.formulation]
 
 
-_TYPES_OF = {name: tuple(one.orders or TYPES) for name, one in FORMULATIONS.items()}
+_TYPES_OF = {name: tuple(formulation.orders or TYPES) for name, formulation in FORMULATIONS.items()}
 
 
 def element_mass(block: ElementBlock, rule_name: str, x: Floats, density: Floats) -> Floats:

@@ -46,12 +46,12 @@ def mesh_in_order(mesh: Mesh) -> Mesh:
     Raises:
         InputError: as ``in_order``.
     """
-    blocks, said = [], []
+    blocks, sentences = [], []
     for block in mesh.blocks:
         nodes, words = in_order(block.type, block.nodes, mesh.nodes.xyz, block.ids, mesh.nodes.ids, mesh.source)
         blocks.append(block if words is None else replace(block, nodes=nodes))
-        said += [] if words is None else [words]
-    return replace(mesh, blocks=tuple(blocks), warnings=(*mesh.warnings, *said)) if said else mesh
+        sentences += [] if words is None else [words]
+    return replace(mesh, blocks=tuple(blocks), warnings=(*mesh.warnings, *sentences)) if sentences else mesh
 
 
 def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, source: str) -> tuple[Ints, str | None]:

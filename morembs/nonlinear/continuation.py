@@ -142,7 +142,7 @@ def follow_equilibrium(
         while done < 1:
             goal = min(1.0, done + share) if done + share < 1 - 1e-9 else 1.0
             try:
-                at = newton.found(at, (goal - done) * shift, goal)
+                at = newton.equilibrium(at, (goal - done) * shift, goal)
             except BudgetError:
                 raise
             except SolverError as error:
@@ -203,7 +203,7 @@ class Newton:
         self.tolerance, self.stable = tolerance, stable
         self.scale = max(1e-300, float(np.ptp(component.reference)))
 
-    def found(self, x: Floats, move: Floats, share: float, resultants: Floats | None = None) -> Floats:
+    def equilibrium(self, x: Floats, move: Floats, share: float, resultants: Floats | None = None) -> Floats:
         """Equilibrium near x under a ``share`` of the load, the held coordinates moved by ``move`` in the first, linear
         step; ``resultants`` where x comes from a linear step, see ``Conservative``.
 

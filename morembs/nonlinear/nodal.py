@@ -152,7 +152,7 @@ class _Run:
             if share > max(_NEGLECTED, self.shares.get(k, (0.0, 0.0))[0]):
                 self.shares[k] = share, t
 
-    def said(self) -> tuple[str, ...]:
+    def sentences(self) -> tuple[str, ...]:
         """All warnings."""
         modes = (
             f"member {k}: modes left out would answer with {share:.2g} of its length (the most, at t = {t:.6g} s); "
@@ -229,7 +229,7 @@ class _Integration:
             times=np.asarray(self.h * np.arange(steps + 1), dtype=np.float64), q=q,
             x=tuple(x[:, s].T for s in run.slices[:count]),
             kinetic=kinetic, potential=potential, iterations=self.iterations / max(1, steps),
-            warnings=run.said(),
+            warnings=run.sentences(),
         )  # fmt: skip
 
     def _advance(self, t: float) -> None:

@@ -16,7 +16,7 @@ from morembs.budget import Budget
 from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
-from morembs.linalg.congruence import congruence, magnitudes, scaled_row_sums
+from morembs.linalg.congruence import cancelling, congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.rigid import resists, strain_free
@@ -25,6 +25,7 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.model import FEModel
+from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
 from morembs.problem.damping import Damping as Damping
 from morembs.progress import SILENT, Progress
@@ -190,8 +191,8 @@ class Problem(Closing):
         Of use between two reductions that share nothing, where memory is short. Modes stay.
         """
         self.close()
-        for made in ("statics", "elastic", "internal"):
-            self.__dict__.pop(made, None)
+        for name in ("statics", "elastic", "internal"):
+            self.__dict__.pop(name, None)
 
     def _rigid_motions(self) -> tuple[Floats, Floats]:
         """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
@@ -218,7 +219,7 @@ class Problem(Closing):
         """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model."""
         # Frames sum up the forces of their nodes, most of which cancel there.
         T = abs(self.coupling.T)
-        return np.asarray(T.T @ magnitudes(A, T @ np.abs(Phi)))
+        return np.asarray(T.T @ cancelling(A, T @ np.abs(Phi), self.model.dofs.component == SCALAR))
 
     def _nodes_of_rows(self) -> NDArray[np.int64]:
         """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""

@@ -29,26 +29,31 @@ from morembs.reducers.family_search import MANY, FamilySearch
 from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.measures import checked_measure
-from morembs.responses.reference import reference_model
 
 Floats = NDArray[np.float64]
-# The reference is better than the tolerance by this factor, at least as good as FINE, and no better than FINEST.
-BETTER, FINE, FINEST = 1e-3, 1e-10, 1e-14
+# The reference is better than the tolerance by this factor.
+BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
 # A tolerance is not kept below this times the round-off of the model.
 LOST_PARTS = 3.0
+# A band that ends so many times above the highest mode of a model loses its digits by that.
+ABOVE = 2.0
 # No larger one is advised.
 RAISED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class AutoReducer(OfResponses):
-    """The smallest body whose transfer matrix is within ``tolerance`` over ``band_hz``.
+    """The smallest body whose transfer matrix is within a tolerance over a band.
 
-    ``tolerance`` bounds the error by ``measure`` ("envelope", "peak" or "pointwise") at every frequency of the band,
-    certified as in ``certify``; ``damping_floor`` as there. ``static_exact`` keeps the static responses to interface
-    loads, ``inertia_loads`` those to the inertia of a moving frame (of a model that is held somewhere they are followed
-    in any case).
+    Args:
+        band_hz: [low, high], the band that is certified.
+        tolerance: error of the transfer matrix, by ``measure``, at every frequency of the band.
+        static_exact: keep the static responses to interface loads, so that statics at the interfaces are exact.
+        inertia_loads: also follow the inertia loads of a moving frame; of a model that is held somewhere they are
+            followed in any case.
+        measure: "envelope", "peak" or "pointwise".
+        damping_floor: ratio of critical damping that is assumed, as in ``certify``.
     """
 
     method: ClassVar[str] = "auto"
@@ -81,19 +86,15 @@ class AutoReducer(OfResponses):
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
-        fine = max(min(BETTER * self.tolerance, FINE), FINEST)
         try:
             certified = certified_reference(
                 problem, self.band_hz, tolerance=min(BETTER * self.tolerance, TOLERANCE), damping_floor=floor,
                 inertia_loads=inertia, progress=progress,
             )  # fmt: skip
             self._refuse_lost(certified)
-            reference = reference_model(
-                problem, omega, tolerance=fine, inertia_loads=inertia, damping=certified.damping, progress=progress
-            )
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
-        search = FamilySearch(certified, reference, omega, self.measure, self.tolerance, self.static_exact)
+        search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.hopeless():
             raise self._unreachable(search)
         found: dict[str, Floats] = {}
@@ -108,12 +109,12 @@ class AutoReducer(OfResponses):
         if not found:
             raise self._unreachable(search)
         ((best, C),) = found.items()
-        notes = {"family": best, "orders": orders, "reference_order": len(reference.values),
+        notes = {"family": best, "orders": orders, "reference_order": len(certified.values),
                  "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
         if best == "krylov":
             notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
-        basis = elastic_basis(problem, reference.vectors(C), KINDS[best], notes)
+        basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
             raise self._unreachable(search)
@@ -124,7 +125,7 @@ class AutoReducer(OfResponses):
 
         Raises:
             InputError: an undamped resonance.
-            SolverError: a tolerance below round-off.
+            SolverError: a tolerance below round-off, or a band far above all modes.
         """
         if not np.isfinite(certified.off).all():
             raise InputError(
@@ -133,6 +134,13 @@ class AutoReducer(OfResponses):
             )
         lost, at_hz = certified.lost()
         least = LOST_PARTS * lost
+        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
+        if self.tolerance < least and self.band_hz[1] > ABOVE * highest_hz:
+            raise SolverError(
+                f"the band ends at {self.band_hz[1]:,.6g} Hz, and the highest mode of this model lies at "
+                f"{highest_hz:,.6g} Hz; beside squares of such frequencies its stiffness is round-off; lower the upper "
+                "end of the band"
+            )
         if self.tolerance < least:
             # Above it by what two digits may take off.
             raising = f"raise the tolerance to {1.05 * least:.1e} or more, or " if least < RAISED else ""

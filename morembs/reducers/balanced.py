@@ -78,11 +78,14 @@ class _Gramian:
 
 @dataclass(frozen=True, kw_only=True)
 class Balanced(OfResponses):
-    """``order`` elastic coordinates, or as many as have singular values above ``tolerance`` times the largest.
+    """Coordinates that loads reach and outputs see alike.
 
     Args:
-        variant: "fv" (free velocity), "pv" (position-velocity), "p", "v", "vp" or "so" (position and velocity).
-        band_hz: [lower, upper] limit of the frequencies that count; all if None, which needs damping.
+        variant: "fv" (free velocity), "pv" (position-velocity), "p", "v", "vp" or "so" (position and velocity); only
+            "fv" and "pv" are symmetric.
+        order: number of elastic coordinates; this or ``tolerance``.
+        tolerance: relative singular value of the first coordinate that is left out.
+        band_hz: [lower, upper] limit of the frequencies that count; all by default, which needs damping.
         balancing: "bfsr" orthonormalises the bases, "sr" scales them; the reduced model is the same but for rounding.
         adi_tolerance: part of the loads' static compliance that the Gramian may leave unresolved.
         adi_steps: most shifts, each of which factorises the full dynamic stiffness.
@@ -270,9 +273,9 @@ def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progres
     return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(reference, Zp, Zv), reference=reference, notes=notes)
 
 
-def _modal_products(made: Reference, Zp: Floats, Zv: Floats) -> Products:
+def _modal_products(reference: Reference, Zp: Floats, Zv: Floats) -> Products:
     # The pairing of positions and velocities takes structural damping at its equivalent at each resonance.
-    D = made.damping_at_resonance()[:, None]
+    D = reference.damping_at_resonance()[:, None]
     return Products.of(Zp.T @ Zp, Zp.T @ Zv, Zv.T @ Zv, Zp.T @ (D * Zp), Zp.T @ (D * Zv))
 
 

@@ -48,8 +48,7 @@ class Candidates:
         if kind == "path":
             rows = rows[chain(model.nodes.xyz[rows], model.nodes.ids[rows])]
         self.rows = rows
-        table = np.full((len(model.nodes), 6), -1, dtype=np.int64)
-        table[model.dofs.node, model.dofs.component] = np.arange(model.size)
+        table = model.dofs.table(len(model.nodes))
         if isinstance(directions, str):
             self._along_normals(table)
         else:

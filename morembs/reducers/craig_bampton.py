@@ -31,14 +31,17 @@ from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes
 
 @dataclass(frozen=True, kw_only=True)
 class CraigBampton(OfModes):
-    """Interface dofs stay coordinates; ``modes`` internal ones, or fixed-interface modes up to ``up_to_hz``.
+    """Interface dofs stay coordinates, fixed-interface modes are the internal ones.
 
-    ``inertia_modes`` takes as many internal coordinates as there are interface dofs for the inertia
-    deformation, and the rest for fixed-interface modes; with ``up_to_hz`` it adds them.
-
-    ``interface_modes`` elastic characteristic modes, or all ``interface_up_to_hz``, and the rigid-body modes replace
-    the constraint modes; ``inertia_modes`` then counts these. Statics at the interfaces are not exact any more, and
-    the notes say by how much.
+    Args:
+        modes: number of internal coordinates; this or ``up_to_hz``.
+        up_to_hz: all fixed-interface modes up to this frequency, two to three times the band of interest.
+        inertia_modes: of ``modes``, spend one per interface degree of freedom on inertia deformation; with ``up_to_hz``
+            they are added. They count as "attachment".
+        interface_modes: so many elastic characteristic modes of the interfaces, and the rigid-body modes, replace the
+            constraint modes, and ``inertia_modes`` counts these. Statics at the interfaces are not exact any more; the
+            recipe says by how much.
+        interface_up_to_hz: all characteristic modes up to this frequency, in place of ``interface_modes``.
 
     Raises:
         InputError: both limits of the interfaces were given, or one out of range.

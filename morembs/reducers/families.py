@@ -16,7 +16,12 @@ from morembs.responses.direct import why_no_response
 
 @dataclass(frozen=True, kw_only=True)
 class OfModes(Reducer):
-    """Methods of ``modes`` modes, or of all up to ``up_to_hz``."""
+    """Methods of a number of modes, or of all up to a frequency.
+
+    Args:
+        modes: number of modes; this or ``up_to_hz``.
+        up_to_hz: all modes up to this frequency.
+    """
 
     modes: int | None = None
     up_to_hz: float | None = None

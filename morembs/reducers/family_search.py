@@ -18,7 +18,6 @@ from morembs.responses.loads import load_scale
 from morembs.responses.measures import Limit, compare, decide
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import product
-from morembs.responses.reference import Reference
 from morembs.responses.rounding import Response
 
 Floats = NDArray[np.float64]
@@ -51,7 +50,7 @@ class Small:
         if self.D is not None:
             B = self.B.astype(complex)
             return np.array([np.linalg.solve(np.diag(stiffness - w**2) + 1j * w * self.D, B) for w in omega])
-        return np.asarray(self.B / self._dynamic(omega)[:, :, None])
+        return np.asarray(self.B / self.dynamic(omega)[:, :, None])
 
     def response(self, omega: Floats) -> NDArray[Any]:
         """(nf, p, p) at ``omega`` (nf,) in rad/s."""
@@ -59,12 +58,12 @@ class Small:
             return np.asarray(self.B.T @ self.states(omega))
         p = self.B.shape[1]
         rows = (self.B[:, :, None] * self.B[:, None, :]).reshape(-1, p * p)
-        return product(1.0 / self._dynamic(omega), rows).reshape(-1, p, p)
+        return product(1.0 / self.dynamic(omega), rows).reshape(-1, p, p)
 
-    def _dynamic(self, omega: Floats) -> NDArray[Any]:
-        """(nf, n) dynamic stiffness."""
-        w = omega[:, None]
-        a = self.theta * (1 + 1j * self.damping.structural) + 1j * w * self.damping.of_modes(self.theta) - w**2
+    def dynamic(self, omega: Floats) -> NDArray[Any]:
+        """(nf, n) dynamic stiffness, but for what ``D`` couples; real where there is no damping."""
+        w, d = omega[:, None], self.damping.of_modes(self.theta) if self.D is None else np.diag(self.D)
+        a = self.theta * (1 + 1j * self.damping.structural) + 1j * w * d - w**2
         return a if a.imag.any() else a.real
 
 
@@ -76,17 +75,15 @@ class FamilySearch:
     """
 
     def __init__(
-        self, certified: CertifiedReference, reference: Reference, omega: Floats, measure: str, tolerance: float,
-        static: bool,
-    ) -> None:  # fmt: skip
-        problem, damping = reference.problem, certified.damping
-        self.certified, self.standard = certified, certified.standard()
-        self.reference = reference
+        self, certified: CertifiedReference, omega: Floats, measure: str, tolerance: float, static: bool
+    ) -> None:
+        problem, reference = certified.problem, certified.model
+        self.certified, self.standard, self.reference = certified, certified.standard(), reference
         self.measure, self.tolerance = measure, tolerance
         self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
-        self.whole = Small(theta=reference.values, B=self.F, D=reference.D, damping=damping)
+        self.whole = Small(theta=reference.values, B=self.F, D=reference.D, damping=reference.damping)
         self.looked: Floats = np.zeros(0)
         self._look_at(omega)
         # In narrow bands some of ``omega`` are equal: those that are looked at are not.
@@ -110,10 +107,8 @@ class FamilySearch:
             return self._norms(full)
         if self.measure == "peak":
             return np.broadcast_to(self._norms(full).max(axis=0), (len(full), len(self.counted)))
-        reference, w = self.reference, self.looked[:, None]
-        a = reference.values * (1 + 1j * reference.damping.structural) - w**2 + 1j * w * reference.damping_of_modes()
         each = np.stack([(self.F[:, :m] ** 2).sum(axis=1) for m in self.counted], axis=1)
-        return np.asarray(1 / np.maximum(np.abs(a), np.finfo(float).tiny) @ each)
+        return np.asarray(1 / np.maximum(np.abs(self.whole.dynamic(self.looked)), np.finfo(float).tiny) @ each)
 
     def smallest(self, family: str, fewer: int) -> Floats | None:
         """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
@@ -169,7 +164,8 @@ class FamilySearch:
         """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
         low, high = (2 * np.pi * f for f in self.certified.band_hz)
         body = self._response(C, theta if len(theta) == C.shape[1] else None)
-        self.worst = compare(self.standard, body, low, high)[0][self.measure]
+        asked = self.measure, self.tolerance
+        self.worst = compare(self.standard, body, low, high, asked=asked)[0][self.measure]
         return self.worst
 
     def _response(self, C: Floats, real: Floats | None = None) -> Response:

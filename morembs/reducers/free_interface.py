@@ -21,7 +21,12 @@ from morembs.reducers.families import OfModes
 
 @dataclass(frozen=True, kw_only=True)
 class FreeInterface(OfModes):
-    """``modes`` free-free modes or all up to ``up_to_hz``, made statically exact at the interfaces."""
+    """Free-free modes, made statically exact at the interfaces.
+
+    Args:
+        modes: number of elastic free-free modes; this or ``up_to_hz``.
+        up_to_hz: all free-free modes up to this frequency.
+    """
 
     method: ClassVar[str] = "free-interface"
 

@@ -57,15 +57,22 @@ GRID = 40
 
 @dataclass(frozen=True, kw_only=True)
 class Gramian(OfResponses):
-    """``order`` elastic directions of the band ``band_hz`` = [low, high], or as many as a ``tolerance`` asks for.
+    """Principal directions of the responses within a band.
 
     ``tolerance`` bounds ``sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2)``, the part of the
-    snapshots that V leaves out. ``weight`` "velocity" takes s U for U, which stresses the upper end of the band.
-    ``points`` Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
-    ``direct`` solves with the full matrices at each point (one factorisation each) in place of the reference model;
-    a model with its own damping matrix needs it. ``static`` keeps the response to static interface forces exact:
-    these displacements come first, among the ``order``, and the rest works on what they leave out.
-    ``inertia_loads`` adds the loads of a moving frame, each of the static energy of an average interface force.
+    snapshots that V leaves out.
+
+    Args:
+        band_hz: [low, high], the band of the Gramian.
+        order: number of elastic directions; this or ``tolerance``.
+        tolerance: part of the responses' energy (its root) that may be left out.
+        weight: "position", or "velocity", which stresses the upper end of the band.
+        direct: solve with the full matrices at each point (one factorisation each) in place of the reference model; a
+            model with its own damping matrix needs it.
+        points: Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
+        static: keep the response to static interface forces exact: these displacements come first, among the ``order``.
+        inertia_loads: also follow the inertia loads of a moving frame, each of the static energy of an average
+            interface force.
     """
 
     method: ClassVar[str] = "gramian"

@@ -44,15 +44,21 @@ PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 @dataclass(frozen=True, kw_only=True)
 class Irka(OfResponses):
-    """``order`` elastic coordinates with a small H2 error of the responses in ``band_hz`` = [low, high].
+    """Elastic coordinates with a small H2 error of the responses in a band.
 
     Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely; where
     the band has more, Krylov or Gramian bases of that order follow all of them better.
 
-    At most ``max_steps`` steps, until no shift moves by more than ``tolerance`` of itself. The recipe says whether
-    they came to rest (``converged``), the relative H2 error in the band of the first and of the kept model, and the
-    shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper one). Without damping
-    poles have no mirror images off the imaginary axis: H(s + delta) is approximated instead, delta in the recipe.
+    The recipe says whether the shifts came to rest (``converged``), the relative H2 error in the band of the first and
+    of the kept model, and the shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper
+    one). Without damping poles have no mirror images off the imaginary axis: H(s + delta) is approximated instead,
+    delta in the recipe.
+
+    Args:
+        order: number of elastic coordinates.
+        band_hz: [low, high], the band that the error is measured in.
+        max_steps: most steps of the iteration.
+        tolerance: part of itself by which no shift may move any more.
     """
 
     method: ClassVar[str] = "irka"

@@ -43,17 +43,23 @@ PAIRED = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Krylov(Reducer):
-    """``moments`` blocks at each of ``shifts_hz`` (s = i omega) and ``real_shifts`` (s in 1/s).
+    """Moments of the transfer matrix at expansion points.
 
-    ``moments`` is one number or a list: one for each of ``shifts_hz``, then for ``real_shifts``. ``order`` keeps
-    that many elastic coordinates, those with most energy in the responses between zero and the highest shift (each
-    frequency counts alike); moments are then matched approximately. ``tangential`` solves for that many
-    combinations of loads per shift, those that the basis so far carries worst, instead of for all.
+    ``two_sided`` matches J + J moments from inputs to outputs at half the order that both would take. It gives up
+    symmetry; for equal inputs and outputs it would be the one-sided method, and is refused. An unstable result (the
+    rule between far ends) is refused too.
 
-    Columns come from all interfaces or those named in ``inputs``; ``inertia_loads`` adds the loads of a moving
-    frame. ``two_sided`` tests the equations with columns from the interfaces ``outputs``: J + J moments from inputs to
-    outputs at half the order that both would take. It gives up symmetry; for equal inputs and outputs it would be
-    the one-sided method, and is refused. An unstable result (the rule between far ends) is refused too.
+    Args:
+        shifts_hz: expansion points i 2 pi f.
+        real_shifts: real expansion points in 1/s.
+        moments: blocks at each point: one number, or one for each of ``shifts_hz`` and then of ``real_shifts``.
+        order: elastic coordinates that are kept, those with most energy in the responses between zero and the highest
+            shift, where each frequency counts alike; moments are then matched approximately.
+        tangential: number of load directions at each point, those that the basis so far carries worst; all by default.
+        two_sided: test the equations with columns from the interfaces ``outputs``.
+        inputs: names of the interfaces whose loads are followed; all by default.
+        outputs: names of interfaces, with ``two_sided``.
+        inertia_loads: also follow the inertia loads of a moving frame.
 
     Peak memory: the columns twice beside the factor of one shift, which goes with the shift. Two things stay with the
     problem, for other reducers and for the body: the columns (8 bytes by Nc each) for the same shifts, and where 0 is
@@ -211,8 +217,8 @@ class _LoadSpace:
     ) -> None:
         self.problem, self.name, self.size = problem, name, 0
         columns = problem.coupling.columns
-        chosen = [one for one in columns if interfaces is None or one in interfaces]
-        rows = np.concatenate([np.arange(problem.B.shape[1])[columns[one]] for one in chosen] or [np.zeros(0, int)])
+        chosen = [columns[interface] for interface in columns if interfaces is None or interface in interfaces]
+        rows = np.concatenate([np.arange(problem.B.shape[1])[part] for part in chosen] or [np.zeros(0, int)])
         if interfaces is None:
             rows = np.arange(problem.B.shape[1])
         F = problem.B[:, rows].toarray() * problem.motion_scale[rows]

@@ -18,7 +18,13 @@ from morembs.reducers.families import OfModes
 
 @dataclass(frozen=True, kw_only=True)
 class Modal(OfModes):
-    """Lowest modes; ``interfaces`` "free" (rigid modes are added) or "fixed" (none are left)."""
+    """Lowest modes.
+
+    Args:
+        modes: number of elastic modes; this or ``up_to_hz``.
+        up_to_hz: all modes up to this frequency.
+        interfaces: "free" (rigid-body modes come on top) or "fixed" (none are left).
+    """
 
     method: ClassVar[str] = "modal"
     interfaces: str = "free"

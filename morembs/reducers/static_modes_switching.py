@@ -47,12 +47,17 @@ WIDEST = 128
 
 @dataclass(frozen=True, kw_only=True)
 class StaticModesSwitching(Reducer):
-    """Constant basis of ``base`` with ``base_options``, and static modes of ``candidates``.
+    """A constant basis, and static modes of candidates for loads that slide or move.
 
-    ``candidates`` is a selection of nodes, its numbers in units of ``length`` m (1 by default, in a job the unit of the
-    job); ``kind`` "path" puts its nodes in the order of a chain along which loads slide, "surface" leaves them as they
-    are. ``directions`` are components 0..5 of loads at each node, or "normals" of the surface. ``band`` keeps pairs of
-    nodes up to that many places apart, all pairs unless given. ``stress`` keeps the stress at the candidate nodes.
+    Args:
+        base: method of the constant basis: "modal", "craig-bampton", "free-interface", "krylov" or "gramian".
+        base_options: its keys.
+        candidates: selection of the nodes that may be loaded.
+        directions: components 0..5 of loads at each node, or "normals" of the surface.
+        kind: "path" puts the nodes in the order of a chain along which loads slide, "surface" leaves them as they are.
+        band: number of neighbours along the path that may be loaded together; all by default.
+        stress: keep the stress at the candidate nodes.
+        length: unit in m of the numbers in ``candidates``; in a job that of the job.
     """
 
     method: ClassVar[str] = "static-modes-switching"

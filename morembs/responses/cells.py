@@ -14,8 +14,10 @@ Flags = NDArray[np.bool_]
 FIRST, MOST = 32, 30_000
 # Narrowest cell, as part of the upper end of the band.
 NARROWEST = 1e-14
+# Numbers that are handled in all, over which fewer cells than MOST are made, but never fewer than LEAST.
+WORK, LEAST = 5_000_000_000, 300
 # Numbers that are handled at once.
-AT_ONCE = 400_000
+AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,13 +40,15 @@ class Bounds:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cells:
     """Cells that cover a band: ``edges`` (nc, 2) in rad/s, ``upper`` (nc, t); of the whole band ``lower`` (t,) values
-    that are reached at ``at`` (t,) rad/s. ``decided`` is False where a lower value exceeded what was allowed."""
+    that are reached at ``at`` (t,) rad/s. ``decided`` is False where a lower value exceeded what was allowed, ``whole``
+    where cells were not halved any more because there were too many."""
 
     edges: Floats
     upper: Floats
     lower: Floats
     at: Floats
     decided: bool = True
+    whole: bool = True
 
 
 def search(
@@ -60,7 +64,8 @@ def search(
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
-    count, decided, step = 0, True, max(1, AT_ONCE // per_cell)
+    count, decided, whole, step = 0, True, True, max(1, AT_ONCE // per_cell)
+    most = max(LEAST, min(MOST, WORK // per_cell))
     while len(low) and decided:
         narrow = high - low <= NARROWEST * edges[-1]
         ready = resolved(low, high) | narrow
@@ -75,7 +80,8 @@ def search(
             best = np.maximum(best, reached)
             closed = (found.final | done(found, best)).all(axis=1) | narrow
             decided = allowed is None or not bool((best > allowed).any())
-            if not decided or count + 2 * len(low) + unready.shape[1] > MOST:
+            if not decided or count + 2 * len(low) + unready.shape[1] > most:
+                whole = whole and (not decided or bool(closed.all()))
                 closed[:] = True
             count += int(closed.sum())
             kept.append((low[closed], high[closed], found.upper[closed]))
@@ -86,7 +92,7 @@ def search(
     cells = np.concatenate([np.stack([one[0], one[1]], axis=1) for one in kept])
     order = np.argsort(cells[:, 0], kind="stable")
     upper = np.concatenate([one[2] for one in kept])
-    return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided)
+    return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
 
 
 def first_edges(low: float, high: float, inside: Floats) -> Floats:

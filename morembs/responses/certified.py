@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
@@ -21,12 +22,13 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
-from morembs.responses.krylov_space import KrylovSpace, RitzModes, root, static_response
+from morembs.responses.krylov_space import KrylovSpace, RitzModes, root
 from morembs.responses.layout import Layout
+from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms, squares
-from morembs.responses.reference import ReferenceSpace, reference_model, reference_space
+from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
 from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
 
@@ -79,20 +81,16 @@ def checked_floor(given: float) -> float:
 class CertifiedReference:
     """Elastic part of the full model over ``band_hz``, forces and moments scaled by the radius of gyration.
 
-    ``values`` (n,) in (rad/s)2 and ``b`` (n, m) of its modes, whose stiffness is uncertain by ``unsure`` (n,), and
-    with couplings of the square root of its products, and whose b is by ``b_off`` (n, m);
-    ``damping`` and ``D`` (n, n), if any, as in ``Reference``, with the ``floor``. ``vectors`` (Nc, k) and ``sigma``
-    (k,) are those of the modes below ``cut``, all of which are there; ``edges`` (nc + 1,) in rad/s and ``off`` (nc,)
-    limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off`` is an estimate.
+    ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
+    couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
+    ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
+    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off``
+    is an estimate.
     """
 
-    problem: Problem
+    model: Reference
     band_hz: tuple[float, float]
-    damping: Damping
     floor: float
-    values: Floats
-    b: Floats
-    D: Floats | None
     unsure: Floats
     b_off: Floats
     vectors: Floats
@@ -102,20 +100,45 @@ class CertifiedReference:
     off: Floats
     proven: bool
 
+    @property
+    def problem(self) -> Problem:
+        """What it is the reference of."""
+        return self.model.problem
+
+    @property
+    def values(self) -> Floats:
+        """Eigenvalues (n,) in (rad/s)2."""
+        return self.model.values
+
+    @cached_property
+    def b(self) -> Floats:
+        """Scaled loads (n, m) of the modes."""
+        return np.asarray(self.model.B * self.problem.motion_scale)
+
     def standard(self, symmetric: bool = True) -> Standard:
         """What bodies, ``symmetric`` or not, are measured against."""
+        return self._for_symmetric if symmetric else self._for_any
+
+    @cached_property
+    def _for_symmetric(self) -> Standard:
+        return self._standard(symmetric=True)
+
+    @cached_property
+    def _for_any(self) -> Standard:
+        return self._standard(symmetric=False)
+
+    def _standard(self, symmetric: bool) -> Standard:
         layout = Layout(self.b.shape[1], list(self.problem.coupling.columns.values()), symmetric)
-        stiffness, d = self.values * (1 + 1j * self.damping.structural), self.damping.of_modes(self.values)
-        if self.D is not None:
-            d = d + np.diag(self.D)
-        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
+        damping, D = self.model.damping, self.model.D
+        stiffness = self.values * (1 + 1j * damping.structural)
+        modes = Terms.second_order(stiffness, self.model.damping_of_modes(), layout.rows(self.b, self.b))
         H = modes
-        if self.D is not None:
+        if D is not None:
             H = response_of(
-                np.eye(len(self.values)), self.D + np.diag(self.damping.of_modes(self.values)), np.diag(self.values),
-                self.b, self.b.T, layout, structural=self.damping.structural, highest=2 * np.pi * self.band_hz[1],
+                np.eye(len(self.values)), D, np.diag(self.values), self.b, self.b.T, layout,
+                structural=damping.structural, highest=2 * np.pi * self.band_hz[1],
             ).terms  # fmt: skip
-        highest = abs(1 + 1j * (self.damping.structural + self.damping.beta * 2 * np.pi * self.band_hz[1]))
+        highest = abs(1 + 1j * (damping.structural + damping.beta * 2 * np.pi * self.band_hz[1]))
         lost = np.sqrt(highest * self.unsure)
         rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
         # What the small eigenproblem leaves of the couplings between modes above the cut, of which the band may be far
@@ -157,7 +180,8 @@ class CertifiedReference:
     @property
     def undamped(self) -> bool:
         """Whether resonances are infinite."""
-        return self.D is None and not (self.damping.is_viscous or self.damping.structural)
+        damping = self.model.damping
+        return self.model.D is None and not (damping.is_viscous or damping.structural)
 
 
 def certified_reference(
@@ -180,10 +204,11 @@ def certified_reference(
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
     found: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
-    key = low, high, floor
+    # What follows inertia loads too serves others as well.
+    key = low, high, floor, inertia_loads or (low, high, floor, True) in found
     if key not in found or found[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
-        build = _Build(problem, (low, high), damping, floor, tolerance, inertia_loads, progress)
+        build = _Build(problem, (low, high), damping, floor, tolerance, key[-1], progress)
         found[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
     return found[key][1]
 
@@ -205,12 +230,12 @@ class _Build:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
         problem, omega = self.problem, np.linspace(*self.band, LOOKED_AT)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        made = reference_model(problem, omega, tolerance=DAMPED, progress=self.progress)
-        D = np.zeros((len(made.values), len(made.values))) if made.D is None else made.D
+        made = reference_model(
+            problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress
+        )  # fmt: skip
         below = made.values < self.cut
         return CertifiedReference(
-            problem=problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=made.values,
-            b=(made.B.T * problem.motion_scale[:, None]).T, D=D - np.diag(problem.damping.of_modes(made.values)),
+            model=replace(made, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
             unsure=np.concatenate([problem.uncertainty(self.modes), made.values[below.sum() :] * EPS])[: len(below)],
             b_off=np.zeros((len(made.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
@@ -219,7 +244,7 @@ class _Build:
 
     def grown(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""
-        growth = reference_space(self.problem, self.inertia)
+        growth, seen = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
         enough = 0.1 * self.tolerance * (MODAL if self.damping.is_modal else 1.0)
         while True:
@@ -230,7 +255,9 @@ class _Build:
                 if made.off.max() <= self.tolerance or made.undamped:
                     return made
                 error = float(made.off.max())
-            if not growth.grow(error):
+            seen.append(error)
+            # Where round-off hides the rest, limits say how much.
+            if stands_still(seen) or not growth.grow(error):
                 return self._made(growth)
 
     def _guess(self, growth: ReferenceSpace) -> float:
@@ -274,11 +301,24 @@ class _Build:
         )  # fmt: skip
         edges, off = left.bounds(self.band, self.tolerance)
         sigma = made.values[:k] * np.linalg.norm(made.tau[:, :k], axis=0)
-        return CertifiedReference(
-            problem=self.problem, band_hz=self.band_hz, damping=self.damping, floor=self.floor, values=made.values,
-            b=made.b, D=None, unsure=made.unsure, b_off=made.b_off, vectors=made.vectors, sigma=sigma, cut=self.cut,
-            edges=edges, off=off, proven=not self._straddled(made.values[:k], sigma),
+        model = Reference(
+            values=made.values, D=None, damping=self.damping, F=self._loads(space, made), inputs=problem.B.shape[1],
+            V=space.V, Y=made.Y, error=float(off.max()), problem=problem,
         )  # fmt: skip
+        return CertifiedReference(
+            model=model, band_hz=self.band_hz, floor=self.floor, unsure=made.unsure, b_off=made.b_off,
+            vectors=made.vectors, sigma=sigma, cut=self.cut, edges=edges, off=off,
+            proven=not self._straddled(made.values[:k], sigma),
+        )  # fmt: skip
+
+    def _loads(self, space: KrylovSpace, made: RitzModes) -> Floats:
+        """(n, p) of the modes, those of inertia behind those of the interfaces."""
+        problem = self.problem
+        F = made.b / problem.motion_scale
+        if self.inertia:
+            others = unit_loads(problem, inertia=True)[:, F.shape[1] :]
+            F = np.hstack([F, made.Y.T @ dot(space.V, others, problem.budget)])
+        return F
 
     def _start(self, space: KrylovSpace, made: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""

@@ -12,7 +12,6 @@ from morembs.linalg.columns import (
     dot,
     hstack,
     m_norms,
-    map_columns,
     multiply,
     multiply_into,
     orthonormal,
@@ -29,6 +28,8 @@ from morembs.responses.rounding import EPS, with_left
 Floats = NDArray[np.float64]
 # Modes of which the Krylov space misses more than this part join it.
 MISSED = 1e-6
+# Rows of V that are read at once.
+ROWS = 1 << 12
 
 
 class KrylovSpace:
@@ -101,11 +102,14 @@ class KrylovSpace:
 
     def uncertain(self, Y: Floats) -> Floats:
         """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``Problem.uncertainty``."""
-        weights = self.problem.shared("row sums of |K|", lambda: scaled_row_sums(self.problem.K))
-        budget, n = self.problem.budget, self.V.shape[1]
-        width = budget.columns(len(self.V))
-        parts = [dot(self.V, weights[:, None] * self.V[:, at : at + width], budget) for at in range(0, n, width)]
-        return np.asarray(EPS * np.einsum("ij,ij->j", Y, np.hstack(parts) @ Y))
+        weights, V = self.problem.shared("row sums of |K|", lambda: scaled_row_sums(self.problem.K)), self.V
+        gram = np.zeros((V.shape[1], V.shape[1]))
+        for first in range(0, len(V), ROWS):
+            rows = slice(first, first + ROWS)
+            X = np.sqrt(weights[rows, None]) * V[rows]
+            gram += X.T @ X
+            self.problem.budget.release_if_tight()
+        return np.asarray(EPS * np.einsum("ij,ij->j", Y, gram @ Y))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,12 +125,6 @@ class RitzModes:
     tau: Floats
     unsure: Floats
     b_off: Floats
-
-
-def static_response(problem: Problem) -> Floats:
-    """G_e B (Nc, m): elastic displacements under unit interface loads, solved for once. Not to be changed."""
-    flexibility = problem.elastic.flexibility
-    return problem.shared("static response", lambda: map_columns(flexibility, problem.B, problem.budget))
 
 
 def root(gram: Floats) -> Floats:

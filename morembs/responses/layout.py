@@ -29,14 +29,15 @@ class Layout:
         n = len(blocks)
         self.pairs = [(a, b) for a in range(n) for b in range(n) if not symmetric or a <= b] if n > 1 else []
         self.blocks = blocks
-        masks = [np.ones(len(self.i))]
-        for a, b in self.pairs:
-            held = (owner[self.i] == a) & (owner[self.j] == b)
-            if symmetric:
-                held |= (owner[self.i] == b) & (owner[self.j] == a)
-            # Of blocks beside the diagonal one triangle holds either entry once, with the weight of both.
-            masks.append(held * (0.5 if symmetric and a != b else 1.0))
-        self.masks = np.stack(masks, axis=1)
+        first, second = owner[self.i], owner[self.j]
+        if symmetric:
+            first, second = np.minimum(first, second), np.maximum(first, second)
+        # Entries block by block, in the order of the pairs.
+        pair = n * first + second
+        self.order = np.argsort(pair, kind="stable")
+        self.starts = np.flatnonzero(np.diff(pair[self.order], prepend=-1))
+        # Of blocks beside the diagonal one triangle holds either entry once, with the weight of both.
+        self.share = np.array([0.5 if symmetric and a != b else 1.0 for a, b in self.pairs])
 
     def rows(self, left: NDArray[np.number], right: NDArray[np.number]) -> NDArray[np.number]:
         """(P, e) of left_p right_p' for ``left`` and ``right`` (P, m)."""
@@ -44,7 +45,12 @@ class Layout:
 
     def norms(self, X: NDArray[np.complex128]) -> Floats:
         """(..., 1 + nb) Frobenius norms of the whole and of the blocks of entries ``X`` (..., e)."""
-        return np.asarray(np.sqrt(squares(np.asarray(X, dtype=complex)) @ self.masks))
+        size = squares(np.asarray(X, dtype=complex))
+        whole = size.sum(axis=-1, keepdims=True)
+        if not self.pairs:
+            return np.asarray(np.sqrt(whole))
+        parts = np.add.reduceat(size[..., self.order], self.starts, axis=-1) * self.share
+        return np.asarray(np.sqrt(np.concatenate([whole, parts], axis=-1)))
 
     def lengths(self, b: NDArray[np.number]) -> Floats:
         """(P, 1 + ni) norms of the rows ``b`` (P, m) and of their parts at each interface."""

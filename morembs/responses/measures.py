@@ -12,7 +12,7 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,23 +217,33 @@ def _chords(p: NDArray[np.complex128]) -> Floats:
 
 
 def compare(
-    standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS
-) -> tuple[dict[str, Limit], Floats, Cells]:
+    standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS,
+    asked: tuple[str, float] | None = None,
+) -> tuple[dict[str, Limit], Floats, Cells]:  # fmt: skip
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
     ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
-    nor what is not known of the full model stand against it.
+    nor what is not known of the full model stand against it. Where a measure is ``asked`` for with a tolerance, the
+    other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below.
     """
     comparison = Comparison(standard, body)
     # Two limits make that of the peak.
     factor = np.full(comparison.quantities, sharpness)
     factor[[1, 3]] = np.sqrt(sharpness)
     other = np.arange(comparison.quantities) >= len(MEASURES)
+    number = MEASURES.index(asked[0]) if asked else -1
+    unasked = np.array([asked is not None and q != number and (q, number) != (3, 1) for q in range(len(factor))])
+
+    def done(found: Bounds, lower: Floats) -> NDArray[np.bool_]:
+        sharp = (found.upper <= factor * lower) & ((found.upper <= LOCAL * found.lower) | other) | unasked
+        if asked:
+            allowed = asked[1] * (lower[3] if number == 1 else 1.0)
+            sharp[:, number] &= (found.upper[:, number] <= allowed) | (lower[number] > allowed)
+        return np.asarray(sharp)
+
     cells = search(
-        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles),
-        lambda found, lower: (found.upper <= factor * lower) & ((found.upper <= LOCAL * found.lower) | other),
-        quantities=comparison.quantities,
-        per_cell=_numbers(comparison),
+        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles), done,
+        quantities=comparison.quantities, per_cell=_numbers(comparison),
     )  # fmt: skip
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = cells.at / (2 * np.pi)
@@ -251,7 +261,7 @@ def compare(
         if standard.layout.symmetric:
             blocks[j, i] = value
     own = cells.upper[:, :3] * np.array([1.0, in_peaks, 1.0])
-    return limits, blocks, Cells(edges=cells.edges, upper=own, lower=lower, at=cells.at)
+    return limits, blocks, replace(cells, upper=own)
 
 
 def decide(standard: Standard, body: Response, low: float, high: float, measure: str, tolerance: float) -> Verdict:

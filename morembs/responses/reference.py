@@ -23,15 +23,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import dot, multiply, orthonormal, project_out, projected
+from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.problem import Problem
+from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
+from morembs.responses.band import NEAR, ON
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import why_no_response
-from morembs.responses.loads import unit_loads
+from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.rational import product
 
 Floats = NDArray[np.float64]
@@ -44,6 +45,11 @@ FIRST_ORDER = 250
 # Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
 JUMPS = 1e-6
 JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
+# Parts of a block: what is taken out changes nothing up to SAME, and leaves round-off of its own above FEW.
+SAME, FEW = 1e-14, 1e-3
+# An error below RESOLVED stands still where half of all blocks, and at least so many, do not halve it. Above it modes
+# may be missing.
+STILL, RESOLVED = 12, 1e-2
 # A frequency beside a jump, as part of it.
 SIDE = 1e-9
 
@@ -153,6 +159,20 @@ def _damped(
     )  # fmt: skip
 
 
+def _beside_resonances(omega: Floats, made: Reference) -> Floats:
+    """``omega`` (nf,), but beside the undamped resonances of ``made`` where it is one: there is no response."""
+    poles = np.sqrt(made.values[made.damping_at_resonance() == 0])
+    on = (np.abs(omega[:, None] - poles) <= ON * poles).any(axis=1)
+    return np.asarray(np.where(on, omega * (1 + NEAR), omega))
+
+
+def stands_still(errors: list[float]) -> bool:
+    """Whether the latest blocks of a space do not help, by the ``errors`` after each."""
+    late = max(STILL, len(errors) // 2)
+    before, latest = min(errors[:-late], default=np.inf), min(errors[-late:])
+    return before <= RESOLVED and latest > 0.5 * before
+
+
 class ReferenceSpace:
     """The Krylov space of a problem, which grows block by block."""
 
@@ -160,25 +180,32 @@ class ReferenceSpace:
         self.problem, self.inertia = problem, inertia
         F = unit_loads(problem, inertia)
         self.inputs = problem.B.shape[1]
-        start = problem.elastic.flexibility(F)
+        start = static_response(problem)
+        if inertia:
+            others = problem.elastic.flexibility(F[:, self.inputs :])
+            start = hstack(start, others, budget=problem.budget)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
             raise InputError("an interface degree of freedom does not deform the body; check the interfaces")
-        start /= self.scale
+        start = start / self.scale
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
         self.lanczos = BlockLanczos(
             problem.elastic.flexibility, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
         )
         # G F = V g in the first block of V.
-        self.loads = self.lanczos.pending.T @ (M @ start)
+        self.loads = self.lanczos.M_pending.T @ start
         self.stiffness: Floats = np.zeros((0, 0))
         self.lanczos.expand()
         self._border()
 
     def until(self, omega: Floats, tolerance: float, progress: Progress, damping: Damping) -> Reference:
-        """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``."""
-        lanczos = self.lanczos
+        """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.
+
+        Raises:
+            SolverError: it stands still above, or the space has ``MAX_ORDER`` columns.
+        """
+        lanczos, seen = self.lanczos, list[float]()
         while True:
             values, Y = sl.eigh(self.stiffness)
             g = np.zeros((lanczos.size, self.loads.shape[1]))
@@ -189,15 +216,22 @@ class ReferenceSpace:
                 values=values, D=None, damping=damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
                 error=np.inf, problem=self.problem,
             )  # fmt: skip
-            error, jumps = self._error(made, g, omega, tolerance), 0.0
+            at = _beside_resonances(omega, made)
+            error, jumps = self._error(made, g, at, tolerance), 0.0
             if damping.is_modal:
                 # Every mode has a damping of its own, of which the residual on this space knows nothing.
-                error, jumps = max(error, self._change(made, g, omega)), self._jumps(made, omega)
+                error, jumps = max(error, self._change(made, g, at)), self._jumps(made, at)
             worst = max(error, jumps)
             progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
             good = error <= tolerance and jumps <= max(tolerance, JUMPS)
             if good or not lanczos.pending.shape[1]:
                 return self._sharpened(made, worst)
+            seen.append(worst)
+            if stands_still(seen):
+                raise SolverError(
+                    f"the full response reached an error of only {min(seen):.1e} with {lanczos.size} vectors, and more "
+                    f"of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
+                )
             if not self.grow(worst, JUMPY if jumps > tolerance else ""):
                 return self._sharpened(made, worst)
 
@@ -236,12 +270,19 @@ class ReferenceSpace:
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
-        lanczos, M = self.lanczos, self.problem.M
-        Q = lanczos.pending
-        project_out([self.problem.rigid, lanczos.V[:, : lanczos.size]], Q, M, budget=self.problem.budget)
+        lanczos, M, budget = self.lanczos, self.problem.M, self.problem.budget
+        Q, MQ = lanczos.pending, lanczos.M_pending
+        known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
+        for _ in range(2):
+            out = float(np.abs(take_out(known, Q, MQ, budget)).max(initial=0.0))
+            if out > SAME:
+                MQ = M @ Q
+            if out < FEW:
+                break
         # What was orthonormal keeps its length, unless it was rigid motion or round-off.
-        Q = orthonormal(Q, M, np.ones(Q.shape[1]), least=np.sqrt(0.5))
-        lanczos.pending = Q[:, : self.room - lanczos.size]
+        Q, MQ = orthonormal_pair(Q, M, np.ones(Q.shape[1]), Q.T @ MQ, MW=MQ, least=np.sqrt(0.5))
+        fits = self.room - lanczos.size
+        lanczos.pending, lanczos.M_pending = Q[:, :fits], MQ[:, :fits]
 
     def _border(self) -> None:
         """V' K V with the newest block of V."""

@@ -110,9 +110,10 @@ def couplings(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number
 def with_left(s: Floats, t: Floats, R: NDArray[np.number]) -> tuple[Floats, Floats]:
     """s and t (k,) that also cover couplings ``R`` (k, k) which an eigensolver left.
 
-    Those as small as s_p t_q double them; what is larger counts by its row sums (Schur's test, with weights s).
+    With r_p = max_q |R_pq| / t_q and k_q = max_p |R_pq| / s_p, |R_pq| <= (r_p s_p k_q t_q)^(1/2), and by Cauchy
+    s_p t_q + |R_pq| <= (s_p^2 + r_p s_p)^(1/2) (t_q^2 + k_q t_q)^(1/2).
     """
-    above = np.maximum(np.abs(R) - np.outer(s, t), 0.0)
-    weight = np.maximum(s, np.finfo(float).tiny)
-    rows, columns = (weight * (part @ (1 / weight)) for part in (above, above.T))
-    return np.sqrt(2 * s**2 + rows), np.sqrt(2 * t**2 + columns)
+    size, tiny = np.abs(R), np.finfo(float).tiny
+    s, t = np.maximum(s, tiny), np.maximum(t, tiny)
+    rows, columns = (size / t).max(axis=1, initial=0.0), (size / s[:, None]).max(axis=0, initial=0.0)
+    return np.sqrt(s**2 + rows * s), np.sqrt(t**2 + columns * t)

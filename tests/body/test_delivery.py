@@ -30,11 +30,11 @@ TABLES = {
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, [str(one) for one in arguments])
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def delivered(tmp_path_factory):
     path = tmp_path_factory.mktemp("delivery")
     done = run("reduce", folder(path, TABLES))
     assert done.exit_code == 0, done.output
@@ -42,9 +42,9 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def direct(made):
+def direct(delivered):
     """The same through the Python interface."""
-    mesh = read_mesh(made[0].with_name("part.inp"), parse_units("mm-t-s"))
+    mesh = read_mesh(delivered[0].with_name("part.inp"), parse_units("mm-t-s"))
     model = assemble(mesh, [isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)])
     sets = {name: select_nodes(model, f"set:{name.upper()}") for name in ("left", "right")}
     ends = [make_interface(model, name=name, nodes=nodes) for name, nodes in sets.items()]
@@ -56,8 +56,8 @@ def direct(made):
         yield problem, reduced, frame, stiff, stress_recovery(problem, reduced, single=False)
 
 
-def test_a_job_delivers_what_the_python_interface_gives_in_si_units(made, direct):
-    body = read_body(made[0]).bodies["cb"]
+def test_a_job_delivers_what_the_python_interface_gives_in_si_units(delivered, direct):
+    body = read_body(delivered[0]).bodies["cb"]
     _, _, frame, stiff, _ = direct
     stored = body.floating
     assert (stored.kind, stored.interfaces) == ("tangent", ("left",))
@@ -67,34 +67,34 @@ def test_a_job_delivers_what_the_python_interface_gives_in_si_units(made, direct
     expected = np.sort(np.linalg.eigvals(np.linalg.solve(frame.integrals.Me, frame.Ke)).real)
     assert np.abs(values / expected - 1).max() < 1e-8
     assert np.abs(stored.integrals.inertia / frame.integrals.inertia - 1)[np.eye(3) > 0].max() < 1e-12
-    moved, expected = (np.linalg.norm(one.markers["right"].motion) for one in (stored, frame))
+    moved, expected = (np.linalg.norm(floating.markers["right"].motion) for floating in (stored, frame))
     assert moved == pytest.approx(expected, rel=1e-8)
     assert set(stored.stiffening.dropped) == set(stiff.dropped) and stored.stiffening.least_share == 1e-5
     for name, share in stiff.share.items():
         assert stored.stiffening.share[name] == pytest.approx(share, rel=1e-6, abs=1e-12)
     assert body.ranking and {term.equation for term in body.ranking} <= {"force", "moment", "elastic"}
     assert body.ranking[0].share >= body.ranking[-1].share
-    assert "tangent frame at left" in made[1] and "inertia terms: " in made[1]
+    assert "tangent frame at left" in delivered[1] and "inertia terms: " in delivered[1]
 
 
-def test_info_tells_what_is_in_the_file(made):
-    shown = run("info", made[0]).stdout
+def test_info_tells_what_is_in_the_file(delivered):
+    shown = run("info", delivered[0]).stdout
     assert "tangent frame at left" in shown and "stress recovery" in shown and "inertia terms" in shown
-    document = json.loads(run("info", "--json", made[0]).stdout)["bodies"]["cb"]
+    document = json.loads(run("info", "--json", delivered[0]).stdout)["bodies"]["cb"]
     assert document["frame"] == "tangent" and document["stress_recovery"] and document["ranking"][0][2] > 0
 
 
-def test_a_motion_is_recovered_with_its_stress(made, direct, tmp_path):
+def test_a_motion_is_recovered_with_its_stress(delivered, direct, tmp_path):
     """A table of coordinates on the command line gives the stresses that the shapes give."""
     _, _, _, _, shapes = direct
-    body = read_body(made[0]).bodies["cb"]
+    body = read_body(delivered[0]).bodies["cb"]
     q = np.zeros((3, len(body.stiffness_matrix)))
     q[1:, 6] = [1e-6, 2e-6]
     table = tmp_path / "motion.csv"
     lines = ["t," + ",".join(f"q{k + 1}" for k in range(q.shape[1]))]
     lines += [",".join(map(repr, [0.1 * step, *row.tolist()])) for step, row in enumerate(q)]
     table.write_text("\n".join(lines))
-    done = run("recover", made[0], table, "--out", tmp_path / "motion.vtkhdf", "--json")
+    done = run("recover", delivered[0], table, "--out", tmp_path / "motion.vtkhdf", "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     expected = von_mises(shapes.at(q)).max()
@@ -107,16 +107,16 @@ def test_a_motion_is_recovered_with_its_stress(made, direct, tmp_path):
     }  # fmt: skip
     at_peak = jumps[2, np.argmax(von_mises(shapes.at(q))[2])]
     assert document["peak"]["jump_pa"] == pytest.approx(at_peak, rel=1e-5)
-    said = run("recover", made[0], table, "--out", tmp_path / "motion.vtkhdf").stdout
-    assert f"elements around it miss the average by {at_peak / expected:.1%}" in said
-    assert f"({jumps.max() / expected:.1%} of that stress) at node {shapes.points[point]}" in said
-    assert ("mesh is coarse there" in said) == (at_peak > 0.05 * expected)
+    output = run("recover", delivered[0], table, "--out", tmp_path / "motion.vtkhdf").stdout
+    assert f"elements around it miss the average by {at_peak / expected:.1%}" in output
+    assert f"({jumps.max() / expected:.1%} of that stress) at node {shapes.points[point]}" in output
+    assert ("mesh is coarse there" in output) == (at_peak > 0.05 * expected)
 
 
 @pytest.mark.parametrize("target", ["exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market"])
-def test_every_target_takes_the_body(made, tmp_path, target):
+def test_every_target_takes_the_body(delivered, tmp_path, target):
     out = tmp_path / {"exudyn": "part.hdf5"}.get(target, "part.out")
-    done = run("export", made[0], "--to", target, "--out", out, "--json")
+    done = run("export", delivered[0], "--to", target, "--out", out, "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert all((tmp_path / path).stat().st_size > 100 for path in document["written"])
@@ -125,11 +125,11 @@ def test_every_target_takes_the_body(made, tmp_path, target):
         assert any("stiffening" in note for note in document["notes"])
 
 
-def test_the_frame_can_be_changed_at_export(made, tmp_path):
-    done = run("export", made[0], "--to", "sid", "--frame", "mean-axes", "--out", tmp_path / "a.SID_FEM")
+def test_the_frame_can_be_changed_at_export(delivered, tmp_path):
+    done = run("export", delivered[0], "--to", "sid", "--frame", "mean-axes", "--out", tmp_path / "a.SID_FEM")
     assert done.exit_code == 0 and "stiffening belongs to the frame" in done.stdout
     for frame, words in (("tangent", "was given 0 interfaces"), ("tangent:lefft", "did you mean 'left'"), ("x", "x")):
-        done = run("export", made[0], "--to", "sid", "--frame", frame, "--out", tmp_path / "b.SID_FEM")
+        done = run("export", delivered[0], "--to", "sid", "--frame", frame, "--out", tmp_path / "b.SID_FEM")
         assert done.exit_code == 2 and words in done.output and done.output.count("\n") == 1
         assert not (tmp_path / "b.SID_FEM").exists()
 
@@ -139,8 +139,8 @@ def test_the_frame_can_be_changed_at_export(made, tmp_path):
     (("--to", "sid", "--set", "dialect"), "expected KEY=VALUE"), (("--to", "sid", "--set", "dialekt=1"), "'dialect'"),
     (("--to", "sid", "--set", "dialect=other"), "fembs"), (("--to", "op4", "--body", "cc"), "no body 'cc'"),
 ])  # fmt: skip
-def test_impossible_exports_are_refused_in_one_line(made, arguments, words):
-    done = run("export", *([made[0]] if arguments else []), *arguments)
+def test_impossible_exports_are_refused_in_one_line(delivered, arguments, words):
+    done = run("export", *([delivered[0]] if arguments else []), *arguments)
     assert done.exit_code == 2 and words in done.output and done.output.count("\n") == 1
 
 

@@ -23,7 +23,7 @@ from morembs.model.material import isotropic, orthotropic
 from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
-from morembs.responses.krylov_space import static_response
+from morembs.responses.loads import static_response
 from morembs.storage.writer import Writer
 from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, heavy, steel, where
@@ -77,8 +77,8 @@ def test_linear_stress_is_exact_in_quadratic_elements(kind):
     zero = np.zeros_like(x)
     grad = np.array([[2 * x, -0.5 * z, -0.5 * y], [y, x, 0.6 * z], [0.7 * z, -2 * y, 0.7 * x]]) * 1e-3 + zero
     exact = hooke(STEEL["young"], STEEL["poisson"], np.moveaxis(grad, -1, 0))
-    found = stress_operator(model, "all").stress(u.reshape(-1, 1)).reshape(-1, 6)
-    assert np.abs(found - exact).max() < 1e-10 * np.abs(exact).max()
+    stress = stress_operator(model, "all").stress(u.reshape(-1, 1)).reshape(-1, 6)
+    assert np.abs(stress - exact).max() < 1e-10 * np.abs(exact).max()
 
 
 def test_pieces_of_many_elements_are_those_of_two_blocks():
@@ -144,14 +144,15 @@ def test_jumps_between_elements_stay_within_a_material():
     model = assemble(mesh, [isotropic(set=s, young=E, poisson=0.3, density=1.0) for s, E in young.items()])
     face = make_interface(model, name="all", nodes=np.arange(len(mesh.nodes)), coupling="direct")
     with Problem(model, [face]) as problem:
-        its = stress_recovery(problem, Guyan().reduce(problem), single=False, correction=False)
+        recovery = stress_recovery(problem, Guyan().reduce(problem), single=False, correction=False)
     q = (mesh.nodes.xyz @ H.T).reshape(1, -1)  # one strain everywhere, two stresses at the border
-    stress = von_mises(its.at(q)[0])
-    assert stress[its.material == 1] == pytest.approx(3 * stress[0]) and len(its.points) > len(np.unique(its.points))
-    assert its.jumps_at(q)[0].max() < 1e-9 * stress.max()
+    stress = von_mises(recovery.at(q)[0])
+    assert stress[recovery.material == 1] == pytest.approx(3 * stress[0])
+    assert len(recovery.points) > len(np.unique(recovery.points))
+    assert recovery.jumps_at(q)[0].max() < 1e-9 * stress.max()
     # Strain that turns round at the border: each half has its own gradient, and no jump but what its elements miss.
     bent = (mesh.nodes.xyz[:, :1] ** 2 * [1e-4, 0, 0]).reshape(1, -1)
-    assert its.jumps_at(bent)[0].max() < 1e-9 * von_mises(its.at(bent)[0]).max()
+    assert recovery.jumps_at(bent)[0].max() < 1e-9 * von_mises(recovery.at(bent)[0]).max()
 
 
 def plate_with_hole(kind, count):
@@ -177,10 +178,10 @@ def plate_with_hole(kind, count):
     ], axis=1)  # fmt: skip
     edge = np.flatnonzero((r > 4 * a * (1 - 1e-9)) | (np.abs(np.abs(x) - y) < 1e-9))
     with Problem(model, [make_interface(model, name="edge", nodes=edge, coupling="direct")]) as problem:
-        its = stress_recovery(problem, Guyan().reduce(problem), correction=False)
+        recovery = stress_recovery(problem, Guyan().reduce(problem), correction=False)
     q = u[edge].reshape(1, -1)
-    at = np.hypot(its.coordinates[:, 0], its.coordinates[:, 1] - a) < 1e-6
-    return von_mises(its.at(q)[0])[at].max(), its.jumps_at(q)[0][at].max()
+    at = np.hypot(recovery.coordinates[:, 0], recovery.coordinates[:, 1] - a) < 1e-6
+    return von_mises(recovery.at(q)[0])[at].max(), recovery.jumps_at(q)[0][at].max()
 
 
 @pytest.mark.parametrize("kind", ["hex8", "hex20", "tet10"])
@@ -216,12 +217,12 @@ def test_bending_beam(kind):
                   for n, x in (("root", 0.0), ("tip", L))]  # fmt: skip
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=0).reduce(problem)
-        its = stress_recovery(problem, reduced, single=False)
+        recovery = stress_recovery(problem, reduced, single=False)
     root, tip = reduced.B[:, :6], reduced.B[:, 6:]
     K = np.block([[reduced.K, root], [root.T, np.zeros((6, 6))]])
     q = np.linalg.solve(K, np.concatenate([F * tip[:, 2], np.zeros(6)]))[: reduced.order]
-    stress = its.at(q[None])[0]
-    x, _, z = its.coordinates.T
+    stress = recovery.at(q[None])[0]
+    x, _, z = recovery.coordinates.T
     far = (x > 0.1 * L) & (x < 0.9 * L)
     exact = -F * (L - x) * (z - h / 2) / (b * h**3 / 12)
     assert np.abs(stress[far, 0] - exact[far]).max() < 2e-2 * np.abs(exact).max()
@@ -260,7 +261,7 @@ def full_static(problem, operator, loads):
 def test_correction_makes_static_stress_exact(problem, reducer):
     operator = stress_operator(problem.model)
     reduced = reducer.reduce(problem)
-    its = stress_recovery(problem, reduced, single=False, operator=operator)
+    recovery = stress_recovery(problem, reduced, single=False, operator=operator)
     loads = np.sin(1.0 + np.arange(problem.B.shape[1])) * 100
     exact = full_static(problem, operator, loads)
     values, Y = reduced.modes()
@@ -268,8 +269,8 @@ def test_correction_makes_static_stress_exact(problem, reducer):
     q = elastic @ ((elastic.T @ (reduced.B @ loads)) / values[reduced.rigid_count :])
     q = q + 1e-3 * Y[:, : reduced.rigid_count].sum(axis=1)
     size = np.abs(exact).max()
-    assert np.abs(its.at(q[None], loads[None])[0] - exact).max() < 1e-7 * size
-    error = np.abs(its.at(q[None])[0] - exact).max() / size
+    assert np.abs(recovery.at(q[None], loads[None])[0] - exact).max() < 1e-7 * size
+    error = np.abs(recovery.at(q[None])[0] - exact).max() / size
     # Attachment modes are complete; craig-bampton lacks only what inertia relief does inside the body.
     least = {FreeInterface: 0.0, CraigBampton: 1e-5, Modal: 0.1}[type(reducer)]
     assert error > least and (error < 1e-7 or type(reducer) is not FreeInterface)
@@ -285,49 +286,49 @@ def test_correction_of_bases_that_are_no_modes(problem, reducer):
     """What the reduced model gives and what is added make the static response, also where V is not the test space."""
     operator = stress_operator(problem.model, where(problem.model, 2, 0.0))
     reduced = reducer.reduce(problem)
-    its = stress_recovery(problem, reduced, nodes=where(problem.model, 2, 0.0), single=False)
+    recovery = stress_recovery(problem, reduced, nodes=where(problem.model, 2, 0.0), single=False)
     static = stress_shapes(problem, static_response(problem), operator)
     r = reduced.rigid_count
-    own = its.stress[:, r:] @ np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
+    own = recovery.stress[:, r:] @ np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
     assert np.abs(own - static).max() > 0.01 * np.abs(static).max()
-    np.testing.assert_allclose(its.correction + own, static, rtol=0, atol=1e-8 * np.abs(static).max())
+    np.testing.assert_allclose(recovery.correction + own, static, rtol=0, atol=1e-8 * np.abs(static).max())
 
 
 def test_rigid_motion_gives_no_stress_even_in_single_precision(problem):
     """A craig-bampton body has no rigid coordinates; moved by 100 m and turned by 1 rad it stays free of stress."""
     for reducer in (CraigBampton(modes=4), Modal(modes=4)):
         reduced = reducer.reduce(problem)
-        its = stress_recovery(problem, reduced)
-        assert its.stress.dtype == its.correction.dtype == np.float32
-        assert not its.stress[:, np.array(reduced.mode_kind) == "rigid"].any()
+        recovery = stress_recovery(problem, reduced)
+        assert recovery.stress.dtype == recovery.correction.dtype == np.float32
+        assert not recovery.stress[:, np.array(reduced.mode_kind) == "rigid"].any()
         Z = np.linalg.lstsq(reduced.V, problem.coupling.R, rcond=None)[0]
         q = Z @ np.array([100.0, -50.0, 20.0, 1.0, 0.5, -0.3])
         # 1e-9 of the strain that such displacements make when they are not rigid.
-        assert np.abs(its.at(q[None])).max() < 1e-9 * STEEL["young"] * 100 / 0.5
+        assert np.abs(recovery.at(q[None])).max() < 1e-9 * STEEL["young"] * 100 / 0.5
         double = stress_recovery(problem, reduced, single=False)
         q = q + np.linspace(-1, 1, reduced.order) * 1e-6
-        assert np.abs(its.at(q[None]) - double.at(q[None])).max() < 1e-6 * np.abs(double.at(q[None])).max()
+        assert np.abs(recovery.at(q[None]) - double.at(q[None])).max() < 1e-6 * np.abs(double.at(q[None])).max()
 
 
 def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_path):
     reduced = CraigBampton(modes=2).reduce(problem)
     for single, correction in ((True, True), (False, False)):
-        its, check = stress_recovery(problem, reduced, single=single, correction=correction), Mock()
+        recovery, check = stress_recovery(problem, reduced, single=single, correction=correction), Mock()
         with h5py.File(tmp_path / "r.h5", "w") as file:
-            Writer(file, check).rows("r/", RECOVERY, recovery_parts(its))
+            Writer(file, check).rows("r/", RECOVERY, recovery_parts(recovery))
             assert check.check.call_count >= reduced.order
             back = read_recovery(file["r"])
             del file["r/stress"]
             with pytest.raises(InputError, match="lacks stress"):
                 read_recovery(file["r"])
-        np.testing.assert_equal(dict(back.markers), dict(its.markers))
+        np.testing.assert_equal(dict(back.markers), dict(recovery.markers))
         # Displacements in coupled dofs are written where there are nodes to write them for.
-        for name in {field.name for field in dataclasses.fields(its)} - {"missing", "markers"}:
-            mine, theirs = getattr(its, name), getattr(back, name)
-            assert (mine is None) == (theirs is None)
-            if mine is not None:
-                assert mine.dtype == theirs.dtype
-                np.testing.assert_array_equal(mine, theirs)
+        for name in {field.name for field in dataclasses.fields(recovery)} - {"missing", "markers"}:
+            written, read = getattr(recovery, name), getattr(back, name)
+            assert (written is None) == (read is None)
+            if written is not None:
+                assert written.dtype == read.dtype
+                np.testing.assert_array_equal(written, read)
 
 
 def test_what_stress_refuses(problem):
@@ -352,13 +353,13 @@ def rod(small_meshes):
     interfaces = [make_interface(model, name=n, nodes=mesh.nodes.sets[n]) for n in ("BIGEND", "SMALLEND")]
     with Problem(model, interfaces) as problem:
         reduced, operator = Modal(modes=20).reduce(problem), stress_operator(model)
-        its = stress_recovery(problem, reduced, operator=operator)
-        yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, its=its)
+        recovery = stress_recovery(problem, reduced, operator=operator)
+        yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, its=recovery)
 
 
 def test_connecting_rod_at_its_ten_most_loaded_points(rod):
     """Static loads between the pins, twenty modes: 1e-6 with the correction in single precision, not so without."""
-    problem, its = rod.problem, rod.its
+    problem, recovery = rod.problem, rod.its
     pull, bend, push = (np.zeros(12) for _ in range(3))
     pull[[0, 6]] = 1000.0, -1000.0
     bend[[5, 11]] = 30.0, -30.0
@@ -369,22 +370,22 @@ def test_connecting_rod_at_its_ten_most_loaded_points(rod):
         top = np.argsort(von_mises(exact))[-10:]
         q = np.linalg.pinv(rod.reduced.K, rcond=1e-9) @ (rod.reduced.B @ loads)
         worst = [np.abs(von_mises(s[0, top]) / von_mises(exact[top]) - 1).max()
-                 for s in (its.at(q[None], loads[None]), its.at(q[None]))]  # fmt: skip
+                 for s in (recovery.at(q[None], loads[None]), recovery.at(q[None]))]  # fmt: skip
         assert worst[0] < 1e-6 and worst[1] > without
 
 
 def test_correction_in_slow_motion(rod):
     """Harmonic loads at a tenth of the first frequency left out: the error falls by far."""
     problem, reduced = rod.problem, Modal(modes=6).reduce(rod.problem)
-    its = stress_recovery(problem, reduced, operator=rod.operator)
+    recovery = stress_recovery(problem, reduced, operator=rod.operator)
     left_out = 2 * np.pi * problem.elastic_modes(count=7).frequencies_hz[6]
     loads = np.array([1.0, 2.0, 0.5, 0, 0, 0, -1.5, 1.0, 1.0, 0, 0, 0]) * 500
     omega = 0.1 * left_out
     A = sp.csc_array(problem.K - omega**2 * problem.M)
     exact = rod.operator.stress(problem.coupling.T @ spl.spsolve(A, problem.B @ loads)[:, None]).reshape(-1, 6)
     q = np.linalg.solve(reduced.K - omega**2 * reduced.M, reduced.B @ loads)
-    corrected, plain = (np.abs(s[0] - exact).max() / np.abs(exact).max() for s in (its.at(q[None], loads[None]),
-                                                                                  its.at(q[None])))  # fmt: skip
+    corrected, plain = (np.abs(s[0] - exact).max() / np.abs(exact).max() for s in (recovery.at(q[None], loads[None]),
+                                                                                  recovery.at(q[None])))  # fmt: skip
     assert plain > 0.02 and corrected < 0.05 * plain
 
 

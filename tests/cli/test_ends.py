@@ -2,59 +2,84 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
+import weakref
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from morembs import stopping
 from morembs.cli import commands as cli
+from morembs.cli import entry
 from morembs.jobs import run
+from morembs.storage import safefile
 from tests.support.decks import folder
+from tests.support.processes import Ended, apart, program
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and /dev/full are POSIX")
 RUNNER = CliRunner()
 
-LOST = """
-import ctypes, os, signal, sys, weakref
-from morembs.cli import console
-from morembs.jobs import run
-from morembs.storage import safefile
-
-way, number, place = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 
 class Watched:
-    pass
+    """Something that a weak reference can point to."""
+
 
 class Closing:
-    def __del__(self):
-        os.kill(os.getpid(), number)
+    """Its end sends a signal."""
 
-class Wrapping:
-    def __del__(self):
+    def __init__(self, send: Callable[..., None]) -> None:
+        self.send = send
+
+    def __del__(self) -> None:
+        self.send()
+
+
+class Wrapping(Closing):
+    """Makes another error of what the signal raises."""
+
+    def __del__(self) -> None:
         try:
-            send()
+            self.send()
         except BaseException as error:
             raise SystemError("returned a result with an exception set") from error
 
-def send(*_):
-    os.kill(os.getpid(), number)
 
-def lose():
+def lose(way: str, number: int) -> None:
+    """Get a signal where Python drops the exception of its handler, or where somebody makes something else of it."""
+
+    def send(*_: object) -> None:
+        os.kill(os.getpid(), number)
+
+    def swallowed(then: Callable[[], object]) -> None:
+        try:
+            send()
+        except BaseException:
+            then()
+
+    def failed(error: Exception) -> None:
+        try:
+            send()
+        except BaseException:
+            raise error from None
+
     if way == "weakref":
         watched = Watched()
         reference = weakref.ref(watched, send)
         del watched
+        assert reference() is None
     elif way == "del":
-        Closing()
+        Closing(send)
     elif way == "del with another error":
-        Wrapping()
+        Wrapping(send)
     elif way == "printed by a library":
         try:
             send()
@@ -65,49 +90,35 @@ def lose():
     elif way == "the end of a library":
         ctypes.CDLL(None).exit(0)
     elif way == "swallowed, then the end of a library":
-        try:
-            send()
-        except BaseException:
-            ctypes.CDLL(None).exit(0)
+        swallowed(lambda: ctypes.CDLL(None).exit(0))
     elif way == "ctypes":
         ctypes.CFUNCTYPE(None)(send)()
     elif way == "swallowed":
-        try:
-            send()
-        except BaseException:
-            pass
+        swallowed(lambda: None)
     elif way == "another error":
-        try:
-            send()
-        except BaseException:
-            raise OSError("can't write data") from None
+        failed(OSError("can't write data"))
     elif way == "a fault of a library":
-        try:
-            send()
-        except BaseException:
-            raise SystemError("returned a result with an exception set") from None
-
-holder = safefile if place == "_complete" else run
-real = getattr(holder, place)
-calls = []
-
-def wrapped(*args, **options):
-    calls.append(1)
-    if len(calls) == 1:
-        lose()
-    if place == "_reduce":
-        print("went on", flush=True)
-    return real(*args, **options)
-
-setattr(holder, place, wrapped)
-sys.argv = ["morembs", *sys.argv[4:]]
-console()
-"""
+        failed(SystemError("returned a result with an exception set"))
 
 
-def ended(code: str, *arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, **options)  # type: ignore[call-overload, no-any-return]
+def losing(way: str, number: int, place: str, *arguments: object) -> Callable[[], None]:
+    """The command line, which loses a signal when it first comes to ``place``."""
+    command = program([str(argument) for argument in arguments])
+
+    def work() -> None:
+        holder = safefile if place == "_complete" else run
+        real, calls = getattr(holder, place), []
+
+        def wrapped(*args: Any, **options: Any) -> Any:
+            calls.append(1)
+            if len(calls) == 1:
+                lose(way, number)
+            return real(*args, **options)
+
+        setattr(holder, place, wrapped)
+        command()
+
+    return work
 
 
 @pytest.mark.parametrize(
@@ -123,17 +134,16 @@ def test_no_signal_is_lost(tmp_path: Path, way: str, number: signal.Signals) -> 
     """Where Python drops the exception of the handler, or somebody makes another one of it."""
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
-    (tmp_path / "temporary").mkdir()
+    (tmp_path / "logs").mkdir()
     before = sorted(path.name for path in tmp_path.iterdir())
-    environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
     other = job.with_name("other.toml")
-    done = ended(LOST, way, int(number), "_reduce", "reduce", job, other, env=environment)
-    assert done.returncode == 128 + number, (done.stdout, done.stderr)
-    assert "error: " not in done.stderr and not list((tmp_path / "temporary").iterdir())
+    done = apart(losing(way, number, "_reduce", "reduce", job, other), tmp_path, tmp_path / "logs")
+    assert done.code == 128 + number, (done.output, done.errors)
+    assert "error: " not in done.errors and not list((tmp_path / "logs" / "tmp").iterdir())
     word = "interrupted" if number == signal.SIGINT else "terminated"
-    assert done.stderr.splitlines()[-1].startswith(word) and "Traceback" not in done.stderr, done.stderr
+    assert done.errors.splitlines()[-1].startswith(word) and "Traceback" not in done.errors, done.errors
     assert sorted(path.name for path in tmp_path.iterdir()) == before
-    assert (tmp_path / "part.h5").read_text() == "old" and "other.toml" not in done.stderr
+    assert (tmp_path / "part.h5").read_text() == "old" and "other.toml" not in done.errors
 
 
 @pytest.mark.parametrize("way", ["weakref", "swallowed"])
@@ -142,8 +152,8 @@ def test_no_file_takes_its_name_after_a_signal(tmp_path: Path, way: str) -> None
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
     before = sorted(path.name for path in tmp_path.iterdir())
-    done = ended(LOST, way, int(signal.SIGTERM), "_complete", "reduce", job)
-    assert done.returncode == 143, (done.stdout, done.stderr)
+    done = apart(losing(way, signal.SIGTERM, "_complete", "reduce", job), tmp_path)
+    assert done.code == 143, (done.output, done.errors)
     assert sorted(path.name for path in tmp_path.iterdir()) == before and (tmp_path / "part.h5").read_text() == "old"
 
 
@@ -152,71 +162,78 @@ def test_a_library_does_not_end_a_run_as_if_it_had_succeeded(tmp_path: Path, way
     """STOP in Fortran, which MUMPS comes to after a fault of its own, is exit code 0."""
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
-    done = ended(LOST, way, int(signal.SIGTERM), "_reduce", "reduce", job)
-    assert done.returncode == code, (done.stdout, done.stderr)
+    done = apart(losing(way, signal.SIGTERM, "_reduce", "reduce", job), tmp_path)
+    assert done.code == code, (done.output, done.errors)
     assert (tmp_path / "part.h5").read_text() == "old"
 
 
-REPEATED = """
-import os, signal
-from morembs import stopping
-times = iter([0.0, 0.5, 5.0])
-with stopping.heeded(ends=True, clock=lambda: next(times)):
-    try:
-        os.kill(os.getpid(), signal.SIGTERM)
-    except SystemExit:
-        os.kill(os.getpid(), signal.SIGTERM)
-        print("cleans up", flush=True)
-        os.kill(os.getpid(), signal.SIGINT)
-        print("never", flush=True)
-"""
+def say(*words: object) -> None:
+    sys.stdout.write(" ".join(map(str, words)) + "\n")
+    sys.stdout.flush()
 
 
-def test_a_second_signal_ends_at_once() -> None:
+def repeated() -> None:
+    times = iter([0.0, 0.5, 5.0])
+    with stopping.heeded(ends=True, clock=lambda: next(times)):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except SystemExit:
+            os.kill(os.getpid(), signal.SIGTERM)
+            say("cleans up")
+            os.kill(os.getpid(), signal.SIGINT)
+            say("never")
+
+
+def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
     """But not the one that ``timeout`` sends twice."""
-    done = ended(REPEATED)
-    assert (done.returncode, done.stdout) == (143, "cleans up\n"), done.stderr
+    done = apart(repeated, tmp_path)
+    assert (done.code, done.output) == (143, "cleans up\n"), done.errors
 
 
 def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
     """As under nohup."""
     job = folder(tmp_path)
-    code = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + LOST
-    done = ended(code, "swallowed", int(signal.SIGHUP), "_reduce", "reduce", job)
-    assert done.returncode == 0 and (tmp_path / "part.h5").is_file(), done.stderr
+    command = losing("swallowed", signal.SIGHUP, "_reduce", "reduce", job)
+
+    def work() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        command()
+
+    done = apart(work, tmp_path)
+    assert done.code == 0 and (tmp_path / "part.h5").is_file(), done.errors
 
 
-EMBEDDING = """
-import os, signal, sys
-from morembs.cli import main
-from morembs.cli import entry
+def embedding() -> None:
+    """A program that calls the command line, with a handler of its own."""
 
-def ended(*arguments):
-    sys.argv = ["morembs", *arguments]
-    try:
-        main()
-    except SystemExit as end:
-        return end.code
+    def ended(*arguments: str) -> object:
+        sys.argv = ["morembs", *arguments]
+        try:
+            entry.main()
+        except SystemExit as end:
+            return end.code
+        return None
 
-mine = lambda *_: print("my own handler", flush=True)
-signal.signal(signal.SIGTERM, mine)
-print(ended("info", "missing.h5"), signal.getsignal(signal.SIGTERM) is mine)
-work = entry._work
-entry._work = lambda _: os.kill(os.getpid(), signal.SIGTERM)
-print(ended("check", "missing.toml"))
-entry._work = work
-print(ended("--version"))
-os.kill(os.getpid(), signal.SIGTERM)
-print("went on", flush=True)
-"""
+    def handler(*_: object) -> None:
+        say("my own handler")
+
+    signal.signal(signal.SIGTERM, handler)
+    say(ended("info", "missing.h5"), signal.getsignal(signal.SIGTERM) is handler)
+    work = entry._work
+    entry._work = lambda _: os.kill(os.getpid(), signal.SIGTERM)
+    say(ended("check", "missing.toml"))
+    entry._work = work
+    say(ended("--version"))
+    os.kill(os.getpid(), signal.SIGTERM)
+    say("went on")
 
 
-def test_a_program_that_calls_the_command_line_goes_on() -> None:
+def test_a_program_that_calls_the_command_line_goes_on(tmp_path: Path) -> None:
     """After bad input and after a signal, with its own handlers, and ends with its own exit code."""
-    done = ended(EMBEDDING)
-    assert done.returncode == 0, (done.stdout, done.stderr)
-    said = done.stdout.splitlines()
-    assert said[:2] == ["2 True", "143"] and said[3:] == ["0", "my own handler", "went on"], said
+    done = apart(embedding, tmp_path)
+    assert done.code == 0, (done.output, done.errors)
+    lines = done.output.splitlines()
+    assert lines[:2] == ["2 True", "143"] and lines[3:] == ["0", "my own handler", "went on"], lines
 
 
 @pytest.fixture
@@ -225,9 +242,17 @@ def job(tmp_path: Path) -> Path:
     return folder(tmp_path, {"model": 'mesh = "part.inp"', "check": "full_modes = 0", "reduce": 'method = "guyan"'})
 
 
-def printed_to(target: object, *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "morembs", *map(str, arguments)]
-    return subprocess.run(command, stdout=target, stderr=subprocess.PIPE, text=True)  # type: ignore[call-overload, no-any-return]
+def printed_to(descriptor: int, *arguments: object, folder: Path, number: int = 1) -> Ended:
+    """How the command line ends with its standard output, or error (``number`` 2), elsewhere."""
+    command = program([str(argument) for argument in arguments])
+
+    def work() -> None:
+        os.dup2(descriptor, number)
+        # With a buffer, as in a process of its own.
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        command()
+
+    return apart(work, folder)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
@@ -236,28 +261,27 @@ def test_output_that_cannot_be_printed(job: Path) -> None:
     output = job.with_name("part.h5")
     with open("/dev/full", "w") as full:
         for extra in ([], ["--json"]):
-            done = printed_to(full, "reduce", *extra, job)
-            assert done.returncode == 2 and output.is_file()
-            last = done.stderr.splitlines()[-1]
+            done = printed_to(full.fileno(), "reduce", *extra, job, folder=job.parent)
+            assert done.code == 2 and output.is_file()
+            last = done.errors.splitlines()[-1]
             assert last == f"error: the output cannot be printed (No space left on device); written: {output}"
             output.unlink()
         for verb in (["check", job], ["solvers"], ["export", "--list"], ["import", "--list"]):
-            done = printed_to(full, *verb)
-            assert done.returncode == 2
-            assert done.stderr == "error: the output cannot be printed (No space left on device)\n"
+            done = printed_to(full.fileno(), *verb, folder=job.parent)
+            assert done.code == 2
+            assert done.errors == "error: the output cannot be printed (No space left on device)\n"
 
 
 def test_nobody_reads(job: Path) -> None:
     """A pipe whose reader has gone: as output, and where warnings go, which ends no work."""
     reader, writer = os.pipe()
     os.close(reader)
-    done = printed_to(writer, "reduce", job)
-    assert done.returncode == 2 and "cannot be printed (Broken pipe); written: " in done.stderr
+    done = printed_to(writer, "reduce", job, folder=job.parent)
+    assert done.code == 2 and "cannot be printed (Broken pipe); written: " in done.errors
     job.with_name("part.h5").unlink()
-    command = [sys.executable, "-m", "morembs", "reduce", str(job), "--json"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=writer, text=True)
+    done = printed_to(writer, "reduce", job, "--json", folder=job.parent, number=2)
     os.close(writer)
-    assert done.returncode == 0 and json.loads(done.stdout)["warnings"] and job.with_name("part.h5").is_file()
+    assert done.code == 0 and json.loads(done.output)["warnings"] and job.with_name("part.h5").is_file()
 
 
 @pytest.mark.parametrize(
@@ -308,7 +332,7 @@ def test_faults_tell_where_their_traceback_is(
     assert type(error).__name__ in first and str(report) in first and "authors" in first and "missing.toml" in second
     text = report.read_text()
     assert "Traceback" in text and "in fail" in text and "Python 3" in text
-    assert [set(one) for one in json.loads(result.stdout)] == [{"job", "error"}] * 2
+    assert [set(entry) for entry in json.loads(result.stdout)] == [{"job", "error"}] * 2
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
     result = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert result.exit_code == 1 and "Traceback" in result.stderr and "traceback above" in result.stderr
@@ -318,8 +342,8 @@ def test_faults_tell_where_their_traceback_is(
 def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str) -> None:
     """One output, spelled in other ways or through a link; a picture that is another's body; an output that is
     another's mesh. What is in nobody's way is done."""
-    one = folder(tmp_path)
-    text = one.read_text()
+    job = folder(tmp_path)
+    text = job.read_text()
     (tmp_path / "sub").mkdir()
     (tmp_path / "link.h5").symlink_to(tmp_path / "part.h5")
     monkeypatch.chdir(tmp_path)
@@ -327,20 +351,21 @@ def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest
     for output in ('"sub/../part.h5"', f'"{tmp_path}/part.h5"', '"link.h5"', '"b.h5"\npicture = "part.h5"'):
         if "picture" in output:
             text = text.replace('"part.h5"', '"part.png"')
-            one.write_text(text)
+            job.write_text(text)
             output = '"b.h5"\npicture = "part.png"'
             text = text.replace('"part.png"', '"part.h5"')
         (tmp_path / "other.toml").write_text(text.replace('"part.h5"', output))
         result = RUNNER.invoke(cli.app, [verb, "other.toml", "free.toml", "job.toml", "--json"])
         assert result.exit_code == 2, output
-        found = json.loads(result.stdout)
-        assert "is [output] path of job.toml too" in found[0]["error"] and "error" not in found[1]
-        assert "of other.toml too" in found[2]["error"]
+        results = json.loads(result.stdout)
+        assert "is [output] path of job.toml too" in results[0]["error"] and "error" not in results[1]
+        assert "of other.toml too" in results[2]["error"]
         assert not (tmp_path / "part.h5").exists() and not (tmp_path / "b.h5").exists()
-    one.write_text(text)
+    job.write_text(text)
     (tmp_path / "other.toml").write_text(text.replace('"part.h5"', '"job.toml"').replace("part.inp", "other.inp"))
     result = RUNNER.invoke(cli.app, [verb, "job.toml", "other.toml", "--json"])
-    found = json.loads(result.stdout)
-    assert result.exit_code == 2 and "error" not in found[0] and "is the job file of job.toml too" in found[1]["error"]
+    results = json.loads(result.stdout)
+    assert result.exit_code == 2 and "error" not in results[0]
+    assert "is the job file of job.toml too" in results[1]["error"]
     result = RUNNER.invoke(cli.app, [verb, "job.toml", "job.toml"])
     assert result.exit_code == 2 and result.stderr.count("of job.toml too") == 2

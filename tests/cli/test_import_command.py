@@ -137,7 +137,7 @@ def test_matrices_of_every_format_arrive_as_they_were(tmp_path: Path, kind: str)
     assert np.abs(again.M - model.M).max() <= 1e-15 * np.abs(model.M).max()
     assert again.nodes.xyz == pytest.approx(model.nodes.xyz, rel=1e-15) and again.dofs.is_solid
     assert document["dofs"] == model.size and document["matrices"] == ["K", "M"]
-    assert [one for one in document["findings"] if one["severity"] != "note"] == []
+    assert [finding for finding in document["findings"] if finding["severity"] != "note"] == []
     assert ("TIP" if kind == "exudyn" else "ALL") in document["sets"]
     if kind == "mat":
         assert any("other" in note for note in document["notes"]) and (again.mesh is not None)
@@ -270,9 +270,9 @@ def test_a_job_on_a_coupling_of_the_model_file(tmp_path: Path) -> None:
     heavy = same.M + 2.0 * at_end @ at_end.T
     for omega in 2 * np.pi * np.array([50.0, 4000.0]):
         B, A = body.input_matrix, body.stiffness_matrix - omega**2 * body.mass_matrix
-        found = B.T @ np.linalg.solve(A, B)
+        response = B.T @ np.linalg.solve(A, B)
         expected = same.B.T @ np.linalg.solve(same.K - omega**2 * heavy, same.B)
-        assert found == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
+        assert response == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
     interface = read_body(tmp_path / "part.h5").interfaces["end"]
     assert interface.point == pytest.approx([0.25, 0.05, 0.05])
     for change, words in (
@@ -397,9 +397,9 @@ def test_triplets_are_added_unless_all_come_twice(tmp_path: Path) -> None:
     row, column, value = np.array([0, 1, 1, 1]), np.array([0, 0, 1, 1]), np.array([2.0, -1.0, 1.0, 1.0])
     once = sp.coo_array((value, (row, column)), (2, 2))
     sp.save_npz(tmp_path / "a.npz", once)
-    found = import_file(tmp_path / "a.npz")
-    assert found.K is not None and np.array_equal(found.K.toarray(), [[2, 0], [-1, 2]])
-    assert "1 triplets at places of others were added" in found.notes[0]
+    imported = import_file(tmp_path / "a.npz")
+    assert imported.K is not None and np.array_equal(imported.K.toarray(), [[2, 0], [-1, 2]])
+    assert "1 triplets at places of others were added" in imported.notes[0]
     once = sp.coo_array((value[:3], (row[:3], column[:3])), (2, 2))
     both = sp.coo_array(tuple((np.tile(once.data, 2), (np.tile(once.row, 2), np.tile(once.col, 2)))), (2, 2))
     sp.save_npz(tmp_path / "a.npz", both)
@@ -461,8 +461,9 @@ def test_check_finds_but_writes_and_strict_does_not(tmp_path: Path) -> None:
 
 def test_list_names_every_format() -> None:
     lines = run("--list").strip().splitlines()
-    assert [line.split(":")[0] for line in lines] == list(IMPORTERS)
-    assert set(json.loads(run("--list", "--json"))) == set(IMPORTERS)
+    named = [line.split(":")[0] for line in lines]
+    assert [name for name in named if not name.startswith("--engine")] == list(IMPORTERS)
+    assert set(json.loads(run("--list", "--json"))) - {"engines"} == set(IMPORTERS)
 
 
 # Models from elsewhere.
@@ -556,7 +557,7 @@ def test_decks_and_meshes_of_others(tmp_path: Path, shared_data: Path) -> None:
     assert "PSOLID 2 names no material" in refused(tmp_path, blocks)
     both = [part for n in (1, 2) for part in ("--material", f"young={n},poisson=0.3,density=1,set=PSOLID_{n}")]
     document = json.loads(run(blocks, *both, "-o", out, "--json"))
-    assert document["nodes"] == 119 and [one.set for one in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]
+    assert document["nodes"] == 119 and [entry.set for entry in read_model(out).materials] == ["PSOLID_1", "PSOLID_2"]
 
 
 def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
@@ -566,9 +567,71 @@ def test_an_import_says_what_body_its_units_make(tmp_path: Path) -> None:
     given = ("--material", "young=210e3,poisson=0.3,density=7.85e-9", "-o", tmp_path / "a.model.h5")
     for unit, size in (("mm-t-s", "0.0006 x 0.0002 x 0.0002 m"), ("mm-t-s", "0.6 x 0.2 x 0.2 m")):
         (tmp_path / "a.inp").write_text(text if size.startswith("0.0006") else deck(BEAM, size=100.0))
-        told = run(tmp_path / "a.inp", "--units", unit, *given)
-        assert f"the body: {size}, " in told and " kg, first elastic frequency about " in told
-        assert ("warning: taken in mm-t-s, the body is tiny" in told) == size.startswith("0.0006")
+        output = run(tmp_path / "a.inp", "--units", unit, *given)
+        assert f"the body: {size}, " in output and " kg, first elastic frequency about " in output
+        assert ("warning: taken in mm-t-s, the body is tiny" in output) == size.startswith("0.0006")
     document = json.loads(run(tmp_path / "a.inp", "--units", "mm-t-s", *given, "--json"))
     assert document["body"]["extent"] == pytest.approx([0.6, 0.2, 0.2]) and document["warnings"] == []
     assert document["body"]["mass"] == pytest.approx(7850 * 0.6 * 0.2 * 0.2)
+
+
+def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
+    text = deck(BEAM) + "*CONTACT PAIR\nA, B\n*FANCY\n*SOLID SECTION, ELSET=EALL, MATERIAL=M\n*MATERIAL, NAME=M\n"
+    path = tmp_path / "part.inp"
+    path.write_text(text.replace("TYPE=C3D8", "TYPE=C3D8, ELSET=EALL") + "*ELASTIC\n210e3, .3\n")
+    result = CliRunner().invoke(app, ["import", str(path), "--dry-run"])
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 2 and [line.split(":")[0] for line in lines[:3]] == ["problem"] * 3
+    answer = "morembs import part.inp --contact skip --skip FANCY --density X"
+    assert lines[3] == f"all of it is answered by: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
+    told = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
+    assert told["importable"] is False and told["command"] == answer and len(told["problems"]) == 3
+    given = ["--contact", "skip", "--skip", "FANCY", "--density", "7.85e-9", "--units", "mm-t-s"]
+    assert run(path, "--dry-run", *given).startswith("can be imported: 189 dofs at 63 nodes, read as abaqus; nothing")
+    assert sorted(tmp_path.iterdir()) == [path]
+    # A material that is given answers what is lacking.
+    message = refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9,set=EALL")
+    assert "2 problems" in message and "no *DENSITY" not in message
+    document = json.loads(run(path, *given, "--json", "-o", tmp_path / "part.model.h5"))
+    model = read_model(document["written"])
+    assert model.materials[0].density == pytest.approx(7850.0)
+    codes = {warning.rsplit("[", 1)[-1] for warning in model.warnings}
+    assert codes >= {"keywords-skipped]", "contact-skipped]", "density-given]"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--density", "-1"], "--density '-1' was given; expected X or X,set=NAME"),
+        (["--density", "1", "--density", "2"], "a positive number once a set"),
+        (["--density", "1,set=NO"], "--density was given for the set 'NO', which lacks none"),
+        (["--contact", "melt"], "contact = 'melt' was given"),
+    ],
+)
+def test_options_of_decks_that_make_no_sense(tmp_path, arguments, words):
+    path = tmp_path / "part.inp"
+    path.write_text(deck(BEAM))
+    assert words in refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9", *arguments)
+
+
+def test_options_of_decks_belong_to_decks(tmp_path):
+    path = tmp_path / "k.mtx"
+    path.write_text("%%MatrixMarket matrix array real general\n1 1\n1.0\n")
+    message = refused(tmp_path, "--stiffness", path, "--mass", path, "--contact", "skip")
+    assert "--contact skip was given without a deck that can take it" in message
+
+
+def test_a_job_says_which_program_its_deck_is_for(tmp_path):
+    text = deck(BEAM).replace("*NODE FILE\nU\n", "")
+    written = []
+    for dialect in ("abaqus", "calculix"):
+        (tmp_path / dialect).mkdir()
+        job = folder(tmp_path / dialect, {"model": f'mesh = "part.inp"\nunits = "mm-t-s"\ndialect = "{dialect}"'}, text)
+        result = CliRunner().invoke(app, ["reduce", str(job)])
+        assert result.exit_code == 0 and "dialect-guessed" not in result.stderr, result.stderr
+        written.append(read_body(tmp_path / dialect / "part.h5").bodies["cb"].frequencies_hz)
+    # B-bar and lumped masses against full integration.
+    assert len(written[0]) == len(written[1]) and not np.allclose(*written, rtol=1e-3)
+    job = folder(tmp_path, {"model": 'mesh = "a.msh"\ndialect = "abaqus"'})
+    refusal = CliRunner().invoke(app, ["reduce", str(job)])
+    assert refusal.exit_code == 2 and "without a deck .inp" in refusal.stderr

@@ -36,19 +36,19 @@ def body(tmp_path: Path) -> str:
 
 
 def test_the_version_is_told_without_numpy() -> None:
-    said, modules = loaded("--version")
-    assert said.startswith("morembs ") and not modules & {*HEAVY, *AT_WORK, "numpy", "h5py", "rich", "typer"}
+    output, modules = loaded("--version")
+    assert output.startswith("morembs ") and not modules & {*HEAVY, *AT_WORK, "numpy", "h5py", "rich", "typer"}
 
 
 def test_help_needs_no_numbers() -> None:
-    said, modules = loaded("--help")
-    assert "reduce" in said and not modules & ({*HEAVY, *AT_WORK, "numpy", "h5py"} - {"pydantic"})
+    output, modules = loaded("--help")
+    assert "reduce" in output and not modules & ({*HEAVY, *AT_WORK, "numpy", "h5py"} - {"pydantic"})
 
 
 def test_info_loads_neither_methods_nor_solvers(body: str) -> None:
     heavy = {*HEAVY, *AT_WORK, "typer", "importlib.metadata", "rich.progress"}
-    said, modules = loaded("info", body)
-    assert "craig-bampton" in said and not modules & heavy
+    output, modules = loaded("info", body)
+    assert "craig-bampton" in output and not modules & heavy
     document, modules = loaded("info", "--json", body)
     assert json.loads(document)["bodies"] and not modules & {*heavy, "rich"}
 

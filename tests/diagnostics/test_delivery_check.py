@@ -67,21 +67,22 @@ def test_quantities_are_those_of_cbcheck():
     uset = None
     for label, interface in enumerate(body.part.interfaces, start=1):
         uset = nastran.addgrid(uset, label, "b", 0, interface.point.tolist(), 0)
-    theirs = cb.cbcheck(io.StringIO(), r.M, r.K, constraint, constraint[:6], uset, uref=(0, 0, 0), rb_norm=True,
+    reference = cb.cbcheck(io.StringIO(), r.M, r.K, constraint, constraint[:6], uset, uref=(0, 0, 0), rb_norm=True,
                         n_freefree_modes=10)  # fmt: skip
     facts = check_delivery(body).facts
-    assert facts["fixed_hz"] == pytest.approx(theirs.cb_frq if hasattr(theirs, "cb_frq") else theirs.effmass.index)
-    assert facts["effective_mass"] == pytest.approx(theirs.effmass.to_numpy(), rel=1e-6, abs=1e-9)
-    share = theirs.effmass_percent.to_numpy().sum(axis=0) / 100
+    fixed = reference.cb_frq if hasattr(reference, "cb_frq") else reference.effmass.index
+    assert facts["fixed_hz"] == pytest.approx(fixed)
+    assert facts["effective_mass"] == pytest.approx(reference.effmass.to_numpy(), rel=1e-6, abs=1e-9)
+    share = reference.effmass_percent.to_numpy().sum(axis=0) / 100
     assert facts["effective_mass_share"] == pytest.approx(share, rel=1e-8)
-    rigid = {"geometry": np.vstack([theirs.rbg, np.zeros((r.order - 12, 6))]), "stiffness": theirs.rbs,
-             "eigenvectors": theirs.rbe}  # fmt: skip
+    rigid = {"geometry": np.vstack([reference.rbg, np.zeros((r.order - 12, 6))]), "stiffness": reference.rbs,
+             "eigenvectors": reference.rbe}  # fmt: skip
     scale = np.abs(facts["rigid_mass"]["geometry"]).max()
     for way, q in rigid.items():
         tolerance = 1e-6 if way == "eigenvectors" else 1e-9
-        assert facts["rigid_mass"][way] == pytest.approx(q.T @ theirs.m @ q, abs=tolerance * scale)
+        assert facts["rigid_mass"][way] == pytest.approx(q.T @ reference.m @ q, abs=tolerance * scale)
         assert np.abs(facts["ground_force"][way]).max() < 1e-8 * np.abs(r.K).max()
-        assert np.abs(theirs.k @ q).max() < 1e-8 * np.abs(r.K).max()
+        assert np.abs(reference.k @ q).max() < 1e-8 * np.abs(r.K).max()
 
 
 def test_a_reduced_model_without_frame():
@@ -115,8 +116,8 @@ def test_grounding_energy_is_that_of_the_springs():
     K = body.reduced.K.copy()
     K[:3, :3] += 1e7 * np.eye(3)
     seen = check_delivery(with_matrices(body, K=K))
-    one = finding(seen, "grounded")
-    assert one.severity == "error" and "ground" in one.cure
+    grounded = finding(seen, "grounded")
+    assert grounded.severity == "error" and "ground" in grounded.cure
     arm = body.part.center_of_mass - body.part.interfaces[0].point
     turned = 0.5e7 * np.array([arm[1] ** 2 + arm[2] ** 2, arm[0] ** 2 + arm[2] ** 2, arm[0] ** 2 + arm[1] ** 2])
     assert seen.facts["rigid_energy_J"]["geometry"][:3] == pytest.approx([0.5e7] * 3, rel=1e-6)

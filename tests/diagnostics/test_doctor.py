@@ -130,9 +130,9 @@ def test_grounded_nodes_are_named(stiffness):
     held = [3, 17]
     K = changed(model.K, [(3 * row + a, 3 * row + a, stiffness) for row in held for a in range(3)])
     seen = examine(K, model.M, **known(model))
-    one = finding(seen, "grounded")
-    assert grave(seen) == {"grounded"} and set(one.where) == {str(model.nodes.ids[row]) for row in held}
-    assert f"{2 * stiffness:.3g}, {2 * stiffness:.3g}, {2 * stiffness:.3g} N/m" in one.sentence
+    grounded = finding(seen, "grounded")
+    assert grave(seen) == {"grounded"} and set(grounded.where) == {str(model.nodes.ids[row]) for row in held}
+    assert f"{2 * stiffness:.3g}, {2 * stiffness:.3g}, {2 * stiffness:.3g} N/m" in grounded.sentence
     # Two nodes leave the rotation about their line free.
     assert seen.facts["free_motions"] == 1
 
@@ -186,11 +186,11 @@ def test_mounts_of_a_symmetric_mesh_are_no_other_order(mount, stiffness):
     place = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (len(xyz), len(rows)))
     held = sp.csr_array(sp.kron(place @ sp.csr_array(stiffness * springs) @ place.T, sp.eye_array(3)))
     for mapped in (known(model), {"nodes": model.nodes}):
-        found = examine(sp.csr_array(model.K + held), model.M, **mapped)
-        assert grave(found) <= {"grounded"} and not found.errors, found.text()
-        assert found.facts.get("dof_order", "node by node (x").startswith("node by node (x")
+        diagnosis = examine(sp.csr_array(model.K + held), model.M, **mapped)
+        assert grave(diagnosis) <= {"grounded"} and not diagnosis.errors, diagnosis.text()
+        assert diagnosis.facts.get("dof_order", "node by node (x").startswith("node by node (x")
         if mount != "everywhere" or stiffness > 1e3:  # else it might be numbers with few digits
-            assert "grounded" in found.codes and found.facts["free_motions"] < 6
+            assert "grounded" in diagnosis.codes and diagnosis.facts["free_motions"] < 6
 
 
 def test_a_mass_matrix_in_another_order_than_the_stiffness():
@@ -208,8 +208,8 @@ def test_swapped_nodes_are_named():
     rows = model.dofs.of_nodes(swap).ravel()
     K, M = permuted(model, rows)
     seen = examine(K, M, **known(model))
-    one = finding(seen, "node-mapping")
-    assert "swapped" in one.sentence and set(one.where) == {str(model.nodes.ids[a]), str(model.nodes.ids[b])}
+    mapping = finding(seen, "node-mapping")
+    assert "swapped" in mapping.sentence and set(mapping.where) == {str(model.nodes.ids[a]), str(model.nodes.ids[b])}
 
 
 def test_a_node_with_wrong_coordinates_is_put_right():
@@ -217,9 +217,9 @@ def test_a_node_with_wrong_coordinates_is_put_right():
     xyz = model.nodes.xyz.copy()
     xyz[20] += [0.03, -0.01, 0.02]
     seen = examine(model.K, model.M, nodes=Nodes(ids=model.nodes.ids, xyz=xyz), dofs=model.dofs)
-    one = finding(seen, "node-mapping")
-    assert one.where == (str(model.nodes.ids[20]),)
-    numbers = [float(word) for word in one.cure.split("(")[1].split(")")[0].split(",")]
+    mapping = finding(seen, "node-mapping")
+    assert mapping.where == (str(model.nodes.ids[20]),)
+    numbers = [float(word) for word in mapping.cure.split("(")[1].split(")")[0].split(",")]
     assert numbers == pytest.approx(model.nodes.xyz[20], abs=1e-5)
 
 
@@ -256,9 +256,9 @@ def test_unmerged_nodes():
     both = type(block)(type="hex8", nodes=np.vstack([block.nodes, block.nodes + n]), ids=np.arange(2 * len(block.ids)))
     model = steel(Mesh(nodes=Nodes(ids=np.arange(1, 2 * n + 1), xyz=xyz), blocks=(both,)))
     seen = examine_model(model)
-    one = finding(seen, "parts")
-    assert grave(seen) == {"parts"} and seen.facts["parts"] == 2 and "9 pairs" in one.sentence
-    pairs = np.array(one.where, dtype=int).reshape(-1, 2) - 1
+    parts = finding(seen, "parts")
+    assert grave(seen) == {"parts"} and seen.facts["parts"] == 2 and "9 pairs" in parts.sentence
+    pairs = np.array(parts.where, dtype=int).reshape(-1, 2) - 1
     assert len(pairs) == 9 and np.abs(xyz[pairs[:, 0]] - xyz[pairs[:, 1]]).max() < 1e-12
 
 
@@ -281,9 +281,9 @@ def test_an_open_seam_is_named(count):
     model = steel(split(mesh, rows))
     pairs = np.stack([mesh.nodes.ids[rows], 777 + np.arange(count)], axis=1)
     for seen in (examine_model(model, deep=True), examine(model.K, model.M, **known(model))):
-        one = finding(seen, "coincident-nodes")
-        assert one.severity == "warning" and grave(seen) <= {"coincident-nodes", "mechanism"}, seen.text()
-        assert {frozenset(pair) for pair in np.array(one.where, dtype=int).reshape(-1, 2).tolist()} == {
+        coincident = finding(seen, "coincident-nodes")
+        assert coincident.severity == "warning" and grave(seen) <= {"coincident-nodes", "mechanism"}, seen.text()
+        assert {frozenset(pair) for pair in np.array(coincident.where, dtype=int).reshape(-1, 2).tolist()} == {
             frozenset(pair) for pair in pairs.tolist()
         }
     (sentence,) = examined_mesh(model)
@@ -322,9 +322,9 @@ def test_elements_that_are_there_twice_are_named(kind, merged_):
         blocks=(block, type(block)(type=kind, nodes=again, ids=np.array([1001, 1002]))),
     )
     model = steel(twice)
-    one = finding(examine_model(model), "double-elements")
-    assert one.severity == "warning" and one.where == ("2", "1001", "3", "1002")
-    assert "2 solid elements" in one.sentence and ("on the same nodes" if merged_ else "copies") in one.sentence
+    doubled = finding(examine_model(model), "double-elements")
+    assert doubled.severity == "warning" and doubled.where == ("2", "1001", "3", "1002")
+    assert "2 solid elements" in doubled.sentence and ("on the same nodes" if merged_ else "copies") in doubled.sentence
     assert any("2 and 1001" in sentence for sentence in examined_mesh(model))
     assert "double-elements" not in examine_model(steel(mesh)).codes
 
@@ -383,8 +383,8 @@ def test_a_shaft_cut_in_torsion():
     k = -K[a, b]
     cut = changed(K, [(a, a, -k), (b, b, -k), (a, b, k)])
     seen = examine(cut, M, nodes=nodes, dofs=dofs, deep=True)
-    one = finding(seen, "mechanism")
-    assert seen.facts["zero_modes"] == 7 and {label.split(" ", 2)[2] for label in one.where} == {"rotation x"}
+    mechanism = finding(seen, "mechanism")
+    assert seen.facts["zero_modes"] == 7 and {label.split(" ", 2)[2] for label in mechanism.where} == {"rotation x"}
 
 
 def test_units_that_do_not_fit():
@@ -443,9 +443,9 @@ def test_metres_taken_for_millimetres_beside_a_proper_material(materials):
     given = {**known(model), "declared": parse_units("mm-t-s")}
     if materials:
         given |= {"mesh": model.mesh, "materials": model.materials}
-    one = finding(examine(model.K, model.M, **given), "size")
-    assert one.severity == "warning" and "0.0005 x 6e-05 x 4e-05 m, 9.42e-09 kg" in one.sentence
-    assert "if its longest side is 0.5 m" in one.cure and "m-kg-s" in one.cure
+    size_finding = finding(examine(model.K, model.M, **given), "size")
+    assert size_finding.severity == "warning" and "0.0005 x 6e-05 x 4e-05 m, 9.42e-09 kg" in size_finding.sentence
+    assert "if its longest side is 0.5 m" in size_finding.cure and "m-kg-s" in size_finding.cure
     (sentence,) = examined_mesh(model, parse_units("mm-t-s"))
     assert "the body is tiny: 0.0005 x" in sentence and "Hz" in sentence
     assert not examined_mesh(model) and not examined_mesh(model, parse_units("um-kg-s"))
@@ -515,8 +515,8 @@ def test_rotations_in_degrees_or_scaled(factor):
     K, M, nodes, dofs = beam(direction=(1, 2, 2))
     T = sp.diags_array(np.where(dofs.component > 2, 1 / factor, 1.0))
     seen = examine(T @ K @ T, T @ M @ T, nodes=nodes, dofs=dofs)
-    one = finding(seen, "rotation-scale")
-    assert f"{factor:.4g}" in one.sentence and ("degrees" in one.sentence) == (factor < 100)
+    rotation_scale = finding(seen, "rotation-scale")
+    assert f"{factor:.4g}" in rotation_scale.sentence and ("degrees" in rotation_scale.sentence) == (factor < 100)
 
 
 def test_one_entry_without_its_mirror_image():
@@ -586,7 +586,7 @@ def test_shapes_and_maps_that_do_not_fit():
     mesh = Mesh(nodes=model.nodes, blocks=(inverted,))
     seen = examine(model.K, model.M, dofs=model.dofs, mesh=mesh, materials=model.materials)
     assert "inverted" in finding(seen, "mesh").sentence
-    bad = DofMap(node=model.dofs.node, component=model.dofs.component + 4)
+    bad = DofMap(node=model.dofs.node, component=model.dofs.component + 5)
     assert grave(examine(model.K, model.M, nodes=model.nodes, dofs=bad)) == {"dof-map"}
     twice = Nodes(ids=np.where(model.nodes.ids == 2, 1, model.nodes.ids), xyz=model.nodes.xyz)
     assert grave(examine(model.K, model.M, nodes=twice, dofs=model.dofs)) == {"labels"}
@@ -718,7 +718,7 @@ def test_matrices_of_calculix_and_abaqus(shared_data):
     folder = shared_data / "conrod_abaqus"
     nodes = read_mesh(folder / "job_matrix_generate_conrod.inp").nodes
     K, M = triplets(folder / "conrod_ccx.sti.gz"), triplets(folder / "conrod_ccx.mas.gz")
-    assert [one.code for one in examine(K, M, nodes=nodes).errors] == ["half-stored", "half-stored"]
+    assert [error.code for error in examine(K, M, nodes=nodes).errors] == ["half-stored", "half-stored"]
     seen = examine(*repaired(K, M)[:2], nodes=nodes, deep=True)
     assert grave(seen) == set() and seen.facts["mass"] == pytest.approx(0.1379211513593743, rel=1e-9)
     assert seen.facts["frequencies_hz"][:3] == pytest.approx([5931.72907, 10572.56166, 13006.48953], rel=1e-6)

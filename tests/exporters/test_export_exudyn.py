@@ -101,9 +101,9 @@ def test_exudyn_computes_the_same_arrays_from_the_full_model(tmp_path, origin):
     ours = loaded(export_body(tmp_path / "beam.h5", "exudyn").paths[0])
     theirs = own_reduction(model, ours.modeBasis, origin)
     for name in ARRAYS:
-        mine, own = getattr(ours, name), getattr(theirs, name)
-        assert mine.shape == own.shape
-        assert np.abs(mine - own).max() <= 1e-10 * np.abs(own).max(), name
+        exported, computed = getattr(ours, name), getattr(theirs, name)
+        assert exported.shape == computed.shape
+        assert np.abs(exported - computed).max() <= 1e-10 * np.abs(computed).max(), name
     assert ours.totalMass == pytest.approx(theirs.totalMass, rel=1e-12)
 
 
@@ -132,18 +132,18 @@ def test_spinning_beam_stretches_as_a_rod(beam):
     speed = 100.0
     cms = loaded(file)
     mbs = exu.SystemContainer().AddSystem()
-    made = cms.AddObjectFFRFreducedOrder(mbs, initialAngularVelocity=[0, 0, speed])
+    ffrf = cms.AddObjectFFRFreducedOrder(mbs, initialAngularVelocity=[0, 0, speed])
     ground = mbs.AddObject(items.ObjectGround())
     held = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))
-    frame = mbs.AddMarker(items.MarkerNodeRigid(nodeNumber=made["nRigidBody"]))
+    frame = mbs.AddMarker(items.MarkerNodeRigid(nodeNumber=ffrf["nRigidBody"]))
     mbs.AddObject(items.GenericJoint(markerNumbers=[held, frame], constrainedAxes=[1, 1, 1, 1, 1, 0]))
-    turn = mbs.AddMarker(items.MarkerNodeRotationCoordinate(nodeNumber=made["nRigidBody"], rotationCoordinate=2))
+    turn = mbs.AddMarker(items.MarkerNodeRotationCoordinate(nodeNumber=ffrf["nRigidBody"], rotationCoordinate=2))
     fixed = mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0))
     mbs.AddObject(items.CoordinateConstraint(
         markerNumbers=[fixed, turn], velocityLevel=True, offset=speed))  # fmt: skip
     cms_damping = exu.MatrixContainer()
     cms_damping.SetWithDenseMatrix(1e-4 * cms.stiffnessMatrixReduced, useDenseMatrix=True)
-    mbs.SetObjectParameter(made["oFFRFreducedOrder"], "dampingMatrixReduced", cms_damping)
+    mbs.SetObjectParameter(ffrf["oFFRFreducedOrder"], "dampingMatrixReduced", cms_damping)
     right = exudyn_marker(read_body(path), "right")
     mbs.Assemble()
     settings = exu.SimulationSettings()
@@ -152,7 +152,7 @@ def test_spinning_beam_stretches_as_a_rod(beam):
     settings.timeIntegration.verboseMode = 0
     settings.solution.file.write = False
     mbs.SolveDynamic(settings)
-    q = mbs.GetNodeOutput(made["nGenericODE2"], exu.OutputVariableType.Coordinates)
+    q = mbs.GetNodeOutput(ffrf["nGenericODE2"], exu.OutputVariableType.Coordinates)
     tip = right.weights @ (cms.modeBasis @ q).reshape(-1, 3)[right.numbers]
     expected = STEEL["density"] * speed**2 * LENGTH**3 / (3 * STEEL["young"])
     assert tip[0] == pytest.approx(expected, rel=2e-3)

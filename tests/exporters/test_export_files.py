@@ -3,7 +3,8 @@
 import itertools
 import os
 import re
-import subprocess
+import resource
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Modal, StaticModesSwitching
 from morembs.storage.safefile import replacing_all
 from tests.support.meshes import box, steel, where
+from tests.support.processes import apart
 
 ROOT = Path(__file__).parents[2]
 
@@ -35,26 +37,26 @@ def files(tmp_path_factory):
     """Body files of one beam: "a" damped and small, "b" damped and larger, "c" undamped, "rigid" without modes."""
     model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
     faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
-    folder, found = tmp_path_factory.mktemp("files"), {}
+    folder, paths = tmp_path_factory.mktemp("files"), {}
     damping = Damping(modal_table=[[0.0, 0.01], [2000.0, 0.1]])
     for name, modes, damped in (("a", 4, damping), ("b", 7, damping), ("c", 4, None)):
         with Problem(model, faces, **({"damping": damped} if damped else {})) as problem:
             reduced = CraigBampton(modes=modes).reduce(problem, name)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["left"])
             body = elastic_body(problem, reduced, make_part(problem), floating=frame)
-            found[name] = write_body(folder / f"{name}.h5", [body])
+            paths[name] = write_body(folder / f"{name}.h5", [body])
     with Problem(model) as problem:
-        one = Modal(modes=1).reduce(problem, "rigid")
-        rigid = replace(one, M=np.eye(6), K=np.zeros((6, 6)), D=np.zeros((6, 6)), B=one.B[:6], C=one.C[:, :6],
-                        V=one.V[:, :6], mode_kind=one.mode_kind[:6])  # fmt: skip
-        body = replace(elastic_body(problem, one, make_part(problem)), reduced=rigid, floating=None,
+        modal = Modal(modes=1).reduce(problem, "rigid")
+        rigid = replace(modal, M=np.eye(6), K=np.zeros((6, 6)), D=np.zeros((6, 6)), B=modal.B[:6], C=modal.C[:, :6],
+                        V=modal.V[:, :6], mode_kind=modal.mode_kind[:6])  # fmt: skip
+        body = replace(elastic_body(problem, modal, make_part(problem)), reduced=rigid, floating=None,
                        frequencies_hz=np.zeros(6))  # fmt: skip
-        found["rigid"] = write_body(folder / "rigid.h5", [body])
-    return found
+        paths["rigid"] = write_body(folder / "rigid.h5", [body])
+    return paths
 
 
 def contents(folder):
-    return {one.name: one.read_bytes() for one in sorted(folder.iterdir())}
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 def exported(source, to, folder):
@@ -164,35 +166,31 @@ def test_a_full_disk_leaves_the_old_set_or_nothing(files, tmp_path, before):
     tasks, old = [], {}
     for to, exporter in EXPORTERS.items():
         sizes = sorted(path.stat().st_size for path in exported(files["b"], to, tmp_path / f"{to}-sizes").paths)
-        around = {size + d for size in sizes for d in (-1, 0)} if len(sizes) > 1 else {sizes[0] - 1}
+        around = {size + d for size in sizes for d in (-1, 0)} if before and len(sizes) > 1 else {sizes[-1] - 1}
         exported(files["a"], to, tmp_path / to) if before else (tmp_path / to).mkdir()
         old[to] = contents(tmp_path / to)
         path = str(tmp_path / to / f"x{exporter.suffix}")
         tasks += [(to, path, limit) for limit in sorted({0, 1, sizes[-1] // 2, *around} - {sizes[-1]})]
-    code = f"""
-import resource, signal
-from morembs.errors import OutputError
-from morembs.exporters import export_body
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-free = resource.getrlimit(resource.RLIMIT_FSIZE)
-for to, path, limit in {tasks}:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
-    try:
-        export_body({str(files["b"])!r}, to, path=path)
-    except OutputError as error:
-        message = str(error)
-    else:
-        message = f"no error of {{to}} with {{limit}} bytes"
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, free)
-    print(message)
-"""
-    ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert ran.returncode == 0 and not ran.stderr, ran.stderr
-    lines = ran.stdout.splitlines()
+
+    def work():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        free, lines = resource.getrlimit(resource.RLIMIT_FSIZE), []
+        for to, path, limit in tasks:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
+            try:
+                export_body(files["b"], to, path=path)
+            except OutputError as error:
+                message = str(error)
+            else:
+                message = f"no error of {to} with {limit} bytes"
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, free)
+            lines.append(message)
+        sys.stdout.write("\n".join(lines))
+
+    ran = apart(work, tmp_path)
+    assert ran.code == 0 and not ran.errors, ran.errors
+    lines = ran.output.splitlines()
     assert len(lines) == len(tasks)
     for (to, _, limit), line in zip(tasks, lines, strict=True):
         assert "File too large" in line and "free space" in line, (to, limit, line)
@@ -204,11 +202,11 @@ def test_no_two_targets_share_a_file(files, tmp_path):
     """All targets beside one body file; each is still what it was when the others were written."""
     source = tmp_path / "beam.h5"
     source.write_bytes(files["a"].read_bytes())
-    made = {to: {path: path.read_bytes() for path in export_body(source, to).paths} for to in EXPORTERS}
-    for (one, these), (other, those) in itertools.combinations(made.items(), 2):
-        assert not set(these) & set(those), (one, other)
-    for found in made.values():
-        assert all(path.read_bytes() == data for path, data in found.items())
+    exported = {to: {path: path.read_bytes() for path in export_body(source, to).paths} for to in EXPORTERS}
+    for (a, files_a), (b, files_b) in itertools.combinations(exported.items(), 2):
+        assert not set(files_a) & set(files_b), (a, b)
+    for written in exported.values():
+        assert all(path.read_bytes() == data for path, data in written.items())
     deck = (tmp_path / "beam.inp").read_text()
     for name in re.findall(r"INPUT=(\S+)", deck):
         assert read_abaqus_matrix(tmp_path / name).symmetric
@@ -260,11 +258,11 @@ def test_labels(files, tmp_path, to):
         with pytest.raises(InputError, match=f"first_label = {label} was given; expected 1 to {most - 5}"):
             export_body(files["a"], to, path=target, options={"first_label": label})
     assert not contents(tmp_path)
-    for label, told in ((None, False), (10, True), (1000, False), (most - 5, False)):
+    for label, noted in ((None, False), (10, True), (1000, False), (most - 5, False)):
         done = export_body(files["a"], to, path=target, options={} if label is None else {"first_label": label})
         highest = int(read_body(files["a"]).node_ids.max())
         note = f"labels count from 10, though the model had labels up to {highest}"
-        assert any(note in one for one in done.notes) == told
+        assert any(note in line for line in done.notes) == noted
         text = target.read_text()
         first = highest + 1 if label is None else label
         if to == "abaqus":
@@ -285,7 +283,7 @@ def test_labels_beside_direct_interfaces(tmp_path):
     for options, first in (({}, highest + 1), ({"first_label": 500}, 500)):
         deck = export_body(path, "abaqus", options=options).paths[0].read_text()
         assert re.search(rf"^{first}, 0., 0., 0.$\n.*\n.*\n^{first + 3}, 0., 0., 0.$", deck, re.M)
-        assert re.findall(r"^(\d+), (?!0\., )", deck, re.M) == [str(one) for one in sorted(model.nodes.ids[rows])]
+        assert re.findall(r"^(\d+), (?!0\., )", deck, re.M) == [str(label) for label in sorted(model.nodes.ids[rows])]
     with pytest.raises(InputError, match=f"expected {used + 1} to 999999996, above those of the nodes of direct"):
         export_body(path, "abaqus", options={"first_label": int(used)})
 
@@ -326,6 +324,6 @@ def test_static_modes_of_candidates_stay_behind_and_a_note_says_so(tmp_path, to)
     with Problem(model, faces) as problem:
         reduced = reducer.reduce(problem, name="rail")
         body = elastic_body(problem, reduced, make_part(problem))
-        its = reducer.switching(problem, reduced)
-        path = write_body(tmp_path / "rail.h5", [replace(body, switching=its)])
+        tables = reducer.switching(problem, reduced)
+        path = write_body(tmp_path / "rail.h5", [replace(body, switching=tables)])
     assert any("static modes of candidate loads; left behind" in note for note in export_body(path, to).notes)

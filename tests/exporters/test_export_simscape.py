@@ -29,7 +29,7 @@ REDUCERS = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def stored(tmp_path_factory):
     """A damped bar with two frames and a direct interface between them, reduced in several ways."""
     model = steel(box("hex8", (6, 2, 2), (LENGTH, 0.05, 0.03)))
     # "cb" begins with the frames already, but the direct interface moves with them.
@@ -51,10 +51,10 @@ def frame_rows(source):
 
 
 @pytest.mark.parametrize("name", REDUCERS)
-def test_same_body_with_the_interfaces_first(made, tmp_path, name):
-    written = export_body(made, "simscape", body=name, path=tmp_path / "a.mat")
+def test_same_body_with_the_interfaces_first(stored, tmp_path, name):
+    written = export_body(stored, "simscape", body=name, path=tmp_path / "a.mat")
     mat = sio.loadmat(written.paths[0], squeeze_me=True)
-    source = read_body(made)
+    source = read_body(stored)
     body = source.bodies[name]
     K, M, D = mat["K"], mat["M"], mat["D"]
     assert K.shape == body.stiffness_matrix.shape and all(np.array_equal(A, A.T) for A in (K, M, D))
@@ -64,14 +64,14 @@ def test_same_body_with_the_interfaces_first(made, tmp_path, name):
     s = 2j * np.pi * 700.0
     C = body.output_matrix[frame_rows(source)]
     wanted = C @ np.linalg.solve(s**2 * body.mass_matrix + s * body.damping_matrix + body.stiffness_matrix, C.T)
-    found = np.linalg.inv(s**2 * M + s * D + K)[:12, :12]
-    assert np.abs(found - wanted).max() < 1e-7 * np.abs(wanted).max()
+    response = np.linalg.inv(s**2 * M + s * D + K)[:12, :12]
+    assert np.abs(response - wanted).max() < 1e-7 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize("name", REDUCERS)
-def test_rigid_motion_of_the_frames_has_mass_and_no_stiffness(made, tmp_path, name):
+def test_rigid_motion_of_the_frames_has_mass_and_no_stiffness(stored, tmp_path, name):
     """Frames moved as one rigid body, no modes: mass, centre and inertia from M, nothing from K."""
-    mat = sio.loadmat(export_body(made, "simscape", body=name, path=tmp_path / "a.mat").paths[0], squeeze_me=True)
+    mat = sio.loadmat(export_body(stored, "simscape", body=name, path=tmp_path / "a.mat").paths[0], squeeze_me=True)
     origins, n = mat["interface_origins"], len(mat["K"])
     assert origins == pytest.approx(np.array([[0, 0.025, 0.015], [LENGTH, 0.025, 0.015]]), abs=1e-12)
     assert np.array_equal(mat["interface_quaternions"], [[1, 0, 0, 0]] * 2)
@@ -86,16 +86,16 @@ def test_rigid_motion_of_the_frames_has_mass_and_no_stiffness(made, tmp_path, na
     assert frequencies.min() > 500 and len(frequencies) == n - 12
 
 
-def test_frames_at_an_angle_and_same_bytes(made, tmp_path):
-    source = read_body(made)
+def test_frames_at_an_angle_and_same_bytes(stored, tmp_path):
+    source = read_body(stored)
     a = np.deg2rad(30)
     turned = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
     left = replace(source.interfaces["left"], axes=turned)
     source = replace(source, interfaces={**source.interfaces, "left": left})
     for name in ("a", "b"):
         Simscape().export(source, source.bodies["cb"], tmp_path / f"{name}.mat")
-    found = sio.loadmat(tmp_path / "a.mat")["interface_quaternions"]
-    assert found[0] == pytest.approx([np.cos(a / 2), 0, 0, np.sin(a / 2)], abs=1e-14)
+    quaternions = sio.loadmat(tmp_path / "a.mat")["interface_quaternions"]
+    assert quaternions[0] == pytest.approx([np.cos(a / 2), 0, 0, np.sin(a / 2)], abs=1e-14)
     assert (tmp_path / "a.mat").read_bytes() == (tmp_path / "b.mat").read_bytes()
     assert b"Created" not in (tmp_path / "a.mat").read_bytes()[:116]  # the time of day
     rng = np.random.default_rng(0)
@@ -112,27 +112,27 @@ def test_frames_at_an_angle_and_same_bytes(made, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="octave is not installed")
-def test_octave_reads_it(made, tmp_path):
-    path = export_body(made, "simscape", body="cb", path=tmp_path / "a.mat").paths[0]
+def test_octave_reads_it(stored, tmp_path):
+    path = export_body(stored, "simscape", body="cb", path=tmp_path / "a.mat").paths[0]
     script = "s = load('a.mat'); printf('%.15g %d %d %s %s', s.K(1,1), size(s.interface_origins), " \
              "s.interface_names{2}, class(s.dof_order));"  # fmt: skip
-    found = subprocess.run(["octave", "--no-gui", "--no-init-file", "--eval", script], cwd=tmp_path, check=True,
+    printed = subprocess.run(["octave", "--no-gui", "--no-init-file", "--eval", script], cwd=tmp_path, check=True,
                            capture_output=True, text=True).stdout.split()  # fmt: skip
-    assert float(found[0]) == pytest.approx(sio.loadmat(path)["K"][0, 0], rel=1e-14)
-    assert found[1:] == ["2", "3", "right", "char"]
+    assert float(printed[0]) == pytest.approx(sio.loadmat(path)["K"][0, 0], rel=1e-14)
+    assert printed[1:] == ["2", "3", "right", "char"]
 
 
-def test_notes_and_name(made):
-    written = export_body(made, "simscape", body="cb")
-    assert written.paths == (made.with_name("bar_cb.mat"),)
+def test_notes_and_name(stored):
+    written = export_body(stored, "simscape", body="cb")
+    assert written.paths == (stored.with_name("bar_cb.mat"),)
     notes = " | ".join(written.notes)
     for words in ("left, right", "left out: mid", "variable D"):
         assert words in notes
     written.paths[0].unlink()
 
 
-def test_bad_input(made, tmp_path):
-    source = read_body(made)
+def test_bad_input(stored, tmp_path):
+    source = read_body(stored)
     body = source.bodies["cb"]
     short = {n: replace(one, components=one.components[:3]) for n, one in source.interfaces.items()}
     direct = {n: replace(one, coupling="direct") for n, one in source.interfaces.items()}
@@ -149,4 +149,4 @@ def test_bad_input(made, tmp_path):
             Simscape().export(one, wrong, tmp_path / "a.mat")
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"holds 4 bodies \(cb, more, krylov, few\); say which"):
-        export_body(made, "simscape")
+        export_body(stored, "simscape")

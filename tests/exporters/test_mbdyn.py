@@ -33,15 +33,15 @@ def groups(path):
     """Record groups as MBDyn reads them: a '**' line with the number, comments, then numbers or words."""
     text = path.read_text()
     assert text.endswith("** END OF FILE\n")
-    found = {}
+    records = {}
     for part in re.split(r"^\*\* RECORD GROUP ", text, flags=re.MULTILINE)[1:]:
         number, _, rest = part.partition(",")
         words = [line for line in rest.split("\n")[1:] if not line.startswith("**")]
-        found[int(number)] = " ".join(words).split()
+        records[int(number)] = " ".join(words).split()
         # MBDyn skips one line of comment in front of each mode.
         if int(number) == 8:
-            found["modes"] = sum(line.startswith("**    NORMAL MODE") for line in rest.split("\n"))
-    return found
+            records["modes"] = sum(line.startswith("**    NORMAL MODE") for line in rest.split("\n"))
+    return records
 
 
 @pytest.fixture(scope="module")
@@ -58,16 +58,16 @@ def array(words, *shape):
 
 
 def test_header_and_nodes(beam):
-    _, source, found = beam
+    _, source, records = beam
     frame = source.bodies["cb"].floating
     n = frame.count
-    assert found[1] == ["REV0", "2", str(n), "0", "0", "0"] and found[2] == ["left", "right"]
-    assert sorted(k for k in found if k != "modes") == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14, 15, 16, 17, 18]
-    assert not array(found[3], n).any() and not array(found[4], n).any()
-    points = np.array([array(found[k], 2) for k in (5, 6, 7)]).T
+    assert records[1] == ["REV0", "2", str(n), "0", "0", "0"] and records[2] == ["left", "right"]
+    assert sorted(k for k in records if k != "modes") == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14, 15, 16, 17, 18]
+    assert not array(records[3], n).any() and not array(records[4], n).any()
+    points = np.array([array(records[k], 2) for k in (5, 6, 7)]).T
     assert points == pytest.approx(np.array([[0.0, 0.0, 0.005], [0.5, 0.0, 0.005]]), abs=1e-12)
-    modes = array(found[8], n, 2, 6)
-    assert found["modes"] == n
+    modes = array(records[8], n, 2, 6)
+    assert records["modes"] == n
     for k, name in enumerate(("left", "right")):
         assert np.array_equal(modes[:, k].T, frame.markers[name].motion)
     # The frame follows the left interface, so that it does not move in it.
@@ -75,12 +75,12 @@ def test_header_and_nodes(beam):
 
 
 def test_matrices_and_inertia(beam):
-    model, source, found = beam
+    model, source, records = beam
     frame = source.bodies["cb"].floating
     n = frame.count
     for group, matrix in ((9, frame.integrals.Me), (10, frame.Ke), (13, frame.De)):
-        assert array(found[group], n, n) == pytest.approx(matrix, rel=1e-12, abs=1e-14 * np.abs(matrix).max())
-    inertia = array(found[12], 13)
+        assert array(records[group], n, n) == pytest.approx(matrix, rel=1e-12, abs=1e-14 * np.abs(matrix).max())
+    inertia = array(records[12], 13)
     X = model.nodes.xyz
     Ms = model.M[::3][:, ::3]
     m = Ms @ np.ones(len(X))
@@ -93,7 +93,7 @@ def test_matrices_and_inertia(beam):
 
 def test_invariants_are_integrals_over_the_mass(beam):
     """With a mass matrix of one scalar per pair of nodes every integral is a double sum over nodes."""
-    model, source, found = beam
+    model, source, records = beam
     body = source.bodies["cb"]
     frame, n = body.floating, body.floating.count
     X = model.nodes.xyz - frame.origin
@@ -103,31 +103,31 @@ def test_invariants_are_integrals_over_the_mass(beam):
     both = np.einsum("pq,pa,qbl->abl", Ms, X, phi)
     pairs = np.einsum("pq,paj,qbk->abjk", Ms, phi, phi, optimize=True)
     near = {"rel": 1e-8, "abs": 1e-11 * np.abs(pairs).max()}
-    assert array(found[14], 3, n) == pytest.approx(first, **near)
+    assert array(records[14], 3, n) == pytest.approx(first, **near)
     cross = np.array([[np.cross(np.eye(3)[a], np.eye(3)[b]) for b in range(3)] for a in range(3)])
-    assert array(found[15], 3, n) == pytest.approx(np.einsum("abc,abl->cl", cross, both), **near)
+    assert array(records[15], 3, n) == pytest.approx(np.einsum("abc,abl->cl", cross, both), **near)
     # x~ phi~ = sum over products of x_a and phi_b of (e_a)~ (e_b)~.
     tilde = skew(np.eye(3))
     products = np.einsum("axy,byz->abxz", tilde, tilde)
-    inv8 = array(found[16], 3, n, 3).transpose(1, 0, 2)
+    inv8 = array(records[16], 3, n, 3).transpose(1, 0, 2)
     assert inv8 == pytest.approx(-np.einsum("abl,abxz->lxz", both, products), **near)
-    inv5 = array(found[17], 3, n, n)
+    inv5 = array(records[17], 3, n, n)
     assert inv5 == pytest.approx(np.einsum("abc,abjk->cjk", cross, pairs), **near)
-    inv9 = array(found[18], 3, n, n, 3).transpose(1, 2, 0, 3)
+    inv9 = array(records[18], 3, n, n, 3).transpose(1, 2, 0, 3)
     assert inv9 == pytest.approx(np.einsum("abjk,abxz->jkxz", pairs, products), **near)
 
 
 def test_inertia_of_the_deformed_body(beam):
     """Group 12, 16 and 18 together give the inertia of the deformed body about the frame's origin."""
-    model, source, found = beam
+    model, source, records = beam
     body = source.bodies["cb"]
     frame, n = body.floating, body.floating.count
     q = np.linspace(-1, 1, n) * 1e-3
     x = model.nodes.xyz - frame.origin + (body.basis() @ (frame.elastic @ q)).reshape(-1, 3)
     Ms = model.M[::3][:, ::3]
     S2 = x.T @ (Ms @ x)
-    inv8 = np.einsum("xlz,l->xz", array(found[16], 3, n, 3), q)
-    inv9 = np.einsum("xjkz,j,k->xz", array(found[18], 3, n, n, 3), q, q)
+    inv8 = np.einsum("xlz,l->xz", array(records[16], 3, n, 3), q)
+    inv9 = np.einsum("xjkz,j,k->xz", array(records[18], 3, n, n, 3), q, q)
     J = frame.integrals.inertia + inv8 + inv8.T - inv9
     expected = np.trace(S2) * np.eye(3) - S2
     assert pytest.approx(expected, rel=1e-9, abs=1e-12) == J

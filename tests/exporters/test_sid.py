@@ -26,7 +26,7 @@ J_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def exported(tmp_path_factory):
     """A lopsided block with three interfaces, its frame following the first; the body file."""
     def warp(x):
         return x + 0.05 * x[..., [1]] * np.array([1.0, 0.0, 2.0])
@@ -47,17 +47,17 @@ def parsed(path):
     """Every number of the file as {(node or 0, section, 0 or 1): {indices: value}}, with a regular expression only."""
     entries, sizes, node, section = {}, {}, 0, ""
     for line in path.read_text().splitlines()[1:]:
-        if found := re.fullmatch(r" {16}new node {24}= +(\d+)", line):
-            node = int(found[1])
+        if match := re.fullmatch(r" {16}new node {24}= +(\d+)", line):
+            node = int(match[1])
         elif re.fullmatch(r" {16}end node *", line):
             node = 0
-        elif found := re.fullmatch(r" {11,21}(mdCM|J|Ct|Cr|Me|Gr|Ge|Oe|ksigma|Ke|De|origin|phi|psi|AP) +", line):
-            section = found[1]
-        elif found := re.fullmatch(r" {26}(order|nrow|ncol|nq|nqn|structure) +=  +(\d+)", line):
-            sizes[node, section, found[1]] = int(found[2])
-        elif found := re.fullmatch(r" {26}m(\d)\(([\d, ]+)\) +=([ -]\d\.\d{11}D[+-]\d\d)", line):
-            indices = tuple(int(i) - 1 for i in found[2].split(","))
-            entries.setdefault((node, section, int(found[1])), {})[indices] = float(found[3].replace("D", "E"))
+        elif match := re.fullmatch(r" {11,21}(mdCM|J|Ct|Cr|Me|Gr|Ge|Oe|ksigma|Ke|De|origin|phi|psi|AP) +", line):
+            section = match[1]
+        elif match := re.fullmatch(r" {26}(order|nrow|ncol|nq|nqn|structure) +=  +(\d+)", line):
+            sizes[node, section, match[1]] = int(match[2])
+        elif match := re.fullmatch(r" {26}m(\d)\(([\d, ]+)\) +=([ -]\d\.\d{11}D[+-]\d\d)", line):
+            indices = tuple(int(i) - 1 for i in match[2].split(","))
+            entries.setdefault((node, section, int(match[1])), {})[indices] = float(match[3].replace("D", "E"))
         elif "=" in line:
             assert re.match(r" +(mass|nelastq|ielastq \( *\d+\)|rframe|new modal) +=", line), line
     return entries, sizes
@@ -74,36 +74,36 @@ def taylor(path, section, node=0):
     return M
 
 
-def ours(path, stiffening=None):
+def in_file(path, stiffening=None):
     """Body of the file in normal coordinates, as written."""
     body = read_body(path).bodies["cb30"]
     return normal_coordinates(replace(body.floating, stiffening=stiffening))[0]
 
 
-def close(found, expected, digits=11):
+def close(actual, expected, digits=11):
     """Equal entry by entry to the digits of the file."""
     scale = np.abs(expected)
-    np.testing.assert_allclose(found, expected, rtol=10.0**-digits, atol=1e-13 * scale.max(initial=0.0))
+    np.testing.assert_allclose(actual, expected, rtol=10.0**-digits, atol=1e-13 * scale.max(initial=0.0))
 
 
 @pytest.mark.parametrize("dialect", ["fembs", "mode-major"])
-def test_every_term_by_an_independent_parser(made, tmp_path, dialect):
-    path = export_body(made, "sid", path=tmp_path / "a.SID_FEM", options={"dialect": dialect}).paths[0]
-    frame = ours(made)
-    its, n = frame.integrals, frame.count
+def test_every_term_by_an_independent_parser(exported, tmp_path, dialect):
+    path = export_body(exported, "sid", path=tmp_path / "a.SID_FEM", options={"dialect": dialect}).paths[0]
+    frame = in_file(exported)
+    integrals, n = frame.integrals, frame.count
     close(taylor(path, "Me")[0], np.eye(n))
     close(taylor(path, "Ke")[0], frame.Ke)
     for name in ("ksigma", "De"):
         assert not taylor(path, name)[0].any()
-    close(taylor(path, "mdCM")[0][:, 0], its.first)
-    close(taylor(path, "mdCM")[1][:, :, 0], its.Ct.T)
-    close(taylor(path, "Ct")[0], its.Ct)
-    close(taylor(path, "Cr")[0], its.Cr)
-    close(taylor(path, "J")[0][:, 0], [its.inertia[a, b] for a, b in J_PAIRS])
-    close(taylor(path, "J")[1][:, :, 0].T, np.array([[its.J1[k, a, b] for a, b in J_PAIRS] for k in range(n)]))
-    close(taylor(path, "Oe")[0], its.Oe)
-    close(taylor(path, "Oe")[1], its.Oe1.transpose(0, 2, 1))
-    for name, blocks in (("Gr", its.Gr), ("Ge", its.Ge)):
+    close(taylor(path, "mdCM")[0][:, 0], integrals.first)
+    close(taylor(path, "mdCM")[1][:, :, 0], integrals.Ct.T)
+    close(taylor(path, "Ct")[0], integrals.Ct)
+    close(taylor(path, "Cr")[0], integrals.Cr)
+    close(taylor(path, "J")[0][:, 0], [integrals.inertia[a, b] for a, b in J_PAIRS])
+    close(taylor(path, "J")[1][:, :, 0].T, np.array([[integrals.J1[k, a, b] for a, b in J_PAIRS] for k in range(n)]))
+    close(taylor(path, "Oe")[0], integrals.Oe)
+    close(taylor(path, "Oe")[1], integrals.Oe1.transpose(0, 2, 1))
+    for name, blocks in (("Gr", integrals.Gr), ("Ge", integrals.Ge)):
         A = taylor(path, name)[0]
         for k in range(n):
             columns = slice(3 * k, 3 * k + 3) if dialect == "mode-major" else slice(k, None, n)
@@ -122,9 +122,9 @@ def test_every_term_by_an_independent_parser(made, tmp_path, dialect):
 
 
 @pytest.mark.parametrize("dialect", ["fembs", "mode-major"])
-def test_identities_of_the_file(made, tmp_path, dialect):
+def test_identities_of_the_file(exported, tmp_path, dialect):
     """J1 = sym(Gr), Ge = 2 Cr1, Oe from Gr, and the tangent frame rests."""
-    path = export_body(made, "sid", path=tmp_path / "a.SID_FEM", options={"dialect": dialect}).paths[0]
+    path = export_body(exported, "sid", path=tmp_path / "a.SID_FEM", options={"dialect": dialect}).paths[0]
     sid = read_sid(path)
     assert sid.dialect == dialect
     for k in range(sid.count):
@@ -138,17 +138,18 @@ def test_identities_of_the_file(made, tmp_path, dialect):
     assert np.abs(sid.nodes[1].phi.M0).max() < 1e-9 * scale and np.abs(sid.nodes[2].psi.M0).max() > 1e-3 * scale
 
 
-def test_reader_gives_back_what_was_written(made, tmp_path):
-    path = export_body(made, "sid", path=tmp_path / "a.SID_FEM").paths[0]
-    sid, frame = read_sid(path), ours(made)
-    its = frame.integrals
-    assert sid.mass == pytest.approx(its.mass, rel=1e-11)
+def test_reader_gives_back_what_was_written(exported, tmp_path):
+    path = export_body(exported, "sid", path=tmp_path / "a.SID_FEM").paths[0]
+    sid, frame = read_sid(path), in_file(exported)
+    integrals = frame.integrals
+    assert sid.mass == pytest.approx(integrals.mass, rel=1e-11)
     assert sid.frequencies_hz == pytest.approx(np.sqrt(np.diag(frame.Ke)) / (2 * np.pi), rel=1e-5)
-    for mine, theirs in (
-        (sid.Cr.M1, its.Cr1), (sid.Gr, its.Gr), (sid.Ge, its.Ge), (sid.Oe.M1, its.Oe1.transpose(0, 2, 1)),
-        (sid.J.M0[:, 0], np.array([its.inertia[a, b] for a, b in J_PAIRS])), (sid.Ke.M0, frame.Ke),
+    for read, written in (
+        (sid.Cr.M1, integrals.Cr1), (sid.Gr, integrals.Gr), (sid.Ge, integrals.Ge),
+        (sid.Oe.M1, integrals.Oe1.transpose(0, 2, 1)),
+        (sid.J.M0[:, 0], np.array([integrals.inertia[a, b] for a, b in J_PAIRS])), (sid.Ke.M0, frame.Ke),
     ):  # fmt: skip
-        assert np.abs(mine - theirs).max() <= 1e-11 * np.abs(theirs).max()
+        assert np.abs(read - written).max() <= 1e-11 * np.abs(written).max()
 
 
 def test_energy_of_a_moving_body_from_the_file_is_that_of_its_mass_points(tmp_path):
@@ -165,8 +166,8 @@ def test_energy_of_a_moving_body_from_the_file_is_that_of_its_mass_points(tmp_pa
     q, qd, v, w = 1e-3 * rng.normal(size=n), rng.normal(size=n), rng.normal(size=3), 5 * rng.normal(size=3)
     # Nodes in the file: origin(q) = x + phi q, after the interface.
     nodes = [sid.nodes[k] for k in range(2, 2 + len(model.nodes))]
-    x = np.array([one.origin.M0[:, 0] + one.origin.M1[:, :, 0] @ q for one in nodes])
-    u = v + np.cross(w, x) + np.array([one.phi.M0 @ qd for one in nodes])
+    x = np.array([node.origin.M0[:, 0] + node.origin.M1[:, :, 0] @ q for node in nodes])
+    u = v + np.cross(w, x) + np.array([node.phi.M0 @ qd for node in nodes])
     order = model.dofs.of_nodes(np.arange(len(model.nodes))).ravel()
     M = model.M.tocsr()[order][:, order]
     expected = 0.5 * u.ravel() @ (M @ u.ravel())
@@ -179,28 +180,30 @@ def test_energy_of_a_moving_body_from_the_file_is_that_of_its_mass_points(tmp_pa
     energy += v @ (sid.Ct.M0.T @ qd) + w @ (Cr.T @ qd) + 0.5 * qd @ sid.Me.M0 @ qd
     # The file has no second order in J.
     second = sum(0.5 * np.sum(np.cross(w, p - p0) ** 2) for p, p0 in
-                 zip(x, (one.origin.M0[:, 0] for one in nodes), strict=True)) * sid.mass / len(x)  # fmt: skip
+                 zip(x, (node.origin.M0[:, 0] for node in nodes), strict=True)) * sid.mass / len(x)  # fmt: skip
     assert energy == pytest.approx(expected, abs=2 * second + 1e-10 * expected)
     assert second < 1e-4 * expected
 
 
-def test_normal_coordinates_are_the_same_body(made):
+def test_normal_coordinates_are_the_same_body(exported):
     """Every integral is linear or quadratic in the shapes."""
-    before = read_body(made).bodies["cb30"].floating
+    before = read_body(exported).bodies["cb30"].floating
     after, changed = normal_coordinates(before)
     T = np.linalg.lstsq(before.elastic, after.elastic, rcond=None)[0]
     old, new = before.integrals, after.integrals
     assert changed and not normal_coordinates(after)[1]
-    for one, other in ((new.Me, np.eye(after.count)), (after.Ke, np.diag(np.diag(after.Ke))), (new.Ct, T.T @ old.Ct),
-                       (new.Cr, T.T @ old.Cr), (new.C4, np.einsum("lk,lab->kab", T, old.C4)),
-                       (new.C6, np.einsum("ki,lj,klab->ijab", T, T, old.C6)), (after.De, T.T @ before.De @ T),
-                       (after.markers["tip"].motion, before.markers["tip"].motion @ T)):  # fmt: skip
-        assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max()
+    for actual, expected in (
+        (new.Me, np.eye(after.count)), (after.Ke, np.diag(np.diag(after.Ke))), (after.De, T.T @ before.De @ T),
+        (new.Ct, T.T @ old.Ct), (new.Cr, T.T @ old.Cr), (new.C4, np.einsum("lk,lab->kab", T, old.C4)),
+        (new.C6, np.einsum("ki,lj,klab->ijab", T, T, old.C6)),
+        (after.markers["tip"].motion, before.markers["tip"].motion @ T),
+    ):  # fmt: skip
+        assert np.abs(actual - expected).max() <= 1e-9 * np.abs(actual).max()
 
 
-def test_damping_moves_to_the_normal_coordinates(made, tmp_path):
+def test_damping_moves_to_the_normal_coordinates(exported, tmp_path):
     """A damping that couples all coordinates: the response of the file is that of the body."""
-    source = read_body(made)
+    source = read_body(exported)
     body = source.bodies["cb30"]
     frame = body.floating
     A = np.random.default_rng(8).normal(size=frame.Ke.shape)
@@ -208,17 +211,17 @@ def test_damping_moves_to_the_normal_coordinates(made, tmp_path):
     De = 1e-5 * np.outer(size, size) * (A @ A.T)
     written = SidFem().export(source, replace(body, floating=replace(frame, De=De)), tmp_path / "d.SID_FEM")
     sid = read_sid(written.paths[0])
-    its, s = frame.integrals, 2j * np.pi * 900.0
-    wanted = its.Ct.T @ np.linalg.solve(s * s * its.Me + s * De + frame.Ke, its.Ct)
-    found = sid.Ct.M0.T @ np.linalg.solve(s * s * sid.Me.M0 + s * sid.De.M0 + sid.Ke.M0, sid.Ct.M0)
-    assert np.abs(found - wanted).max() < 1e-7 * np.abs(wanted).max()
-    light = its.Ct.T @ np.linalg.solve(s * s * its.Me + frame.Ke, its.Ct)
+    integrals, s = frame.integrals, 2j * np.pi * 900.0
+    wanted = integrals.Ct.T @ np.linalg.solve(s * s * integrals.Me + s * De + frame.Ke, integrals.Ct)
+    response = sid.Ct.M0.T @ np.linalg.solve(s * s * sid.Me.M0 + s * sid.De.M0 + sid.Ke.M0, sid.Ct.M0)
+    assert np.abs(response - wanted).max() < 1e-7 * np.abs(wanted).max()
+    light = integrals.Ct.T @ np.linalg.solve(s * s * integrals.Me + frame.Ke, integrals.Ct)
     assert np.abs(light - wanted).max() > 1e-2 * np.abs(wanted).max()
 
 
-def test_frames_that_do_not_lie_along_the_body(made, tmp_path):
+def test_frames_that_do_not_lie_along_the_body(exported, tmp_path):
     """AP takes components along the interface's axes to those of the body, and turns with the interface."""
-    source = read_body(made)
+    source = read_body(exported)
     # Rows are the axes: x along y of the body, y along z, z along x, then a turn about the new z.
     c, s = np.cos(0.4), np.sin(0.4)
     axes = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
@@ -227,7 +230,7 @@ def test_frames_that_do_not_lie_along_the_body(made, tmp_path):
     body = source.bodies["cb30"]
     path = SidFem().export(source, body, tmp_path / "t.SID_FEM").paths[0]
     M0, M1 = taylor(path, "AP", 2)
-    psi = ours(made).markers["tip"].motion[3:]
+    psi = in_file(exported).markers["tip"].motion[3:]
     x = np.array([1.0, 0.0, 0.0])
     close(M0 @ x, axes[0])
     for q in range(psi.shape[1]):
@@ -267,8 +270,8 @@ def test_rotating_beam_stiffens_from_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("dialect", ["fembs", "mode-major"])
-def test_stiffening_joins_the_terms_of_first_order(made, tmp_path, dialect):
-    source = read_body(made)
+def test_stiffening_joins_the_terms_of_first_order(exported, tmp_path, dialect):
+    source = read_body(exported)
     body = source.bodies["cb30"]
     stiff = stiffened(body.floating.count, ["hub", "tip"])
     body = replace(body, floating=replace(body.floating, stiffening=stiff))
@@ -277,17 +280,17 @@ def test_stiffening_joins_the_terms_of_first_order(made, tmp_path, dialect):
     sid = read_sid(written.paths[0])
     assert sid.dialect == dialect
     # Elastic force of each load in the coordinates of the file, against the same in those of the body.
-    frame = ours(made)
+    frame = in_file(exported)
     T = np.linalg.lstsq(body.floating.elastic, frame.elastic, rcond=None)[0]
     rng = np.random.default_rng(1)
     q, a, wd, f = rng.normal(size=frame.count), rng.normal(size=3), rng.normal(size=3), rng.normal(size=6)
     w = rng.normal(size=3)
     omega = np.array([w[i] * w[j] for i, j in OMEGA_PAIRS])
-    its = frame.integrals
-    found = {
+    integrals = frame.integrals
+    terms = {
         "a": np.einsum("ila,l,a->i", sid.Ct.M1, q, a),
-        "wd": np.einsum("ila,l,a->i", sid.Cr.M1 - its.Cr1, q, wd),
-        "w": np.einsum("ila,l,a->i", sid.Oe.M1 - its.Oe1.transpose(0, 2, 1), q, omega),
+        "wd": np.einsum("ila,l,a->i", sid.Cr.M1 - integrals.Cr1, q, wd),
+        "w": np.einsum("ila,l,a->i", sid.Oe.M1 - integrals.Oe1.transpose(0, 2, 1), q, omega),
         # phi' f stands on the other side of the equation.
         "f": -np.einsum("jli,l,j->i", np.vstack([sid.nodes[2].phi.M1, sid.nodes[2].psi.M1]), q, f),
     }
@@ -297,20 +300,20 @@ def test_stiffening_joins_the_terms_of_first_order(made, tmp_path, dialect):
     }  # fmt: skip
     for key, G in wanted.items():
         expected = T.T @ G @ (T @ q)
-        assert np.abs(found[key] - expected).max() < 1e-8 * np.abs(expected).max(), key
+        assert np.abs(terms[key] - expected).max() < 1e-8 * np.abs(expected).max(), key
 
 
-def test_layout_of_other_programs_is_detected(made, tmp_path):
+def test_layout_of_other_programs_is_detected(exported, tmp_path):
     """Gr mode by mode beside Ge axis by axis; then columns that fit nothing, and the other order of indices."""
-    paths = {d: export_body(made, "sid", path=tmp_path / f"{d}.SID_FEM", options={"dialect": d}).paths[0]
+    paths = {d: export_body(exported, "sid", path=tmp_path / f"{d}.SID_FEM", options={"dialect": d}).paths[0]
              for d in ("fembs", "mode-major")}  # fmt: skip
     plain, flat = (paths[d].read_text() for d in ("fembs", "mode-major"))
     pattern = re.compile(r"\n {11}Gr .*?end Gr", re.DOTALL)
     mixed = tmp_path / "mixed.SID_FEM"
     mixed.write_text(pattern.sub(lambda _: pattern.search(flat)[0], plain))
-    one, two = read_sid(mixed), read_sid(paths["fembs"])
-    assert one.dialect == "mixed"
-    assert np.array_equal(one.Gr, two.Gr) and np.array_equal(one.Ge, two.Ge)
+    without_title, original = read_sid(mixed), read_sid(paths["fembs"])
+    assert without_title.dialect == "mixed"
+    assert np.array_equal(without_title.Gr, original.Gr) and np.array_equal(without_title.Ge, original.Ge)
     strange = tmp_path / "strange.SID_FEM"
     strange.write_text(re.sub(r"(\n {11}Gr .*?=)( |-)(\d\.\d+D.00)", r"\1 9.0D+05", plain, count=1, flags=re.DOTALL))
     with pytest.raises(InputError, match="Gr fits no known layout"):
@@ -321,8 +324,8 @@ def test_layout_of_other_programs_is_detected(made, tmp_path):
         read_sid(swapped)
 
 
-def test_reader_wants_whole_files(made, tmp_path):
-    path = export_body(made, "sid", path=tmp_path / "a.SID_FEM").paths[0]
+def test_reader_wants_whole_files(exported, tmp_path):
+    path = export_body(exported, "sid", path=tmp_path / "a.SID_FEM").paths[0]
     text = path.read_text()
     for cut, message in (
         (text[: len(text) // 2], "ends within|missing: "),
@@ -352,27 +355,27 @@ def test_one_coordinate(tmp_path):
     assert read_sid(files[0]).Gr.shape == (1, 3, 3)
 
 
-def test_default_name_and_notes(made):
-    written = export_body(made, "sid")
-    assert written.paths == (made.with_name("block.SID_FEM"),)
+def test_default_name_and_notes(exported):
+    written = export_body(exported, "sid")
+    assert written.paths == (exported.with_name("block.SID_FEM"),)
     notes = " | ".join(written.notes)
     for words in ("nodes: 1 hub, 2 tip", "left out: side", "normal modes", "twelve digits", "(0.05, 0.02, 0.01) m"):
         assert words in notes
     written.paths[0].unlink()
 
 
-def test_a_large_file_is_noted_with_what_makes_it_small(made, tmp_path, monkeypatch):
+def test_a_large_file_is_noted_with_what_makes_it_small(exported, tmp_path, monkeypatch):
     whole, few = {"nodes": "all"}, {"nodes": "interfaces"}
-    sizes = [export_body(made, "sid", path=tmp_path / f"{n}.SID_FEM", options=o).paths[0].stat().st_size
+    sizes = [export_body(exported, "sid", path=tmp_path / f"{n}.SID_FEM", options=o).paths[0].stat().st_size
              for n, o in enumerate((whole, few))]  # fmt: skip
     monkeypatch.setattr("morembs.exporters.sid.LARGE", sizes[0] - 1)
     for number, options in enumerate((whole, few)):
-        notes = " | ".join(export_body(made, "sid", path=tmp_path / f"{number}.SID_FEM", options=options).notes)
+        notes = " | ".join(export_body(exported, "sid", path=tmp_path / f"{number}.SID_FEM", options=options).notes)
         assert ("MB of text" in notes) == (options is whole)
 
 
-def test_bad_input(made, tmp_path):
-    source = read_body(made)
+def test_bad_input(exported, tmp_path):
+    source = read_body(exported)
     body, path = source.bodies["cb30"], tmp_path / "a.SID_FEM"
     floating = body.floating
     cases = (
@@ -394,4 +397,4 @@ def test_bad_input(made, tmp_path):
         in_two_digits("Ct", np.array([1e-85, 1e-101]), "a SID file")
     assert in_two_digits("Ct", np.array([1.0, 1e-101]), "a SID file")[1] == 0
     with pytest.raises(InputError, match="expected 'fembs' or 'mode-major'"):
-        export_body(made, "sid", path=path, options={"dialect": "femb"})
+        export_body(exported, "sid", path=path, options={"dialect": "femb"})

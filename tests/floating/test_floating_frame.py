@@ -25,9 +25,9 @@ SIZE = (0.5, 0.05, 0.03)
 @pytest.fixture(scope="module")
 def beam():
     model = steel(box("hex20", (6, 2, 1), SIZE))
-    made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
             for n, x, c in (("l", 0.0, "rigid"), ("r", 0.5, "average"))]  # fmt: skip
-    with Problem(model, made) as problem:
+    with Problem(model, interfaces) as problem:
         yield problem
 
 
@@ -45,14 +45,14 @@ def test_a_box_has_its_mass_centre_and_inertia():
     model = steel(box("hex8", (5, 3, 2), SIZE))
     with Problem(model) as problem:
         frame = floating_frame(problem, Modal(modes=4).reduce(problem), origin=(0.1, -0.2, 0.3))
-    its, m = frame.integrals, 7850 * np.prod(SIZE)
-    assert abs(its.mass / m - 1) < 1e-14
+    integrals, m = frame.integrals, 7850 * np.prod(SIZE)
+    assert abs(integrals.mass / m - 1) < 1e-14
     center = np.array(SIZE) / 2 - [0.1, -0.2, 0.3]
-    assert np.abs(its.center - center).max() < 1e-14
+    assert np.abs(integrals.center - center).max() < 1e-14
     a, b, c = SIZE
     own = m / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
     about = own + m * (center @ center * np.eye(3) - np.outer(center, center))
-    assert np.abs(its.inertia - about).max() < 1e-14 * np.abs(about).max()
+    assert np.abs(integrals.inertia - about).max() < 1e-14 * np.abs(about).max()
 
 
 @pytest.mark.parametrize("name", ["cb", "modal"])
@@ -61,18 +61,18 @@ def test_integrals_are_those_of_the_whole_mass_matrix(beam, bodies, name, kind, 
     reduced, M = bodies[name], beam.model.M.toarray()
     frame = floating_frame(beam, reduced, kind=kind, interfaces=interfaces, origin=(0.05, 0.01, -0.02))
     P, x = shapes_of(beam, reduced, frame)
-    its = frame.integrals
+    integrals = frame.integrals
     R = rigid_motion(np.repeat(x, 3, axis=0), np.tile(np.arange(3), len(x)))
     near = 1e-12 * np.sqrt(np.diag(P.T @ M @ P))
-    assert (np.abs(P.T @ M @ P - its.Me) <= np.outer(near, near) * 1e12).all()
-    assert np.abs(R.T @ M @ R - its.rigid).max() < 1e-12
-    assert (np.abs(P.T @ M @ R - np.hstack([its.Ct, its.Cr])) <= near[:, None]).all()
+    assert (np.abs(P.T @ M @ P - integrals.Me) <= np.outer(near, near) * 1e12).all()
+    assert np.abs(R.T @ M @ R - integrals.rigid).max() < 1e-12
+    assert (np.abs(P.T @ M @ R - np.hstack([integrals.Ct, integrals.Cr])) <= near[:, None]).all()
     Ms, parts = M[::3, ::3], [P[a::3] for a in range(3)]
     for a in range(3):
         for b in range(3):
-            assert (np.abs(x[:, a] @ Ms @ parts[b] - its.x_phi[a, b]) <= near).all()
+            assert (np.abs(x[:, a] @ Ms @ parts[b] - integrals.x_phi[a, b]) <= near).all()
             direct = parts[a].T @ Ms @ parts[b]
-            assert (np.abs(direct - its.phi_phi[a, b]) <= 1e12 * np.outer(near, near)).all()
+            assert (np.abs(direct - integrals.phi_phi[a, b]) <= 1e12 * np.outer(near, near)).all()
     # Rigid motions in reduced coordinates are rigid motions of all nodes.
     assert np.abs(beam.coupling.T @ (reduced.V @ frame.rigid) - R).max() < 1e-11
 
@@ -130,14 +130,14 @@ def test_markers_move_as_their_nodes(beam, bodies):
 
 def test_the_free_frequencies_do_not_depend_on_the_frame(beam, bodies):
     for reduced in bodies.values():
-        found = []
+        frequencies = []
         for kind, interfaces in KINDS:
             frame = floating_frame(beam, reduced, kind=kind, interfaces=interfaces)
             C = np.hstack([frame.integrals.Ct, frame.integrals.Cr])
             free = frame.integrals.Me - C @ np.linalg.solve(frame.integrals.rigid, C.T)
-            found.append(sl.eigh(frame.Ke, free, eigvals_only=True))
+            frequencies.append(sl.eigh(frame.Ke, free, eigvals_only=True))
         expected = reduced.modes()[0][6:]
-        assert np.abs(np.array(found) / expected - 1).max() < 1e-9
+        assert np.abs(np.array(frequencies) / expected - 1).max() < 1e-9
 
 
 def test_a_frame_can_be_changed_afterwards(beam, bodies):
@@ -155,29 +155,29 @@ def test_a_frame_can_be_changed_afterwards(beam, bodies):
 
 
 def test_tables_obey_the_identities_of_the_theory(beam, bodies):
-    its = floating_frame(beam, bodies["cb"], kind="tangent", interfaces=("l",)).integrals
+    integrals = floating_frame(beam, bodies["cb"], kind="tangent", interfaces=("l",)).integrals
     P, x = shapes_of(beam, bodies["cb"], floating_frame(beam, bodies["cb"], kind="tangent", interfaces=("l",)))
     Ms = beam.model.M.toarray()[::3, ::3]
     shape = P.reshape(len(x), 3, -1)
     # int x~ phi~ dm by products of skew matrices of the nodes.
     for mode in (0, 3):
         direct = np.einsum("iab,ij,jbc->ac", skew(x), Ms, skew(shape[:, :, mode]))
-        assert np.abs(its.C4[mode] - direct).max() < 1e-12
+        assert np.abs(integrals.C4[mode] - direct).max() < 1e-12
         direct = np.einsum("iab,ij,jbc->ac", skew(shape[:, :, 1]), Ms, skew(shape[:, :, mode]))
-        assert np.abs(its.C6[1, mode] - direct).max() < 1e-11
-    skewed = its.Cr1.transpose(2, 0, 1)
+        assert np.abs(integrals.C6[1, mode] - direct).max() < 1e-11
+    skewed = integrals.Cr1.transpose(2, 0, 1)
     assert np.abs(skewed + skewed.transpose(0, 2, 1)).max() < 1e-12 * np.abs(skewed).max()
     pairs = [
-        its.C4[:, a, b] + (its.C4[:, b, a] if a != b else 0)
+        integrals.C4[:, a, b] + (integrals.C4[:, b, a] if a != b else 0)
         for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
     ]
-    assert np.abs(its.Oe - np.array(pairs).T).max() == 0
-    assert np.abs(np.einsum("laa->l", its.C4) + 2 * np.einsum("aal->l", its.x_phi)).max() < 1e-12
+    assert np.abs(integrals.Oe - np.array(pairs).T).max() == 0
+    assert np.abs(np.einsum("laa->l", integrals.C4) + 2 * np.einsum("aal->l", integrals.x_phi)).max() < 1e-12
     # The inertia of the deformed body, integrated anew, is the quadratic polynomial of the tables.
-    q = 1e-3 * np.cos(np.arange(its.count))
+    q = 1e-3 * np.cos(np.arange(integrals.count))
     moved = x + shape @ q
     S2 = moved.T @ Ms @ moved
-    J = its.inertia + np.tensordot(q, its.J1, 1) - np.einsum("klab,k,l->ab", its.C6, q, q)
+    J = integrals.inertia + np.tensordot(q, integrals.J1, 1) - np.einsum("klab,k,l->ab", integrals.C6, q, q)
     assert np.abs(J - (np.trace(S2) * np.eye(3) - S2)).max() < 1e-13
 
 
@@ -212,9 +212,9 @@ def test_rotating_masses_keep_their_consistent_parts():
     arms = np.array([[lump[2, 4], lump[0, 5], lump[1, 3]] for lump in lumps]) / -mass[:, None]
     origin = np.array([0.7, -0.4, 1.1])
     with Problem(model) as problem:
-        its, _ = shape_integrals(model, P, origin, problem.budget)
-    assert its.mass == pytest.approx(mass.sum(), rel=1e-13)
-    assert np.abs(its.first - mass @ (x + arms - origin)).max() < 1e-12
+        integrals, _ = shape_integrals(model, P, origin, problem.budget)
+    assert integrals.mass == pytest.approx(mass.sum(), rel=1e-13)
+    assert np.abs(integrals.first - mass @ (x + arms - origin)).max() < 1e-12
     assert np.abs(frame.integrals.first - mass @ (x + arms - frame.origin)).max() < 1e-12
 
 

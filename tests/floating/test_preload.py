@@ -59,30 +59,30 @@ def test_a_pinned_beam_in_tension_rises_as_a_string_and_falls_in_compression(cou
     model, interfaces = beam(coupling)
     with Problem(model, interfaces) as problem:
         plain = held_squares(problem, PINNED)
-        made = preloaded(problem, pulled(part * EULER))
-    with Problem(made.model, interfaces) as problem:
-        stressed = held_squares(problem, PINNED)
+        stressed = preloaded(problem, pulled(part * EULER))
+    with Problem(stressed.model, interfaces) as problem:
+        loaded = held_squares(problem, PINNED)
     k = np.pi * np.array([1, 2]) / LENGTH
     # Every bending mode comes twice.
-    change = (stressed - plain)[[0, 2]]
+    change = (loaded - plain)[[0, 2]]
     assert change == pytest.approx(part * EULER * k**2 / LINE_MASS, rel=4e-3)
-    off = stressed[[0, 2]] - (k**4 * EI + k**2 * part * EULER) / LINE_MASS
+    off = loaded[[0, 2]] - (k**4 * EI + k**2 * part * EULER) / LINE_MASS
     assert (np.abs(off) < 1.2e-2 * k**4 * EI / LINE_MASS).all()
 
 
 def test_a_preloaded_body_still_has_six_free_motions_and_reduces_as_any_other():
     model, interfaces = beam("average")
     with Problem(model, interfaces) as problem:
-        made = preloaded(problem, pulled(-0.9 * EULER))
-    with Problem(made.model, interfaces) as problem:
+        stressed = preloaded(problem, pulled(-0.9 * EULER))
+    with Problem(stressed.model, interfaces) as problem:
         size = np.abs(problem.K).max()
         assert problem.rigid.shape[1] == 6
         assert np.abs(problem.K @ problem.rigid).max() < 1e-14 * size * np.abs(problem.rigid).max()
         reduced = CraigBampton(modes=8).reduce(problem)
         exact = held_squares(problem, PINNED)[:4]
         hold = sl.null_space(reduced.B[:, PINNED].T)
-        mine = sl.eigh(hold.T @ reduced.K @ hold, hold.T @ reduced.M @ hold, eigvals_only=True)[:4]
-        assert mine == pytest.approx(exact, rel=1e-4)
+        values = sl.eigh(hold.T @ reduced.K @ hold, hold.T @ reduced.M @ hold, eigvals_only=True)[:4]
+        assert values == pytest.approx(exact, rel=1e-4)
         assert floating_frame(problem, reduced).count == reduced.order - 6
 
 
@@ -93,11 +93,11 @@ def test_the_critical_factor_is_that_of_euler(follows, length):
     force = 0.2 * EULER
     with Problem(model, interfaces) as problem:
         load = pulled(-force)
-        made = preloaded(problem, Preload(wrench=load.wrench, follows=follows))
+        stressed = preloaded(problem, Preload(wrench=load.wrench, follows=follows))
         # The section's own rotation and shear take less than the third digit.
-        assert made.critical_factor == pytest.approx(EULER / length**2 / force, rel=4e-3)
-        assert made.notes["preload_critical_factor"] == made.critical_factor
-        limit = made.critical_factor
+        assert stressed.critical_factor == pytest.approx(EULER / length**2 / force, rel=4e-3)
+        assert stressed.notes["preload_critical_factor"] == stressed.critical_factor
+        limit = stressed.critical_factor
         with pytest.raises(InputError, match=r"buckles at 0\.99\d* times this load"):
             preloaded(problem, Preload(wrench=pulled(-force * limit * 1.005).wrench, follows=follows))
         near = preloaded(problem, Preload(wrench=pulled(-force * limit * 0.999).wrench, follows=follows))
@@ -112,8 +112,8 @@ def test_the_critical_factor_is_that_of_euler(follows, length):
 def test_tension_and_rotation_far_from_buckling_have_no_critical_factor():
     model, interfaces = beam()
     with Problem(model, interfaces) as problem:
-        made = preloaded(problem, pulled(EULER))
-    assert made.critical_factor is None and made.notes["preload_critical_factor"] == "above 20"
+        stressed = preloaded(problem, pulled(EULER))
+    assert stressed.critical_factor is None and stressed.notes["preload_critical_factor"] == "above 20"
 
 
 def test_a_spinning_blade_rises_as_southwell_says():
@@ -123,12 +123,12 @@ def test_a_spinning_blade_rises_as_southwell_says():
     load = Preload(speed=speed, axis=[0, 0, 2.0], point=[0.0, MID, MID], held=("root",))
     with Problem(model, interfaces) as problem:
         plain = held_squares(problem, list(range(6)))[:2]
-        made = preloaded(problem, load)
+        stressed = preloaded(problem, load)
         mass, center, _ = problem.mass_properties
-    reaction = made.notes["preload_reactions"]["root"]
+    reaction = stressed.notes["preload_reactions"]["root"]
     # The hub pulls the blade inwards.
     assert reaction[0] == pytest.approx(-mass * speed**2 * center[0], rel=1e-6)
-    with Problem(made.model, interfaces) as problem:
+    with Problem(stressed.model, interfaces) as problem:
         T = problem.coupling.T
         in_plane = np.repeat([[1.0, 1.0, 0.0]], len(model.nodes), axis=0).ravel()
         softening = speed**2 * (T.T @ (model.M.multiply(in_plane) @ T)).toarray()
@@ -151,9 +151,9 @@ def test_the_change_of_a_body_is_that_of_its_geometric_stiffening_terms(coupling
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"], origin=[-0.1, MID, MID])
         terms = geometric_stiffening(problem, reduced, frame)
         wanted = terms.matrix(acceleration=a, velocity=[0, speed, 0], wrench={"tip": tip})
-        made = preloaded(problem, load)
+        stressed = preloaded(problem, load)
         V = problem.coupling.T @ reduced.V @ frame.elastic
-        change = V.T @ ((made.model.K - model.K) @ V)
+        change = V.T @ ((stressed.model.K - model.K) @ V)
     if coupling == "average":
         # Six dofs on a rigid patch are its frame; on an average one they are near it for the lowest shapes.
         change, wanted = change[:4, :4], wanted[:4, :4]
@@ -165,17 +165,17 @@ def test_a_free_body_balances_what_is_left_by_its_inertia():
     model, interfaces = beam("average")
     force = 0.5 * EULER
     with Problem(model, interfaces) as problem:
-        made = preloaded(problem, Preload(wrench={"tip": [force, 0, 0, 0, 0, 0]}))
+        stressed = preloaded(problem, Preload(wrench={"tip": [force, 0, 0, 0, 0, 0]}))
         mass, _, _ = problem.mass_properties
-    assert made.notes["preload_balanced_by_inertia"] == pytest.approx([force, 0, 0, 0, 0, 0], abs=1e-9 * force)
-    x, u = model.nodes.xyz[:, 0], made.displacements[0::3]
+    assert stressed.notes["preload_balanced_by_inertia"] == pytest.approx([force, 0, 0, 0, 0, 0], abs=1e-9 * force)
+    x, u = model.nodes.xyz[:, 0], stressed.displacements[0::3]
     area = SIDE**2
     line = force / (STEEL["young"] * area * LENGTH) * x**2 / 2
     inner = (x > 0.1) & (x < 0.9)
     assert (u - u[inner].mean() - line + line[inner].mean())[inner] == pytest.approx(0, abs=1e-3 * line.max())
     assert mass == pytest.approx(LINE_MASS * LENGTH, rel=1e-9)
     # Half the tension on average: the exact lowest pinned change is T k2 / (2 m) by symmetry of sin2.
-    with Problem(made.model, interfaces) as problem:
+    with Problem(stressed.model, interfaces) as problem:
         k = np.pi / LENGTH
         expected = (k**4 * EI + k**2 * force / 2) / LINE_MASS
         assert held_squares(problem, PINNED)[0] == pytest.approx(expected, rel=1e-2)
@@ -199,11 +199,11 @@ def test_known_displacements_prestress_alike():
     model, interfaces = beam("average")
     with Problem(model, interfaces) as problem:
         load = pulled(0.7 * EULER)
-        made = preloaded(problem, load)
-        again = prestressed(problem, made.displacements)
-        assert np.abs(again.model.K - made.model.K).max() < 1e-12 * np.abs(made.model.K).max()
+        stressed = preloaded(problem, load)
+        again = prestressed(problem, stressed.displacements)
+        assert np.abs(again.model.K - stressed.model.K).max() < 1e-12 * np.abs(stressed.model.K).max()
         with pytest.raises(InputError, match=r"expected \d+ finite numbers"):
-            prestressed(problem, made.displacements[:-1])
+            prestressed(problem, stressed.displacements[:-1])
 
 
 def test_a_budget_changes_nothing(tmp_path):

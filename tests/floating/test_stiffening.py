@@ -51,13 +51,13 @@ def ends(model, length, coupling, off=0.0):
 def slender():
     """The beam reduced, with its frames: kind -> (frame, terms)."""
     model, interfaces = beam()
-    found = {}
+    bodies = {}
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=14).reduce(problem)
         for kind, names in (("tangent", ["root"]), ("chord", ["root", "tip"]), ("mean-axes", [])):
             frame = floating_frame(problem, reduced, kind=kind, interfaces=names, origin=AXIS)
-            found[kind] = frame, geometric_stiffening(problem, reduced, frame)
-    return found
+            bodies[kind] = frame, geometric_stiffening(problem, reduced, frame)
+    return bodies
 
 
 def critical(G, Ke):
@@ -168,8 +168,8 @@ def test_columns_buckle_under_their_own_weight(slender):
     # Clamped below (Greenhill 1881) and pinned at both ends (Timoshenko and Gere 1961): weight times L^2 / EI.
     for kind, factor in (("tangent", 7.837), ("chord", 18.57)):
         frame, terms = slender[kind]
-        found = critical(terms.matrix(acceleration=(1, 0, 0)), frame.Ke)
-        assert found * LINE_MASS * LENGTH == pytest.approx(factor * EI / LENGTH**2, rel=4e-3)
+        gravity = critical(terms.matrix(acceleration=(1, 0, 0)), frame.Ke)
+        assert gravity * LINE_MASS * LENGTH == pytest.approx(factor * EI / LENGTH**2, rel=4e-3)
 
 
 def test_a_hanging_beam_in_strong_gravity_swings_like_a_chain(slender):
@@ -184,10 +184,10 @@ def test_a_hanging_beam_in_strong_gravity_swings_like_a_chain(slender):
     w, slope, bend = (np.array([p.deriv(d)(x) if d else p(x) for p in powers]) for d in range(3))
     K = EI * (bend * weight) @ bend.T + LINE_MASS * g * (slope * weight * (1 - x)) @ slope.T
     ritz = np.sqrt(sl.eigh(K, LINE_MASS * (w * weight) @ w.T, eigvals_only=True)[0])
-    found = np.sqrt(sl.eigh(frame.Ke + hung, frame.integrals.Me, eigvals_only=True)[0])
+    omega = np.sqrt(sl.eigh(frame.Ke + hung, frame.integrals.Me, eigvals_only=True)[0])
     chain = 0.5 * 2.404826 * np.sqrt(g / LENGTH)
-    assert found == pytest.approx(ritz, rel=0.01)
-    assert chain < found < 1.25 * chain
+    assert omega == pytest.approx(ritz, rel=0.01)
+    assert chain < omega < 1.25 * chain
 
 
 LOADS = [("rigid", "tangent", ["root"]), ("average", "chord", ["root", "tip"]), ("average", "mean-axes", []),
@@ -232,13 +232,13 @@ def test_every_term_is_that_of_a_dense_solution(coupling, kind, names, reducer):
         A = 0.5 * np.einsum("sal,iab,jbc,sc->lij", r, E, E, arms)
         turned = frame.markers[name].motion[3:]
         wanted += np.einsum("ik,lij,jm->lkm", turned, A + A.transpose(0, 2, 1), turned)
-    mine = np.concatenate([terms.acceleration, terms.angular_acceleration, terms.rotation, *terms.wrench.values()])
+    delivered = np.concatenate([terms.acceleration, terms.angular_acceleration, terms.rotation, *terms.wrench.values()])
     for part in (slice(0, 3), slice(3, 6), slice(6, 12), slice(12, 24)):
         if (part.start < 6 and kind == "mean-axes") or (part.start < 3 and kind == "center-of-mass"):
             # The frame balances these by itself.
-            assert not mine[part].any() and np.abs(wanted[part]).max() < 1e-8 * np.abs(mine).max()
+            assert not delivered[part].any() and np.abs(wanted[part]).max() < 1e-8 * np.abs(delivered).max()
         else:
-            assert mine[part] == pytest.approx(wanted[part], rel=1e-6, abs=1e-8 * np.abs(wanted[part]).max())
+            assert delivered[part] == pytest.approx(wanted[part], rel=1e-6, abs=1e-8 * np.abs(wanted[part]).max())
 
 
 def dead_loads(frame, terms, wrenches):
@@ -264,20 +264,20 @@ def test_dead_loads_move_a_pressed_free_body_the_same_in_all_frames(coupling, of
     P = 0.3 * np.pi**2 * EI / LENGTH**2
     moment = np.array([0.02, 0.1, 0.0]) * P * bent
     force = {"root": [P, 0, 0, *moment], "tip": [-P, 0, 0, *-moment]}
-    found = []
+    displacements = []
     with Problem(model, ends(model, LENGTH, coupling, offset)) as problem:
         reduced = CraigBampton(modes=8).reduce(problem)
         for kind, names in (("mean-axes", []), ("tangent", ["root"]), ("chord", ["tip", "root"]),
                             ("center-of-mass", ["tip"])):  # fmt: skip
             frame = floating_frame(problem, reduced, kind=kind, interfaces=names)
             M, K = dead_loads(frame, geometric_stiffening(problem, reduced, frame), force)
-            found.append(sl.eigh(K, M, eigvals_only=True))
+            displacements.append(sl.eigh(K, M, eigvals_only=True))
             free = sl.eigh(frame.Ke, M[6:, 6:] - M[6:, :6] @ np.linalg.solve(M[:6, :6], M[:6, 6:]), eigvals_only=True)
-    for other in found[1:]:
-        assert other[:12] == pytest.approx(found[0][:12], rel=1e-6, abs=1e-8 * found[0][8])
+    for other in displacements[1:]:
+        assert other[:12] == pytest.approx(displacements[0][:12], rel=1e-6, abs=1e-8 * displacements[0][8])
     # Three translations stay free, and the rotation about the line of the forces alone; the load matters.
-    assert np.sum(np.abs(found[0]) < 1e-8 * found[0][8]) == (3 if bent else 4)
-    assert np.abs(found[0][6] / free[0] - 1) > 0.05
+    assert np.sum(np.abs(displacements[0]) < 1e-8 * displacements[0][8]) == (3 if bent else 4)
+    assert np.abs(displacements[0][6] / free[0] - 1) > 0.05
 
 
 def test_another_origin_follows_from_the_terms_and_is_what_a_new_calculation_gives():
@@ -324,20 +324,20 @@ def test_a_rigid_interface_passes_what_an_average_one_on_its_nodes_does_not():
         links = Links(problem)
         U, inertial = 1e-6 * rng.normal(size=(model.size, 2)), rng.normal(size=(len(links.dofs), 2))
         wrench = 1e3 * rng.normal(size=(12, 2))
-        found = links.turning(U, inertial, wrench)["rigid"]
+        moments = links.turning(U, inertial, wrench)["rigid"]
     arms = model.nodes.xyz[loose.nodes] - loose.point
     to_load = np.hstack([np.vstack([np.eye(3), skew(a)]) for a in arms])
     spread = np.repeat(loose.weights, 3)[:, None] * to_load.T
     forces = np.zeros((model.size, 2))
     dofs = model.dofs.of_nodes(loose.nodes).ravel()
     forces[dofs] = spread @ np.linalg.solve(to_load @ spread, wrench[links.columns["loose"]])
-    mine = model.dofs.of_nodes(face).ravel()
-    r = (model.K @ U - forces)[mine] + inertial[links.places["rigid"]]
-    assert np.abs(forces[mine]).max() > 1e-2 * np.abs(r).max()
+    face_dofs = model.dofs.of_nodes(face).ravel()
+    r = (model.K @ U - forces)[face_dofs] + inertial[links.places["rigid"]]
+    assert np.abs(forces[face_dofs]).max() > 1e-2 * np.abs(r).max()
     for k in range(2):
         virial = r[:, k].reshape(-1, 3).T @ (model.nodes.xyz[face] - rigid.point)
         wanted = 0.5 * (virial + virial.T) - np.trace(virial) * np.eye(3)
-        assert np.abs(found[k] - wanted).max() < 1e-9 * np.abs(wanted).max()
+        assert np.abs(moments[k] - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
 def test_terms_below_their_share_are_dropped_and_named():
@@ -386,15 +386,16 @@ def test_a_body_without_interfaces_has_the_terms_of_its_rotation():
 
 def test_blocks_and_groups_change_nothing(tmp_path):
     model, interfaces = beam(n=6)
-    found = []
+    matrices = []
     # All loads at once; and one by one with few columns, as there is no memory left.
     for memory in (None, 1):
         with Problem(model, interfaces, budget=Budget(None, tmp_path, in_memory=1 << 30)) as problem:
             reduced = Krylov(shifts_hz=[0.0, 200.0]).reduce(problem)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
             problem.budget.memory = memory
-            found.append(geometric_stiffening(problem, reduced, frame))
-    assert found[1].rotation == pytest.approx(found[0].rotation, rel=1e-6, abs=1e-9 * np.abs(found[0].rotation).max())
+            matrices.append(geometric_stiffening(problem, reduced, frame))
+    whole, in_blocks = (terms.rotation for terms in matrices)
+    assert in_blocks == pytest.approx(whole, rel=1e-6, abs=1e-9 * np.abs(whole).max())
 
 
 def test_what_has_no_stress_or_no_frame_is_refused_with_a_reason():

@@ -78,10 +78,10 @@ def test_a_table_goes_on_smoothly_outside_its_range(curved, t):
 
 def test_opposite_end_angles_give_an_arc_and_its_energy():
     beam = rod(elements=12)
-    found = Solver(beam).toward(Solver(beam).straight(), np.array([1.2, -1.2]))
-    assert found.X[-3] / LENGTH == pytest.approx(np.sin(1.2) / 1.2, rel=1e-9)
-    assert np.isclose(found.W, beam.section.EI * 2.4**2 / (2 * LENGTH), rtol=1e-12)
-    assert np.allclose(found.moments, beam.section.EI * 2.4 / LENGTH * np.array([1, -1]), rtol=1e-10)
+    state = Solver(beam).toward(Solver(beam).straight(), np.array([1.2, -1.2]))
+    assert state.X[-3] / LENGTH == pytest.approx(np.sin(1.2) / 1.2, rel=1e-9)
+    assert np.isclose(state.W, beam.section.EI * 2.4**2 / (2 * LENGTH), rtol=1e-12)
+    assert np.allclose(state.moments, beam.section.EI * 2.4 / LENGTH * np.array([1, -1]), rtol=1e-10)
 
 
 def test_constraint_modes_are_derivatives_of_the_equilibria():
@@ -283,10 +283,10 @@ def test_amplitudes_of_fields_are_the_nodes():
 def test_a_member_without_stretch_has_the_shape_of_its_equilibrium():
     beam, t = rod(elements=24), points(0.8, 7)[[1, 5]]
     member, solver = ReducedMember(beam, modes=1, formulation="tangent", reach=0.8, points_per_angle=7), Solver(beam)
-    found = solver.toward(solver.straight(), t)
-    at = member.at(np.array([0, 0, t[0], found.X[-3], 0, t[1], 0]))
-    assert np.allclose(member.nodes(at.x), found.X, atol=1e-9)
-    assert np.isclose(at.V, found.W, rtol=1e-9)
+    state = solver.toward(solver.straight(), t)
+    at = member.at(np.array([0, 0, t[0], state.X[-3], 0, t[1], 0]))
+    assert np.allclose(member.nodes(at.x), state.X, atol=1e-9)
+    assert np.isclose(at.V, state.W, rtol=1e-9)
 
 
 def test_a_mass_matrix_that_depends_on_the_direction_is_refused():

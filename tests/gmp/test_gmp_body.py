@@ -40,12 +40,12 @@ def in_plane(positions):
 
 @pytest.mark.parametrize("kind", ["beam", "solid"])
 def test_accelerations_of_a_steady_rate_are_derivatives_of_the_jacobian(member, kind):
-    one = member if kind == "beam" else solid_member(prism(3), modes=3, reach=0.6)
-    q, h = bent(one), 1e-5
-    q[6:] *= one.length / LENGTH / 10
+    component = member if kind == "beam" else solid_member(prism(3), modes=3, reach=0.6)
+    q, h = bent(component), 1e-5
+    q[6:] *= component.length / LENGTH / 10
     v = np.random.default_rng(4).standard_normal(9) * np.array([1, 1, 3, 1, 1, 3, 1e-2, 1e-2, 1e-2])
-    numeric = (one.at(q + h * v).J - one.at(q - h * v).J) @ v / (2 * h)
-    assert np.abs(one.bending(q, v) - numeric).max() < 1e-7 * np.abs(numeric).max()
+    numeric = (component.at(q + h * v).J - component.at(q - h * v).J) @ v / (2 * h)
+    assert np.abs(component.bending(q, v) - numeric).max() < 1e-7 * np.abs(numeric).max()
 
 
 def test_the_flexible_pendulum_swings_as_in_the_nodal_mechanism(member):
@@ -109,6 +109,9 @@ def test_a_free_spinning_member_keeps_its_momenta_and_its_energy(member):
     system = System()
     system.add(body)
     run = simulate(system, end=0.1, step=2e-4, rho=1.0)
+    for name, angle in (("start", 0.2), ("end", -0.25)):
+        across = turned @ [-np.sin(angle), np.cos(angle), 0.0]
+        assert run.axes(body.marker(name))[0][:, 1] == pytest.approx(across, abs=1e-12), name
     momenta = []
     for q, v in zip(run.configuration(body), run.speeds(body), strict=True):
         at = member.at(q)

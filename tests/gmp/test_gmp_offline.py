@@ -18,18 +18,19 @@ from morembs.nonlinear.continuation import follow_equilibrium
 from tests.gmp.test_gmp import LENGTH, Softening, rod
 from tests.gmp.test_solid_member import LENGTH as SOLID
 from tests.gmp.test_solid_member import SIDE, E, prism
+from tests.support.processes import apart
 from tests.support.progress import Heard
 
 ROOT = Path(__file__).parents[2]
 
 
-def made(beam=None, **options):
+def tabulated(beam=None, **options):
     return ReducedMember(rod() if beam is None else beam, modes=2, **{"reach": 0.8, **options})
 
 
-def same_bits(one, other):
+def same_bits(first, second):
     return all(
-        np.array_equal(getattr(one.data, name).coefficients, getattr(other.data, name).coefficients)
+        np.array_equal(getattr(first.data, name).coefficients, getattr(second.data, name).coefficients)
         for name in ("table", "energy")
     )
 
@@ -39,11 +40,11 @@ def away(member, beam):
     solver, reach = Solver(beam), member.data.reach
     shape = energy = top = 0.0
     for a, b in reach * np.array([(0.93, 0.88), (0.95, -0.83), (-0.55, 0.35), (0.2, -0.97)]):
-        found = solver.toward(solver.straight(), np.array([a, b]))
-        d0 = float(found.X[-3])
+        state = solver.toward(solver.straight(), np.array([a, b]))
+        d0 = float(state.X[-3])
         at = member.at(np.concatenate(([0, 0, a, d0, 0, b], np.zeros(member.modes))))
-        shape = max(shape, np.abs(member.nodes(at.x) - found.X).max() / LENGTH)
-        energy, top = max(energy, abs(at.V - found.W)), max(top, found.W)
+        shape = max(shape, np.abs(member.nodes(at.x) - state.X).max() / LENGTH)
+        energy, top = max(energy, abs(at.V - state.W)), max(top, state.W)
     return shape, energy / top
 
 
@@ -54,7 +55,7 @@ def away(member, beam):
 def test_points_grow_until_the_tables_are_as_good_as_asked():
     last = 0
     for tolerance in (0.1, 2e-3, 1e-5, 1e-9):
-        member = made(reach=1.0, tolerance=tolerance)
+        member = tabulated(reach=1.0, tolerance=tolerance)
         report = member.report
         assert report.points > last
         assert max(report.errors.values()) <= tolerance
@@ -62,14 +63,14 @@ def test_points_grow_until_the_tables_are_as_good_as_asked():
         assert shape < tolerance and energy < tolerance
         last = report.points
     # The next smaller grid would not have done, and the errors are no guesses: a fresh check finds as much.
-    coarse = made(reach=1.0, tolerance=0.1)
+    coarse = tabulated(reach=1.0, tolerance=0.1)
     assert max(coarse.report.errors.values()) > 2e-3 and coarse.report.points == 3
     assert away(coarse, rod())[0] > 0.1 * coarse.report.errors["shapes"] * 0.5
 
 
 def test_the_errors_told_are_those_at_fresh_equilibria_between_the_points():
     beam, reach = rod(), 0.9
-    report, solver = made(beam, reach=reach).report, Solver(beam)
+    report, solver = tabulated(beam, reach=reach).report, Solver(beam)
     tables = manifold(beam, reach=reach, points_per_angle=5)
     assert report.points == 5
     start = solver.straight()
@@ -77,22 +78,22 @@ def test_the_errors_told_are_those_at_fresh_equilibria_between_the_points():
     # Every second of the nine points of the next grid.
     between = reach * np.cos(np.pi * np.array([1, 3, 5, 7]) / 8)
     for t in ((a, b) for a in between for b in between):
-        one = solver.toward(start, np.array(t))
+        state = solver.toward(start, np.array(t))
         (X, X_t, _), (W, W_t, _) = tables.shape.at(np.array(t)), tables.energy.at(np.array(t))
-        pairs = (X, one.X), (W, one.W), (X_t.T, one.modes), (W_t, one.moments)
+        pairs = (X, state.X), (W, state.W), (X_t.T, state.modes), (W_t, state.moments)
         worst = np.maximum(worst, [np.abs(a - b).max() for a, b in pairs])
     size = [np.abs(part).max() for part in (tables.X - start.X, tables.W, tables.modes, tables.moments)]
-    told = [report.errors[name] for name in ("shapes", "energy", "modes", "moments")]
-    assert told[:2] == pytest.approx(worst[:2] / size[:2], rel=1e-3)
+    reported = [report.errors[name] for name in ("shapes", "energy", "modes", "moments")]
+    assert reported[:2] == pytest.approx(worst[:2] / size[:2], rel=1e-3)
     # Derivatives are measured at the points of the tables, too, where they are worse.
-    assert (told[2:] >= 0.999 * worst[2:] / size[2:]).all()
-    assert told[2:] == pytest.approx(tables.errors(), rel=1e-3)
+    assert (reported[2:] >= 0.999 * worst[2:] / size[2:]).all()
+    assert reported[2:] == pytest.approx(tables.errors(), rel=1e-3)
 
 
 def test_a_tolerance_that_cannot_be_met_is_said():
     words = r"17 points per angle on \+-2\.8 rad miss \w+ by .*; tolerance = 1e-09 .*divide"
     with pytest.raises(InputError, match=words):
-        made(reach=2.8, tolerance=1e-9)
+        tabulated(reach=2.8, tolerance=1e-9)
 
 
 # ---------------------------------------------------------------------------------------------------------
@@ -101,7 +102,7 @@ def test_a_tolerance_that_cannot_be_met_is_said():
 
 def test_the_range_follows_from_end_moments():
     moment, EI = 0.008, rod().section.EI
-    report = made(reach=AngleRange(moment=moment)).report
+    report = tabulated(reach=AngleRange(moment=moment)).report
     # Equal and opposite moments bend the rod to an arc: the most that moments of this size can do.
     assert report.reach == pytest.approx(1.05 * moment * LENGTH / (2 * EI), rel=1e-6)
     assert report.notes == ()
@@ -109,7 +110,7 @@ def test_the_range_follows_from_end_moments():
 
 def test_the_range_follows_from_a_load_across():
     load, EI = 1e-3, rod().section.EI
-    report = made(reach=AngleRange(load=load)).report
+    report = tabulated(reach=AngleRange(load=load)).report
     assert report.reach == pytest.approx(1.05 * load * LENGTH**2 / (24 * EI), rel=1e-2)
 
 
@@ -132,8 +133,8 @@ def test_the_range_of_a_solid_follows_from_a_load_across():
 def test_a_range_stops_before_a_bifurcation_and_says_so():
     beam = Softening(1e4)
     with pytest.raises(InputError, match="cannot be followed"):
-        made(beam, reach=1.2, tolerance=0.02)
-    member = made(beam, reach=AngleRange(angle=1.2), tolerance=0.05)
+        tabulated(beam, reach=1.2, tolerance=0.02)
+    member = tabulated(beam, reach=AngleRange(angle=1.2), tolerance=0.05)
     assert 0.2 < member.data.reach < 1.2 and member.data.reach == member.report.reach
     assert any("not 1.2" in note and "cannot be followed" in note for note in member.report.notes)
     # All of the range is there, and not much was given away: the equilibria end soon behind it.
@@ -146,7 +147,7 @@ def test_a_range_stops_before_a_bifurcation_and_says_so():
 
 
 def test_moments_that_are_not_borne_are_said():
-    member = made(Softening(1e4), reach=AngleRange(moment=0.05), tolerance=0.05)
+    member = tabulated(Softening(1e4), reach=AngleRange(moment=0.05), tolerance=0.05)
     assert any("not borne" in note for note in member.report.notes)
 
 
@@ -210,7 +211,7 @@ class Tapered:
 
 def test_symmetries_are_found_where_they_are():
     def names(component, length=LENGTH):
-        return [one.name for one in symmetries(component, length)]
+        return [symmetry.name for symmetry in symmetries(component, length)]
 
     assert names(rod()) == ["reflection", "exchange of the ends", "half turn"]
     assert names(Clamped(arch())) == ["exchange of the ends"]
@@ -225,28 +226,28 @@ def test_symmetries_are_found_where_they_are():
     ("component", "share"), [(rod(), 4), (Tapered(), 2), (Clamped(arch()), 2)], ids=["rod", "sprung", "arch"]
 )
 def test_symmetric_equilibria_are_those_that_are_solved(component, share):
-    one = made(component, reach=0.4, points_per_angle=5)
-    every = made(component, reach=0.4, points_per_angle=5, symmetric=False)
+    with_symmetry = tabulated(component, reach=0.4, points_per_angle=5)
+    every = tabulated(component, reach=0.4, points_per_angle=5, symmetric=False)
     assert every.report.symmetries == () and every.report.solved == 24
     # Points on axes of symmetry have fewer images, and the middle is known.
-    assert one.report.solved <= 24 / share + 3 and one.report.equilibria == 25
+    assert with_symmetry.report.solved <= 24 / share + 3 and with_symmetry.report.equilibria == 25
     for t in ((0.37, 0.1), (-0.2, 0.33), (-0.31, -0.4), (0.4, -0.4)):
         end = np.array([0.02, 0.01]) + 0.29 * np.array([np.cos(0.3), np.sin(0.3)])
         q = np.array([0.02, 0.01, t[0] + 0.3, *end, t[1] + 0.3, 1e-4, 1e-4])
-        a, b = one.at(q), every.at(q)
-        assert np.abs(one.nodes(a.x) - every.nodes(b.x)).max() < 1e-9
+        a, b = with_symmetry.at(q), every.at(q)
+        assert np.abs(with_symmetry.nodes(a.x) - every.nodes(b.x)).max() < 1e-9
         assert pytest.approx(b.V, rel=1e-8) == a.V and np.allclose(a.force, b.force, rtol=1e-7, atol=1e-9)
-    assert np.allclose(one.data.errors, every.data.errors, rtol=1e-5)
+    assert np.allclose(with_symmetry.data.errors, every.data.errors, rtol=1e-5)
 
 
 def test_symmetric_equilibria_of_a_solid_are_those_that_are_solved():
     solid = prism(3)
-    one = solid_member(solid, modes=1, reach=0.15, points_per_angle=3)
+    with_symmetry = solid_member(solid, modes=1, reach=0.15, points_per_angle=3)
     every = solid_member(solid, modes=1, reach=0.15, points_per_angle=3, symmetric=False)
-    assert (one.report.solved, every.report.solved) == (3, 8)
-    q = one.start(np.array([0, 0, 0.13, 0.15, 0, 0.05]))
-    a, b = one.at(q), every.at(q)
-    assert np.abs(one.nodes(a.x) - every.nodes(b.x)).max() < 1e-9
+    assert (with_symmetry.report.solved, every.report.solved) == (3, 8)
+    q = with_symmetry.start(np.array([0, 0, 0.13, 0.15, 0, 0.05]))
+    a, b = with_symmetry.at(q), every.at(q)
+    assert np.abs(with_symmetry.nodes(a.x) - every.nodes(b.x)).max() < 1e-9
     assert pytest.approx(b.V, rel=1e-8) == a.V
 
 
@@ -256,9 +257,9 @@ def test_symmetric_equilibria_of_a_solid_are_those_that_are_solved():
 
 def test_processes_give_the_same_bits_and_progress_is_heard():
     heard = Heard()
-    one, two = made(), made(workers=2, progress=heard)
-    assert same_bits(one, two) and one.report.solved == two.report.solved
-    assert heard.stages == ["static equilibria"] and f"equilibria: {two.report.solved}" in heard.news
+    serial, parallel = tabulated(), tabulated(workers=2, progress=heard)
+    assert same_bits(serial, parallel) and serial.report.solved == parallel.report.solved
+    assert heard.stages == ["static equilibria"] and f"equilibria: {parallel.report.solved}" in heard.news
     assert any("points per angle: error" in text for text in heard.news)
     solids = [solid_member(prism(3), modes=1, reach=0.15, points_per_angle=3, workers=n) for n in (1, 2)]
     assert same_bits(*solids)
@@ -267,51 +268,46 @@ def test_processes_give_the_same_bits_and_progress_is_heard():
 def test_a_failure_is_the_same_for_any_number_of_processes():
     words = []
     for workers in (1, 2):
-        with pytest.raises(InputError) as said:
-            made(Softening(1e4), reach=1.2, workers=workers)
-        words.append(str(said.value))
+        with pytest.raises(InputError) as refusal:
+            tabulated(Softening(1e4), reach=1.2, workers=workers)
+        words.append(str(refusal.value))
     assert words[0] == words[1]
 
 
-KILLED = """
-import os, signal, sys
-sys.path.insert(0, {root!r})
-from tests.gmp.test_gmp_offline import made
-
 class Fatal:
-    def stage(self, name): pass
+    """Progress that ends the process after nine equilibria."""
+
+    def stage(self, name):
+        pass
+
     def update(self, text):
         if text == "equilibria: 9":
             os.kill(os.getpid(), signal.SIGKILL)
 
-made(tolerance=1e-5, checkpoint={path!r}, progress=Fatal())
-"""
-
 
 def test_a_run_that_was_killed_goes_on_and_gives_the_same(tmp_path):
     path = tmp_path / "rod.h5"
-    code = KILLED.format(root=str(ROOT), path=str(path))
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    ended = apart(lambda: tabulated(tolerance=1e-5, checkpoint=path, progress=Fatal()), tmp_path)
+    assert ended.code == -signal.SIGKILL, ended.errors
     with h5py.File(path) as file:
         kept = len(file["keys"])
     # The first is written at once, the others as often as that takes little beside finding them.
     assert 1 <= kept <= 9
-    straight_on = made(tolerance=1e-5)
-    again = made(tolerance=1e-5, checkpoint=path, workers=2)
+    straight_on = tabulated(tolerance=1e-5)
+    again = tabulated(tolerance=1e-5, checkpoint=path, workers=2)
     assert same_bits(straight_on, again)
     assert again.report.restored == kept and again.report.solved == straight_on.report.solved - kept
     # What is complete costs nothing more, also to a larger tolerance; a smaller one goes on from there.
-    assert made(tolerance=1e-3, checkpoint=path).report.solved == 0
-    finer = made(tolerance=1e-9, checkpoint=path)
-    assert finer.report.solved > 0 and same_bits(finer, made(tolerance=1e-9))
+    assert tabulated(tolerance=1e-3, checkpoint=path).report.solved == 0
+    finer = tabulated(tolerance=1e-9, checkpoint=path)
+    assert finer.report.solved > 0 and same_bits(finer, tabulated(tolerance=1e-9))
     assert not [name for name in os.listdir(tmp_path) if name != "rod.h5"]
 
 
 @pytest.mark.parametrize("name", ["X", "W", "moments", "modes", "keys"])
 def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
     path = tmp_path / "rod.h5"
-    made(points_per_angle=3, reach=0.3, checkpoint=path)
+    tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
     with h5py.File(path, "a") as file:
         # Other writers may leave it out.
         del file["checksums"]
@@ -319,7 +315,7 @@ def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
         del file[name]
         file[name] = value[..., None]
     with pytest.raises(InputError, match=rf"{name} has the shape .*; the file is damaged, give the name of another"):
-        made(points_per_angle=3, reach=0.3, checkpoint=path)
+        tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
 
 
 ORPHANS = """
@@ -352,32 +348,32 @@ def test_processes_end_with_their_parent(tmp_path):
 
 def test_a_range_that_was_found_is_kept(tmp_path):
     path, options = tmp_path / "soft.h5", {"reach": AngleRange(angle=1.2), "tolerance": 0.05}
-    one = made(Softening(1e4), checkpoint=path, **options)
-    again = made(Softening(1e4), checkpoint=path, **options)
-    assert again.report.solved == 0 and again.report.reach == one.report.reach and same_bits(one, again)
-    assert again.report.notes == one.report.notes
+    first = tabulated(Softening(1e4), checkpoint=path, **options)
+    again = tabulated(Softening(1e4), checkpoint=path, **options)
+    assert again.report.solved == 0 and again.report.reach == first.report.reach and same_bits(first, again)
+    assert again.report.notes == first.report.notes
 
 
 def test_a_checkpoint_of_another_run_is_refused_and_left_alone(tmp_path):
     path = tmp_path / "rod.h5"
-    made(points_per_angle=3, reach=0.3, checkpoint=path)
+    tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
     before = path.read_bytes()
     with pytest.raises(InputError, match=r"of another component; give the name of a new file"):
-        made(rod(E=3.00001e6), points_per_angle=3, reach=0.3, checkpoint=path)
+        tabulated(rod(E=3.00001e6), points_per_angle=3, reach=0.3, checkpoint=path)
     with pytest.raises(InputError, match=r"with the options .*0\.3.*, not .*0\.4.*; give"):
-        made(points_per_angle=3, reach=0.4, checkpoint=path)
+        tabulated(points_per_angle=3, reach=0.4, checkpoint=path)
     assert path.read_bytes() == before
     for content in (before[: len(before) // 2], b"something else"):
         path.write_bytes(content)
         with pytest.raises(InputError, match="cannot be read as equilibria of an earlier run"):
-            made(points_per_angle=3, reach=0.3, checkpoint=path)
+            tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
         assert path.read_bytes() == content
     with h5py.File(path, "w") as file:
         file["other"] = 1.0
     with pytest.raises(InputError, match="cannot be read as equilibria"):
-        made(points_per_angle=3, reach=0.3, checkpoint=path)
+        tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
     with pytest.raises(OutputError, match="does not exist"):
-        made(points_per_angle=3, reach=0.3, checkpoint=tmp_path / "none" / "rod.h5")
+        tabulated(points_per_angle=3, reach=0.3, checkpoint=tmp_path / "none" / "rod.h5")
 
 
 def test_bad_plans_are_named():
@@ -386,7 +382,7 @@ def test_bad_plans_are_named():
         ({"workers": "two"}, "workers = 'two'"), ({"points_per_angle": 5.5}, "5.5 points per angle"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
-            made(**options)
+            tabulated(**options)
     with pytest.raises(InputError, match="expected one of angle, moment, load"):
         AngleRange(angle=0.5, moment=1.0)
     with pytest.raises(InputError, match=r"moment = -1"):

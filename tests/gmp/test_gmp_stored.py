@@ -35,11 +35,11 @@ def configuration(turn=2.0):
 
 def test_a_member_comes_back_bit_by_bit(member, file):
     data = read_members(file)["rod"]
-    one, other = member.at(configuration()), ReducedMember.of(data).at(configuration())
+    before, after = member.at(configuration()), ReducedMember.of(data).at(configuration())
     for name in ("x", "J", "V", "force", "stiffness"):
-        assert np.array_equal(getattr(one, name), getattr(other, name))
+        assert np.array_equal(getattr(before, name), getattr(after, name))
     # Memory is laid out otherwise, so that sums may be rounded otherwise.
-    assert np.allclose(ReducedMember.of(data).nodes(one.x), member.nodes(one.x), atol=1e-14)
+    assert np.allclose(ReducedMember.of(data).nodes(before.x), member.nodes(before.x), atol=1e-14)
     outside = configuration() + np.array([0, 0, 0.4, 0, 0, 0, 0, 0, 0])
     assert ReducedMember.of(data).at(outside).V == member.at(outside).V
     assert data.formulation == "membrane" and member.outside(outside) == ReducedMember.of(data).outside(outside)

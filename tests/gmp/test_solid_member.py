@@ -71,15 +71,15 @@ def test_equilibria_are_those_of_the_solver_for_beams():
     expected = solver.toward(solver.straight(), t)
     with SolidEquilibria(solid) as equilibria:
         start = equilibria.straight()
-        found = equilibria.toward(start.X, start.modes, t)
-        assert np.abs(found.X[other.own] - expected.X).max() < 1e-9
-        energy = found.W
+        state = equilibria.toward(start.X, start.modes, t)
+        assert np.abs(state.X[other.own] - expected.X).max() < 1e-9
+        energy = state.W
         assert energy == pytest.approx(expected.W, rel=1e-9)
-        assert found.moments == pytest.approx(expected.moments, rel=1e-7)
-        assert np.abs(found.modes[other.own] - expected.modes).max() < 1e-7
+        assert state.moments == pytest.approx(expected.moments, rel=1e-7)
+        assert np.abs(state.modes[other.own] - expected.modes).max() < 1e-7
         h = 1e-4
-        ahead, behind = (equilibria.toward(found.X, found.modes, t + np.array([d, 0])).X for d in (h, -h))
-        assert np.abs((ahead - behind) / (2 * h) - found.modes[:, 0]).max() < 1e-6
+        ahead, behind = (equilibria.toward(state.X, state.modes, t + np.array([d, 0])).X for d in (h, -h))
+        assert np.abs((ahead - behind) / (2 * h) - state.modes[:, 0]).max() < 1e-6
 
 
 def test_opposite_end_angles_give_an_arc_and_its_energy():
@@ -87,12 +87,12 @@ def test_opposite_end_angles_give_an_arc_and_its_energy():
     EI = E * SIDE**4 / 12
     with SolidEquilibria(solid) as equilibria:
         start = equilibria.straight()
-        found = equilibria.toward(start.X, start.modes, np.array([-t, t]))
+        state = equilibria.toward(start.X, start.modes, np.array([-t, t]))
     # The outer fibres have 3 % strain, whose square is a stretch.
-    assert found.X[equilibria.second[0]] == pytest.approx(LENGTH * np.sin(t) / t, rel=1e-3)
-    energy = found.W
+    assert state.X[equilibria.second[0]] == pytest.approx(LENGTH * np.sin(t) / t, rel=1e-3)
+    energy = state.W
     assert energy == pytest.approx(EI * (2 * t) ** 2 / (2 * LENGTH), rel=2e-3)
-    assert found.moments == pytest.approx([-EI * 2 * t / LENGTH, EI * 2 * t / LENGTH], rel=2e-3)
+    assert state.moments == pytest.approx([-EI * 2 * t / LENGTH, EI * 2 * t / LENGTH], rel=2e-3)
 
 
 def test_the_bending_modes_of_a_square_section_stay_in_the_plane():
@@ -130,8 +130,8 @@ def test_tension_stiffens_the_modes_as_it_does_the_solid(member):
     Psi = plane_bending_modes(solid, 4).Psi[:, :2]
     more = Psi.T @ ((solid.tangent(stretched) - solid.tangent(solid.reference)) @ Psi)
     q = [member.start(np.array([0, 0, 0, (1 + s) * LENGTH, 0, 0])) for s in (0, share)]
-    found = member.at(q[1]).stiffness[6:, 6:] - member.at(q[0]).stiffness[6:, 6:]
-    assert np.abs(found - more).max() < 0.01 * np.abs(more).max()
+    change = member.at(q[1]).stiffness[6:, 6:] - member.at(q[0]).stiffness[6:, 6:]
+    assert np.abs(change - more).max() < 0.01 * np.abs(more).max()
     assert np.abs(more).max() > 0.01 * member.data.squares[0]
 
 
@@ -173,21 +173,21 @@ def test_positions_of_nodes_are_recovered(member):
     solid, t = prism(6), np.array([REACH, -REACH])
     with SolidEquilibria(solid) as equilibria:
         start = equilibria.straight()
-        found = equilibria.toward(start.X, start.modes, t)
-    exact, d0 = solid.positions(found.X), found.X[equilibria.second[0]]
+        state = equilibria.toward(start.X, start.modes, t)
+    exact, d0 = solid.positions(state.X), state.X[equilibria.second[0]]
     q = member.start(np.array([0, 0, t[0], d0, 0, t[1]]))
     assert np.abs(member.nodes(member.at(q).x).reshape(-1, 3) - exact).max() < 1e-7 * LENGTH
-    energies = member.at(q).V, found.W
+    energies = member.at(q).V, state.W
     assert energies[0] == pytest.approx(energies[1], rel=1e-7)
 
 
-def fallen(one, *, end=0.32, step=4e-3):
+def fallen(component, *, end=0.32, step=4e-3):
     """Tip of a pendulum of two equal members, released along x; shares of the length."""
     mechanism = Mechanism(gravity=(0, -9.81))
     points = [mechanism.point((k * LENGTH, 0), fixed="" if k else "xy") for k in range(3)]
     angles = [mechanism.angle(0.0) for _ in range(3)]
     for k in range(2):
-        mechanism.add(one, points[k], points[k + 1], start=angles[k], end=angles[k + 1])
+        mechanism.add(component, points[k], points[k + 1], start=angles[k], end=angles[k + 1])
     motion = simulate(mechanism, end=end, step=step)
     assert not motion.warnings
     return motion.q[:, points[-1].numbers] / (2 * LENGTH)

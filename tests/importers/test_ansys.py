@@ -472,7 +472,8 @@ def test_components_with_ranges_and_what_is_left_out(tmp_path):
     assert [rows.tolist() for rows in imported.mesh.element_sets["BOTH"]] == [[0, 1]]
     assert [rows.tolist() for rows in imported.mesh.element_sets["LAST"]] == [[1]]
     for words in ("2 supports (D) were not applied", "nodal forces", "MPA", "CM,PICKED", "FACES", "no EX and no DENS"):
-        assert sum(words in note for note in (*imported.notes, *imported.incomplete.values())) == 1, words
+        lacking = [lack.sentence for lack in imported.incomplete.values()]
+        assert sum(words in note for note in (*imported.notes, *lacking)) == 1, words
 
 
 def test_materials_isotropic_and_orthotropic(tmp_path):
@@ -543,15 +544,15 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"extra": [(7, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 999])]}, "name the node 999, which is not"),
         ({"extra": [(2, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 108])]}, "defines the element 2 twice"),
         ({"extra": [(7, 3, 1, 1, [101])]}, "type 3, which no ET defines"),
-        ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, r"1 elements CONTA174 .* skip=\('CONTA174',\)"),
+        ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, "1 elements CONTA174 .* --contact skip"),
         ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
-        ({"after": "CP,1,UX,101,102\n"}, "coupled dofs .CP."),
-        ({"after": "CE,R5.0,1,2\n"}, "constraint equations .CE."),
+        ({"after": "CP,1,TEMP,101,102\n"}, "CP gives no direction of some nodes"),
+        ({"after": "CE,1,0,101,TEMP,1.0\n"}, "CE is on the motion 'TEMP'"),
+        ({"after": "CE,1,0,101,UX,0.0,102,UX,1.0\n"}, "first coefficient of .* CE is zero"),
         ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."), ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
         ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"), ({"after": "N,7,1.0,2.0\n"}, "UNBLOCKED"),
-        ({"after": "MPDATA,R5.0,2,EX,1,1,2e11,1e11\n"}, "EX of material 1 depends on temperature"),
         ({"after": "MP,EX,1,modulus\n"}, "not a program with parameters"),
-        ({"after": "MP,EX,1,nan\n"}, "cannot be read"), ({"after": "TB,ANEL,1\n"}, "TB,ANEL"),
+        ({"after": "MP,EX,1,nan\n"}, "cannot be read"), ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
         ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, "poisson = 0.6"),
         ({"after": components(("C", "NODE", [101, 999]))}, r"C names 1 nodes that are not defined .first: 999"),
         ({"after": components(("C", "ELEM", [1, 999]))}, "component C names 1 elements that are not defined"),
@@ -607,7 +608,7 @@ def test_some_middle_nodes_are_refused_and_none_is_linear(tmp_path):
 def test_elements_left_out_on_request(tmp_path):
     options = {"before": "ET,3,CONTA174\nET,4,200\n", "extra": [(7, 3, 1, 1, [101] * 4), (8, 4, 1, 1, [102] * 4)]}
     imported = import_ansys_cdb(write(tmp_path, hex_deck(**options)), skip=("conta174",))
-    assert "1 elements CONTA174 were left out, as asked" in imported.notes
+    assert "1 elements CONTA174 left out as asked" in imported.warnings[0]
     assert any("MESH200" in note for note in imported.notes) and len(imported.mesh.blocks[0].ids) == 2
 
 
@@ -680,3 +681,32 @@ def test_damaged_files_raise_nothing_but_input_errors(model, tmp_path):
                 assert "\n" not in str(error), name
                 refused += 1
     assert refused > 300
+
+
+def test_equations_and_coupled_dofs(tmp_path):
+    """As CDWRITE writes them, and as commands."""
+    material = "MP,EX,1,2.1e11\nMP,PRXY,1,0.3\nMP,DENS,1,7850\n"
+    after = (
+        material + "CE,R5.0,DEFI,       3,       1,  0.0\nCE,R5.0,NODE,     101,UX  ,  2.0    ,     102,UX  , -1.0\n"
+        "CE,R5.0,NODE,     103,UY  , -0.5\nCE,7,0,104,UZ,1,105,UZ,1\nCE,7,0,106,UZ,3\nCP,4,UY,107,108,109\n"
+    )
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
+    (given,) = found.equations
+    ids = found.nodes.ids
+    first = [(int(ids[n]), int(c)) for n, c in zip(given.nodes, given.components, strict=True)]
+    assert first == [(101, 0), (104, 2), (108, 1), (109, 1)]
+    assert given.coefficients.tolist() == [0.5, 0.25, -1.0, -3.0, 1.0, 1.0]
+    assert ids[given.term_nodes].tolist() == [102, 103, 105, 106, 107, 107]
+    skipped = import_ansys_cdb(write(tmp_path, hex_deck(after=after)), skip="CE,CP")
+    assert not skipped.equations and len(skipped.warnings) == 2
+
+
+def test_materials_of_tables_and_of_temperature(tmp_path):
+    table = "TB,ELAS,1,1,2,ISOT\nTBDATA,1,2.1e11,0.3\n"
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=table)), density={"material 1": 7850.0})
+    like = isotropic(set="", young=2.1e11, poisson=0.3, density=7850.0)
+    assert found.materials[0].stiffness == pytest.approx(like.stiffness) and found.materials[0].density == 7850.0
+    warm = "MPDATA,R5.0,2,EX,1,1,2e11,1e11\nMP,PRXY,1,0.3\nMP,DENS,1,7850\n"
+    found = import_ansys_cdb(write(tmp_path, hex_deck(after=warm)))
+    assert found.materials[0].stiffness[3, 3] == pytest.approx(2e11 / 2.6)
+    assert "EX of material 1 depends on temperature; its first value was taken" in found.warnings[0]

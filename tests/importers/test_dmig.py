@@ -17,6 +17,7 @@ from morembs.importers import import_file
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
+from morembs.importers.to_model import model_of
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
@@ -216,6 +217,26 @@ def test_a_body_on_grids_has_the_same_response(bodies, tmp_path, name):
     lines = done.paths[0].read_text().splitlines()
     assert sum(line.startswith("GRID*") for line in lines) == 3
     assert any("SPOINT" in line for line in lines) and all(len(line) <= 72 for line in lines if line[:1] != "$")
+
+
+def test_a_body_comes_back_through_dmig_as_a_model_and_is_reduced_again(bodies, tmp_path):
+    """Its grids are nodes of the model, its scalar points scalar dofs; all of them kept, nothing is lost."""
+    done = export_body(bodies, "dmig", path=tmp_path / "bar.bdf", body="cb")
+    first, body = read_dmig(done.paths[0]), read_body(bodies).bodies["cb"]
+    model = model_of(import_file(done.paths[0], "dmig"))
+    for key, A in (("KAAX", model.K), ("MAAX", model.M), ("BAAX", model.D)):
+        assert np.abs(A.toarray() - first[key].matrix.toarray()).max() == 0
+    scalar = model.dofs.component == 6
+    assert scalar.sum() == len(body.stiffness_matrix) - (~scalar).sum() and (~scalar).any() and scalar.any()
+    nodes = np.unique(model.dofs.node[~scalar])
+    ends = [make_interface(model, name=f"g{row}", nodes=[row], coupling="direct") for row in nodes.tolist()]
+    with Problem(model, ends) as problem:
+        made = elastic_body(problem, CraigBampton(modes=int(scalar.sum())).reduce(problem), make_part(problem))
+    write_body(tmp_path / "again.h5", [made])
+    again = read_body(tmp_path / "again.h5").bodies["craig-bampton"]
+    omega = sl.eigvalsh(first["KAAX"].matrix.toarray(), first["MAAX"].matrix.toarray())
+    found = sl.eigvalsh(again.stiffness_matrix, again.mass_matrix)
+    assert np.abs(found - omega).max() <= 1e-12 * omega.max() and found[6:] == pytest.approx(omega[6:], rel=1e-7)
 
 
 def test_op4_holds_the_body_bit_by_bit(bodies, tmp_path):

@@ -157,7 +157,7 @@ def damage(path: Path, name: str, change) -> None:
         ("matrices/K/indptr", lambda v: v[::-1].copy(), "row pointers"),
         ("matrices/M/data", lambda v: v * np.nan, "not finite"),
         ("matrices/M/data", lambda v: v[:-1], "row pointers"),
-        ("dofs/component", lambda v: v + 7, "expected 0 to 5"),
+        ("dofs/component", lambda v: v + 7, "expected 0 to 6"),
         ("dofs/node", lambda v: v * 0, "two rows belong"),
         ("dofs/node", lambda v: v[:-1], r"expected \(71\) by /dofs/node"),
         ("node_sets/rows", lambda v: v + 1000, "names rows that do not exist"),

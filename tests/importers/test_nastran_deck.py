@@ -9,6 +9,8 @@ from morembs.errors import InputError
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.nastran_cards import real
 from morembs.importers.nastran_text import PIECE
+from morembs.importers.problems import DeckError
+from morembs.importers.to_model import model_of
 from morembs.model.assembly import assemble
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
@@ -250,8 +252,8 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
     ("text", "words"),
     [
         ("CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n", "2 CQUAD4, 1 CBAR|1 CBAR, 2 CQUAD4"),
-        ("CELAS2,3,5.,10,1\n", "1 CELAS2"),
-        ("MPC,1,10,1,1.,20,1,-1.\n", "1 MPC"),
+        ("CELAS2,3,5.,10,0\n", "component 0 of 10"),
+        ("CELAS1,3,7,10,1\n", "names the PELAS 7"),
         ("RBE1,1,10,123456\n", "1 RBE1"),
         ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
         ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
@@ -311,7 +313,7 @@ def test_two_blocks_by_comsol(shared_data):
     path = shared_data / "finetools" / "twoblocks.nas"
     found, theirs = import_nastran(path), meshio.read(path)
     assert len(found.nodes) == 119 and np.array_equal(found.mesh.blocks[0].nodes, theirs.cells[0].data)
-    assert not found.materials and sum("names no material" in why for why in found.incomplete.values()) == 2
+    assert not found.materials and sum("names no material" in why.sentence for why in found.incomplete.values()) == 2
     parts = [isotropic(set=f"PSOLID_{k}", young=1e9, poisson=0.3, density=float(k)) for k in (1, 2)]
     model = assemble(found.mesh, parts)
     x = found.nodes.xyz[found.mesh.blocks[0].nodes]
@@ -338,3 +340,87 @@ def test_damaged_files_end_in_one_message(tmp_path):
         except InputError:
             refused += 1
     assert refused > 100
+
+
+def entries(model, matrix="K"):
+    """Entries as (label, component, label, component) -> value."""
+    A = getattr(model, matrix).tocoo()
+    name = [(int(model.nodes.ids[n]), int(c)) for n, c in zip(model.dofs.node, model.dofs.component, strict=True)]
+    return {(*name[i], *name[j]): value for i, j, value in zip(*A.coords, A.data, strict=True)}
+
+
+def added(bulk, cards, matrix="K"):
+    """What cards add to the cube's matrix."""
+    more, bare = entries(model_of(bulk(CUBE + MAT1 + cards)), matrix), entries(model_of(bulk(CUBE + MAT1)), "K")
+    bare = bare if matrix == "K" else entries(model_of(bulk(CUBE + MAT1)), "M") if matrix == "M" else {}
+    return {key: more.get(key, 0.0) - bare.get(key, 0.0) for key in more if abs(more[key] - bare.get(key, 0.0)) > 1e-3}
+
+
+def test_springs_dampers_and_masses_between_components(bulk):
+    ground = "CELAS2,1,500.,10,1\nPELAS,4,70.,,,5,90.\nCELAS1,2,5,20,2,30,3\n"
+    assert added(bulk, ground) == pytest.approx({
+        (10, 0, 10, 0): 500.0, (20, 1, 20, 1): 90.0, (30, 2, 30, 2): 90.0, (20, 1, 30, 2): -90.0, (30, 2, 20, 1): -90.0,
+    }, rel=1e-4)  # fmt: skip
+    assert added(bulk, "CMASS2,1,3.,10,1\nPMASS,6,2.\nCMASS1,2,6,20,2\n", "M") == pytest.approx(
+        {(10, 0, 10, 0): 3.0, (20, 1, 20, 1): 2.0}
+    )
+    assert added(bulk, "CDAMP2,1,3.,10,1\nPDAMP,6,2.\nCDAMP1,2,6,20,2\n", "D") == pytest.approx(
+        {(10, 0, 10, 0): 3.0, (20, 1, 20, 1): 2.0}
+    )
+    # Away from the axis of a cylinder at (1, 1): along (1, 1) / sqrt(2).
+    turned = CUBE.replace("GRID,30,,1.,1.,0.", "GRID,30,,1.,1.,0.,5") + "CORD2C,5,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    found = bulk(turned + MAT1 + "CELAS2,1,500.,30,1\n").discrete[0]
+    assert found.values == pytest.approx(np.full((2, 2), 250.0)) and found.components.tolist() == [0, 1]
+
+
+def test_bushes_act_at_a_point_between_their_grids(bulk):
+    """Against the stiffness of two rigid arms that meet at the point, with free rotations of the solid's grid."""
+    loose = "GRID,90,,2.,1.,1.\nCONM2,91,90,,5.,\n,1.,,1.,,,1.\n"
+    found = bulk(
+        CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.,40.,50.,60.\n,B,1.,1.,1.\nCBUSH,1,3,70,90,,,,0\n"
+    )
+    stiff, damper = found.discrete
+    a = np.eye(6)
+    a[:3, 3:] = -np.array([[0, 0, 0], [0, 0, -0.5], [0, 0.5, 0]])
+    b = np.eye(6)
+    b[:3, 3:] = -np.array([[0, 0, 0], [0, 0, 0.5], [0, -0.5, 0]])
+    B = np.hstack([-a, b])
+    assert stiff.values == pytest.approx(B.T @ np.diag([10.0, 20, 30, 40, 50, 60]) @ B)
+    assert damper.values[:3, :3] == pytest.approx(np.eye(3))
+    model = model_of(bulk(CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.,40.,50.,60.\nCBUSH,1,3,70,90,,,,0\n"))
+    K = model.K.toarray()
+    six = np.flatnonzero(model.nodes.ids[model.dofs.node] == 90)
+    whole = stiff.values
+    free = [3, 4, 5]  # rotations of grid 70, which its solid does not have
+    kept = [0, 1, 2, 6, 7, 8, 9, 10, 11]
+    condensed = whole[np.ix_(kept, kept)] - whole[np.ix_(kept, free)] @ np.linalg.solve(
+        whole[np.ix_(free, free)], whole[np.ix_(free, kept)]
+    )
+    assert K[np.ix_(six, six)] == pytest.approx(condensed[3:, 3:], abs=1e-9)
+    with pytest.raises(InputError, match="across its axis and no orientation"):
+        bulk(CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.\nCBUSH,1,3,70,90\n")
+
+
+def test_multipoint_constraints_of_the_set_that_is_asked_for(bulk):
+    cards = "MPC,1,10,1,2.,20,1,-1.\n,,30,2,-.5\nMPC,2,40,3,1.,50,3,1.\nMPCADD,9,1,2\n"
+    (both,) = bulk(CUBE + MAT1 + cards).equations
+    assert len(both) == 2 and sorted(both.coefficients.tolist()) == [-1.0, 0.25, 0.5]
+    head = "SOL 103\nCEND\n{}BEGIN BULK\n"
+    (one,) = bulk(head.format("MPC = 2\n") + CUBE + MAT1 + cards + "ENDDATA\n").equations
+    assert len(one) == 1 and one.components.tolist() == [2]
+    assert len(bulk(head.format("MPC = 9\n") + CUBE + MAT1 + cards + "ENDDATA\n").equations[0]) == 2
+    none = bulk(head.format("") + CUBE + MAT1 + cards + "ENDDATA\n")
+    assert not none.equations and "MPC: not applied, the case control asks for none." in none.notes
+    with pytest.raises(InputError, match=r"first coefficient of .* MPC 1 of grid 10 is zero"):
+        bulk(CUBE + MAT1 + "MPC,1,10,1,0.,20,1,-1.\n")
+
+
+def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
+    path = tmp_path / "model.bdf"
+    path.write_text(CUBE + "CQUAD4,8,1,10,20,30,40\nRBE2,9,11,123,10\nPSOLID,1,1\nMAT1,1,2.1+11,,.3\nMATT1,1,7\n")
+    words = r"has 3 problems: .*1 CQUAD4.*RBE2 9 names the grid 11.*has no density"
+    with pytest.raises(DeckError, match=words) as told:
+        import_nastran(path)
+    assert "--skip CQUAD4,RBE2 --density X" in str(told.value)
+    found = import_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0)
+    assert found.materials[0].density == 7850.0 and len(found.warnings) == 4

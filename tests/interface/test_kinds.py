@@ -25,7 +25,7 @@ def translations(monkeypatch):
     """The kind of docs/job.md: nodes that move as one, without turning."""
     name = "translations"
     page = (Path(__file__).parents[2] / "docs" / "job.md").read_text()
-    (code,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "CouplingKind" in one)
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "CouplingKind" in block)
     # Taken out of the table again after the test.
     monkeypatch.setitem(COUPLINGS, name, None)
     exec(code, {"__name__": "docs"})
@@ -55,8 +55,8 @@ def test_a_kind_of_a_user_reduces_as_its_dense_elimination(translations):
         assert problem.rigid.shape[1] == 3
         assert list(problem.coupling.frame_columns) == ["root"]
         reduced = CraigBampton(modes=len(K) - problem.B.shape[1]).reduce(problem)
-    full, mine = (sl.eigh(*pair, eigvals_only=True)[3:] for pair in ((K, M), (reduced.K, reduced.M)))
-    assert mine == pytest.approx(full, rel=1e-8)
+    full, computed = (sl.eigh(*pair, eigvals_only=True)[3:] for pair in ((K, M), (reduced.K, reduced.M)))
+    assert computed == pytest.approx(full, rel=1e-8)
 
 
 def test_a_kind_of_a_user_goes_through_a_body_file(translations, tmp_path, monkeypatch):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
+import resource
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from morembs.cli import app
 from tests.support.decks import APART, BEAM, HINGED, Cell, deck, folder
+from tests.support.processes import apart, program
 
 OLD = b"what was there before"
 STEEL = 'young = 210e3\npoisson = 0.3\ndensity = 7.85e-9'
@@ -153,7 +155,11 @@ def test_density(tmp_path: Path, density: str) -> None:
 
 
 def test_inverted_element(tmp_path: Path) -> None:
-    message = refused(folder(tmp_path, text=deck(BEAM, flipped=[7])))
+    text = deck(BEAM)
+    line = next(line for line in text.split("*ELEMENT")[1].split("\n") if line.startswith("7, "))
+    first, second, *rest = line.split(", ")[1:]
+    # Two corners exchanged: right-handed at some points, left-handed at others.
+    message = refused(folder(tmp_path, text=text.replace(line, ", ".join(["7", second, first, *rest]))))
     assert "1 hex8 elements are inverted" in message and ": 7 (" in message
 
 
@@ -216,16 +222,6 @@ def test_picture_folder_missing(tmp_path: Path) -> None:
     assert "nowhere" in message and "does not exist" in message
 
 
-LIMITED = """
-import resource, signal, sys
-from morembs.cli import main
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-sys.argv = ["morembs", "reduce", sys.argv[1]]
-main()
-"""
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
 @pytest.mark.parametrize("existed", [True, False])
 def test_full_disk(tmp_path: Path, existed: bool) -> None:
@@ -234,10 +230,16 @@ def test_full_disk(tmp_path: Path, existed: bool) -> None:
     if existed:
         output.write_bytes(OLD)
     before = sorted(tmp_path.iterdir())
-    command = [sys.executable, "-c", LIMITED, str(job)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith("error: ") and len(done.stderr.strip().splitlines()) == 1
-    assert "part.h5 could not be written" in done.stderr and "free space" in done.stderr
+    command = program(["reduce", str(job)])
+
+    def work() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+        command()
+
+    done = apart(work, tmp_path)
+    assert done.code == 2, done.errors
+    assert done.errors.startswith("error: ") and len(done.errors.strip().splitlines()) == 1
+    assert "part.h5 could not be written" in done.errors and "free space" in done.errors
     assert sorted(tmp_path.iterdir()) == before
     assert not existed or output.read_bytes() == OLD

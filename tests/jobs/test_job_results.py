@@ -1,6 +1,7 @@
 """Whole jobs: the same input gives the same bytes, and units do not matter."""
 
-import subprocess
+import os
+import signal
 import sys
 
 import h5py
@@ -14,8 +15,10 @@ from morembs.jobs.inputs import budget_of, solver_of
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.mumps import EmbeddedMumps
+from morembs.problem import Problem
 from tests.body.test_storage import everything
 from tests.support import decks
+from tests.support.processes import apart, morembs, program
 
 JOB = """
 [model]
@@ -52,8 +55,8 @@ nodes = "skin"
 
 def reduce(folder, name, **values):
     (folder / f"{name}.toml").write_text(JOB.format(name=name, **values))
-    subprocess.run([sys.executable, "-m", "morembs", "reduce", f"{name}.toml"], cwd=folder, check=True,
-                   capture_output=True)  # fmt: skip
+    done = morembs("reduce", f"{name}.toml", folder=folder)
+    assert done.code == 0, done.errors
     return folder / f"{name}.h5"
 
 
@@ -63,9 +66,9 @@ SI = {"units": "m-kg-s", "young": 2.1e11, "density": 7850.0, "tip": "set:TIP", "
 
 def test_two_runs_give_the_same_bytes(small_meshes, tmp_path):
     a, b = (reduce(tmp_path, name, mesh=small_meshes / "beam.msh", **SI) for name in ("one", "two"))
-    with h5py.File(a) as one, h5py.File(b) as two:
-        mine, other = everything(one), everything(two)
-    assert len(mine) > 40 and mine == other
+    with h5py.File(a) as file_a, h5py.File(b) as file_b:
+        first, second = everything(file_a), everything(file_b)
+    assert len(first) > 40 and first == second
 
 
 def test_millimetres_and_metres_give_the_same_body(small_meshes, tmp_path):
@@ -92,9 +95,8 @@ def test_results_never_overwrite_what_they_come_from(small_meshes, tmp_path, fau
     text = text.replace('path = "body.h5"', f'path = "{path}"\npicture = "same.png"')
     (tmp_path / "job.toml").write_text(text)
     for verb in ("check", "reduce"):
-        command = [sys.executable, "-m", "morembs", verb, "job.toml"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 2 and "would overwrite" in done.stderr and "Traceback" not in done.stderr
+        done = morembs(verb, "job.toml", folder=tmp_path)
+        assert done.code == 2 and "would overwrite" in done.errors and "Traceback" not in done.errors
     assert (tmp_path / "beam.msh").read_bytes() == (small_meshes / "beam.msh").read_bytes()
     assert (tmp_path / "job.toml").read_text() == text and not (tmp_path / "same.png").exists()
 
@@ -108,20 +110,20 @@ def test_a_terminated_run_leaves_nothing_behind(small_meshes, tmp_path):
     # A budget would not do: it is that of the whole process, whose libraries take more than this factor.
     (tmp_path / "job.toml").write_text(f'{text}[solver]\nscratch = "scratch"\n{OUT_OF_CORE}\n')
     (tmp_path / "body.h5").write_text("old")
-    code = (
-        "import os, signal, sys\n"
-        "from morembs.cli import main\n"
-        "from morembs.problem import Problem\n"
-        "def end(self, **options):\n"
-        "    print(len(os.listdir('scratch')), self.statics.factor.stats.out_of_core, flush=True)\n"
-        "    os.kill(os.getpid(), signal.SIGTERM)\n"
-        "Problem.fixed_modes = end\n"
-        "sys.argv = ['morembs', 'reduce', 'job.toml']\n"
-        "main()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 143, done.stderr
-    files, on_disk = done.stdout.split()
+    command = program(["reduce", "job.toml"])
+
+    def end(self, **options):
+        sys.stdout.write(f"{len(os.listdir('scratch'))} {self.statics.factor.stats.out_of_core}")
+        sys.stdout.flush()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    def work():
+        Problem.fixed_modes = end
+        command()
+
+    done = apart(work, tmp_path)
+    assert done.code == 143, done.errors
+    files, on_disk = done.output.split()
     # Arrays are in files without names, beside the factor.
     assert int(files) >= 1 and on_disk == "True"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["body.h5", "job.toml", "scratch"]
@@ -141,8 +143,8 @@ def test_a_job_out_of_core_gives_the_same_body(tmp_path):
         with budget_of(job, solver) as budget:
             assert budget.empty(3).base is None or text == OUT_OF_CORE
             assert budget.files == (text == OUT_OF_CORE)
-    mine, other = (result.bodies[0].reduced.K for result in results)
-    assert np.abs(mine - other).max() < 1e-9 * np.abs(mine).max()
+    first, second = (result.bodies[0].reduced.K for result in results)
+    assert np.abs(first - second).max() < 1e-9 * np.abs(first).max()
 
 
 def test_out_of_core_needs_a_solver_that_can(tmp_path):

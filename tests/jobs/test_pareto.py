@@ -37,15 +37,15 @@ def test_errors_with_an_interface_held_are_those_of_the_held_model():
         reducers = Modal(modes=9), FreeInterface(modes=6), CraigBampton(modes=6)
         bodies = [reducer.reduce(problem) for reducer in reducers]
         scale = problem.motion_scale
-        for body, its in zip(bodies, certify(problem, bodies, [100.0, 2500.0], points=8), strict=True):
+        for body, certificate in zip(bodies, certify(problem, bodies, [100.0, 2500.0], points=8), strict=True):
             for i, (held, free) in enumerate(((slice(0, 6), slice(6, 12)), (slice(6, 12), slice(0, 6)))):
                 for j, w in enumerate(2 * np.pi * hz):
-                    mine, true = (
+                    computed, true = (
                         held_response(P, Q, R, b, c, w, held, free) * np.outer(scale[free], scale[free])
                         for P, Q, R, b, c in ((body.K, body.D, body.M, body.B, body.C), (K, D, M, B, B.T))
                     )
-                    error = np.linalg.norm(mine - true) / np.linalg.norm(true)
-                    assert its.held_error[i, j] == pytest.approx(error, rel=1e-3, abs=1e-7)
+                    error = np.linalg.norm(computed - true) / np.linalg.norm(true)
+                    assert certificate.held_error[i, j] == pytest.approx(error, rel=1e-3, abs=1e-7)
 
 
 def held_response(K, D, M, B, C, w, held, free):
@@ -69,13 +69,14 @@ def compare(small_meshes, tmp_path):
 def test_comparison_marks_the_front_and_draws_it(compare, tmp_path):
     done = compare("band_hz = [0, 8000]\npoints = 6", "--json", "--picture", str(tmp_path / "front.png"))
     assert done.exit_code == 0, done.output
-    found = {one["name"]: one for one in json.loads(done.stdout)["contenders"]}
-    assert [one["order"] for one in found.values()] == [20, 12, 20]
+    contenders = {contender["name"]: contender for contender in json.loads(done.stdout)["contenders"]}
+    assert [contender["order"] for contender in contenders.values()] == [20, 12, 20]
     # Of equal size, many modes beat few with residual statics in the band and lose in statics; the small one is alone.
-    assert found["modal"]["error"] < found["free-interface"]["error"]
-    assert found["free-interface"]["static_error"] < 1e-8 < 1e-3 < found["modal"]["static_error"]
-    assert {name for name, one in found.items() if one["best"]} == {"guyan", "modal"}
-    assert all(one["error"] <= one["bound"] * (1 + 1e-6) and one["seconds"] >= 0 for one in found.values())
+    assert contenders["modal"]["error"] < contenders["free-interface"]["error"]
+    assert contenders["free-interface"]["static_error"] < 1e-8 < 1e-3 < contenders["modal"]["static_error"]
+    assert {name for name, contender in contenders.items() if contender["best"]} == {"guyan", "modal"}
+    for contender in contenders.values():
+        assert contender["error"] <= contender["bound"] * (1 + 1e-6) and contender["seconds"] >= 0
     assert (tmp_path / "front.png").read_bytes()[1:4] == b"PNG" and (tmp_path / "rod.h5").exists()
 
 

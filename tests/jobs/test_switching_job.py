@@ -47,18 +47,18 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
             base_options={"modes": 5}, candidates="box:0,0.049,0.099,0.8,0.051,0.101", directions=[2], stress=True,
             band=3,
         )  # fmt: skip
-        its = reducer.switching(problem, reducer.reduce(problem))
-    assert stored.count == its.count == 9
+        tables = reducer.switching(problem, reducer.reduce(problem))
+    assert stored.count == tables.count == 9
     # Signs and mixtures of equal modes may differ, what is left of static answers does not.
     for name in ("xyz", "stiffness", "mass", "static_stress"):
-        want = getattr(its, name)
+        want = getattr(tables, name)
         assert np.abs(getattr(stored, name) - want).max() < 1e-6 * np.abs(want).max(), name
     assert bodies["rail"].has_switching and not bodies["modal"].has_switching
     assert np.allclose(bodies["rail"].mass_matrix, bodies["modal"].mass_matrix, atol=1e-9)
     with pytest.raises(InputError, match="has no static modes"):
         bodies["modal"].switching()
-    told = CliRunner().invoke(app, ["info", str(tmp_path / "part.h5")])
-    assert told.stdout.count("static modes of candidate loads") == 1
+    info = CliRunner().invoke(app, ["info", str(tmp_path / "part.h5")])
+    assert info.stdout.count("static modes of candidate loads") == 1
 
 
 @pytest.mark.parametrize("command", ["check", "reduce"])

@@ -38,10 +38,10 @@ def dense_gramians(M, D, K, F):
     return P, back @ sl.solve_continuous_lyapunov(A.T, -C @ C.T) @ back.T
 
 
-def difference(mine, exact):
+def difference(actual, exact):
     """Largest difference of entries of unit diagonal."""
     d = 1 / np.sqrt(np.diag(exact))
-    return np.abs(d[:, None] * (mine - exact) * d).max()
+    return np.abs(d[:, None] * (actual - exact) * d).max()
 
 
 def sandwich(folder):
@@ -54,15 +54,15 @@ def sandwich(folder):
 
 
 def check(M, D, K, F, tolerance=1e-12, accuracy=1e-8):
-    found = low_rank_gramian(system(M, D, K), F, tolerance=tolerance)
+    gramian = low_rank_gramian(system(M, D, K), F, tolerance=tolerance)
     P, Q = dense_gramians(M, D, K, F)
-    Z = np.vstack([found.Zp, found.Zv])
-    assert found.residual <= tolerance
+    Z = np.vstack([gramian.Zp, gramian.Zv])
+    assert gramian.residual <= tolerance
     assert difference(Z @ Z.T, P) < accuracy
     M, D = (A.toarray() if sp.issparse(A) else A for A in (M, D))
-    Y = np.vstack([M @ found.Zv + D @ found.Zp, found.Zp])
+    Y = np.vstack([M @ gramian.Zv + D @ gramian.Zp, gramian.Zp])
     assert difference(Y @ Y.T, Q) < accuracy
-    return found
+    return gramian
 
 
 def test_gramians_of_a_chain_solve_their_lyapunov_equations():
@@ -82,9 +82,9 @@ def test_damping_that_is_not_proportional():
     extra[[4, 30]] = 1.0, 20.0
     F = np.zeros((45, 1))
     F[10] = 1.0
-    found = check(M, D + sp.diags_array(extra), K, F)
+    gramian = check(M, D + sp.diags_array(extra), K, F)
     # Overdamped motion takes real shifts.
-    assert any(p.imag == 0 for p in found.shifts)
+    assert any(p.imag == 0 for p in gramian.shifts)
 
 
 def test_viscoelastic_sandwich_beam(shared_data):
@@ -117,10 +117,10 @@ def test_one_solve_for_each_shift_and_real_arithmetic_for_real_shifts():
 
     F = np.zeros((30, 1))
     F[3] = 1.0
-    found = low_rank_gramian(system(M, D, K, solve), F, tolerance=1e-10)
-    assert [-s for s, _ in seen] == list(found.shifts)
+    gramian = low_rank_gramian(system(M, D, K, solve), F, tolerance=1e-10)
+    assert [-s for s, _ in seen] == list(gramian.shifts)
     assert {kind for s, kind in seen if complex(s).imag == 0} == {"f"}
-    assert all(p.real < 0 for p in found.shifts) and found.Zp.dtype == float
+    assert all(p.real < 0 for p in gramian.shifts) and gramian.Zp.dtype == float
 
 
 def test_what_is_left_is_said_where_steps_run_out_or_damping_is_missing():

@@ -50,11 +50,11 @@ def test_sparse_modes_are_all_modes_of_the_dense_pencil(square_bar, exact):
 @pytest.mark.parametrize("coupling", [None, "rigid", "average", "direct"])
 def test_counts_agree_with_the_sorted_list(square_bar, coupling):
     """Sturm counts in ten gaps of the free and of the restricted pencil."""
-    made = []
+    interfaces = []
     if coupling:
-        made = [make_interface(square_bar, name=n, nodes=where(square_bar, 0, x), coupling=coupling)
+        interfaces = [make_interface(square_bar, name=n, nodes=where(square_bar, 0, x), coupling=coupling)
                 for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
-    with Problem(square_bar, made) as problem:
+    with Problem(square_bar, interfaces) as problem:
         pencil = problem.internal if coupling else problem.elastic
         exact = lowest_modes(pencil, problem.M, count=30, by_lapack=True).eigenvalues
         gaps = [k for k in range(1, 30) if exact[k] / exact[k - 1] > 1.001][:10]

@@ -73,12 +73,12 @@ def test_header_of_other_arithmetic_is_refused() -> None:
 
 @pytest.mark.parametrize("name", list(LOADERS))
 def test_header_of_another_version_is_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if isinstance(found := LOADERS[name]("float64"), str):
-        pytest.skip(found)
+    if isinstance(library := LOADERS[name]("float64"), str):
+        pytest.skip(library)
     parse = mumps_library.parse_header
     monkeypatch.setattr(mumps_library, "parse_header", lambda *given: ("5.0.0", parse(*given)[1]))
     reason = LOADERS[name].__wrapped__()
-    assert isinstance(reason, str) and f"version 5.0.0, the library {found.version}" in reason
+    assert isinstance(reason, str) and f"version 5.0.0, the library {library.version}" in reason
 
 
 @pytest.mark.parametrize("file", ["mumps_int_def.h", "mumps_c_types.h"])
@@ -113,8 +113,8 @@ def test_missing_libraries_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch, 
 def test_the_library_that_casadi_loads_itself_is_taken(tmp_path: Path) -> None:
     for name in ("libcoinmumps.so", "libcoinmumps.so.3", "libcoinmumps.a", "libcoinmumps.so.3.txt"):
         (tmp_path / name).write_text("")
-    found = mumps_library.casadi_file(tmp_path)
-    assert found is not None and found.name == "libcoinmumps.so.3"
+    path = mumps_library.casadi_file(tmp_path)
+    assert path is not None and path.name == "libcoinmumps.so.3"
 
 
 def test_arithmetic_that_a_library_lacks_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

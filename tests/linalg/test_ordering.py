@@ -77,8 +77,8 @@ def test_groups_of_equal_rows() -> None:
     ],
 )
 def test_rows_that_differ_are_not_put_together(pattern: list[list[int]], starts: list[int]) -> None:
-    _, found = ordering.node_graph(Lower.of(sp.csc_array(np.array(pattern, dtype=float))))
-    np.testing.assert_array_equal(found, starts)
+    _, groups = ordering.node_graph(Lower.of(sp.csc_array(np.array(pattern, dtype=float))))
+    np.testing.assert_array_equal(groups, starts)
 
 
 def test_large_matrices_are_looked_at_in_pieces() -> None:
@@ -91,8 +91,8 @@ def test_large_matrices_are_looked_at_in_pieces() -> None:
     rows = np.repeat(np.arange(len(node)), counts)
     columns = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
     half = sp.csr_array((np.ones(len(rows)), (rows, columns)))
-    graph, found = ordering.node_graph(Lower.of(sp.csr_array(half + sp.tril(half, -1).T)))
-    np.testing.assert_array_equal(found, starts)
+    graph, groups = ordering.node_graph(Lower.of(sp.csr_array(half + sp.tril(half, -1).T)))
+    np.testing.assert_array_equal(groups, starts)
     assert graph.nnz == 2 * (len(sizes) - 1)
 
 
@@ -134,14 +134,14 @@ def test_small_and_dense_matrices_need_no_order(nodes: int) -> None:
 
 
 def test_the_last_order_is_kept_and_only_for_its_own_pattern(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[int] = []
+    ordered: list[int] = []
     inner = ordering._metis_ordering
-    monkeypatch.setattr(ordering, "_metis_ordering", lambda A: (made.append(A.n), inner(A))[1])
+    monkeypatch.setattr(ordering, "_metis_ordering", lambda A: (ordered.append(A.n), inner(A))[1])
     order = _order(brick(5))
-    assert _order(2.0 * brick(5)) is order and made == [375]
+    assert _order(2.0 * brick(5)) is order and ordered == [375]
     _order(brick(6))
     np.testing.assert_array_equal(_order(brick(5)), order)
-    assert made == [375, 648, 375]
+    assert ordered == [375, 648, 375]
 
 
 def test_a_thread_gets_the_order_of_its_own_matrix() -> None:
@@ -156,8 +156,8 @@ def test_a_thread_gets_the_order_of_its_own_matrix() -> None:
     other, A = Lower.of(brick(6)), Lower.of(brick(5))
     expected = ordering.metis_ordering(A)
     for _ in range(2):
-        found = ordering.metis_ordering(Disturbed(A.indptr, A.indices, A.data))
-        np.testing.assert_array_equal(found, expected)
+        order = ordering.metis_ordering(Disturbed(A.indptr, A.indices, A.data))
+        np.testing.assert_array_equal(order, expected)
 
 
 @pytest.fixture

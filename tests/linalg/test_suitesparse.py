@@ -406,14 +406,14 @@ def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(
 
 
 def test_calls_give_results_errors_and_news() -> None:
-    told: list[str] = []
+    news: list[str] = []
     heard = threading.Event()
 
     class Listener:
         def stage(self, name: str) -> None: ...
 
         def update(self, text: str) -> None:
-            told.append(text)
+            news.append(text)
             heard.set()
 
     def fail() -> None:
@@ -424,7 +424,7 @@ def test_calls_give_results_errors_and_news() -> None:
     assert held.call(heard.wait, PATIENCE, progress=Listener(), news="factorising")
     with pytest.raises(ValueError, match="wrong"):
         held.call(fail)
-    assert all(re.fullmatch(r"factorising \d+ s", text) for text in told), told
+    assert all(re.fullmatch(r"factorising \d+ s", text) for text in news), news
     assert not held.abandoned and not held.freed.is_set()
 
 

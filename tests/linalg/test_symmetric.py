@@ -56,8 +56,8 @@ def test_large_matrices_are_handled_in_pieces() -> None:
     half = sp.diags_array(bands, offsets=range(0, -12, -1), shape=(n, n), format="csr")
     A = sp.csr_array(half + sp.tril(half, -1).T + 40.0 * sp.eye_array(n))
     lower = Lower.of(A)
-    found = sp.csc_array((lower.data, lower.indices, lower.indptr), shape=A.shape)
-    assert abs(sp.tril(A, format="csc") - found).max() == 0
+    pieces = sp.csc_array((lower.data, lower.indices, lower.indptr), shape=A.shape)
+    assert abs(sp.tril(A, format="csc") - pieces).max() == 0
     X = random(n, 2)
     np.testing.assert_allclose(lower @ X, A @ X, rtol=0, atol=1e-12)
     np.testing.assert_allclose(lower.largest_in_rows(), abs(A).max(axis=1).toarray().ravel(), rtol=1e-15)
@@ -174,9 +174,9 @@ def test_matrices_in_files_give_the_same(tmp_path: Path) -> None:
 
 
 def test_all_factors_share_one_analysis_for_each_structure(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[str] = []
+    analysed: list[str] = []
     inner: Callable[..., object] = SuperLU._analyse
-    monkeypatch.setattr(SuperLU, "_analyse", lambda self, A, structure: (made.append(structure),
+    monkeypatch.setattr(SuperLU, "_analyse", lambda self, A, structure: (analysed.append(structure),
                                                                          inner(self, A, structure))[1])  # fmt: skip
     K, M, D = _pencil(True)
     b = random(36)
@@ -187,7 +187,7 @@ def test_all_factors_share_one_analysis_for_each_structure(monkeypatch: pytest.M
             assert backward_error(A, factor.solve(b), b) < 1e-14
         with pytest.raises(InputError, match=r"s\^2 M \+ s D \+ K at s = 1 .*declared complex-symmetric"):
             DynamicStiffness(K, M, solver=SuperLU()).factorize(1.0, "complex-symmetric")
-    assert made == ["symmetric", "complex-symmetric"]
+    assert analysed == ["symmetric", "complex-symmetric"]
     assert factor.closed
 
 

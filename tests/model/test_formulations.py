@@ -20,7 +20,7 @@ from morembs.model.stress_operator import stress_operator
 from morembs.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from tests.support.meshes import STEEL, box
 
-CASES = [(name, kind) for name, one in FORMULATIONS.items() for kind in one.orders or () if name != "full"]
+CASES = [(name, kind) for name, rule in FORMULATIONS.items() for kind in rule.orders or () if name != "full"]
 NU = 0.3
 WOOD = orthotropic(
     set="all", young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.45, 0.3), shear=(0.7e9, 0.6e9, 0.1e9), density=450.0
@@ -39,7 +39,9 @@ def of(mesh: Mesh, formulation: str, mass: str = "exact") -> Mesh:
     return replace(mesh, blocks=tuple(replace(block, formulation=formulation, mass=mass) for block in mesh.blocks))
 
 
-def made(formulation: str, kind: str = "hex8", n: tuple[int, int, int] = (2, 2, 2), *, warp=None, **change) -> FEModel:
+def brick(
+    formulation: str, kind: str = "hex8", n: tuple[int, int, int] = (2, 2, 2), *, warp=None, **change
+) -> FEModel:
     mesh = of(box(kind, n, (1.0, 1.0, 1.0), warp), formulation, change.pop("mass", "exact"))
     return assemble(mesh, [isotropic(set="all", **{**STEEL, **change})])
 
@@ -64,8 +66,8 @@ def test_rigid_motion_and_constant_strain(name: str, kind: str, material: str) -
     assert inner.any() and np.abs(force[inner]).max() < 1e-10 * np.abs(force).max()
     E = 0.5 * (G + G.T)
     strain = np.array([E[0, 0], E[1, 1], E[2, 2], E[0, 1], E[1, 2], E[2, 0]])
-    found = stress_operator(model, "all", elements=True)
-    for operator in (found, found.elements.operator):
+    at_nodes = stress_operator(model, "all", elements=True)
+    for operator in (at_nodes, at_nodes.elements.operator):
         assert np.abs(operator.strain(u[:, None]).reshape(-1, 6) - strain).max() < 1e-13
 
 
@@ -78,7 +80,7 @@ def bent(model: FEModel) -> np.ndarray:
 def test_incompatible_modes_bend_without_shear() -> None:
     """The energy of one element in bending is that of the beam (Wilson 1973); plain ones are far too stiff."""
     beam = STEEL["young"] / 12 / 2
-    energies = {name: (u := bent(model := made(name, n=(1, 1, 1)))) @ (model.K @ u) / 2 for name in FORMULATIONS
+    energies = {name: (u := bent(model := brick(name, n=(1, 1, 1)))) @ (model.K @ u) / 2 for name in FORMULATIONS
                 if "hex8" in (FORMULATIONS[name].orders or TYPES)}  # fmt: skip
     assert energies["incompatible"] == pytest.approx(beam, rel=1e-12)
     assert energies["full"] > 1.5 * beam > 1.3 * energies["b-bar"] and energies["mean-strain"] < 0.05 * beam
@@ -86,13 +88,13 @@ def test_incompatible_modes_bend_without_shear() -> None:
 
 def test_stress_of_a_bent_element() -> None:
     """Stress of the incompatible element is that of the beam, whose plain neighbours have shear and cross stresses."""
-    model = made("incompatible", n=(1, 1, 1))
-    found = stress_operator(model, "all")
-    stress = found.stress(bent(model)[:, None]).reshape(-1, 6)
+    model = brick("incompatible", n=(1, 1, 1))
+    operator = stress_operator(model, "all")
+    stress = operator.stress(bent(model)[:, None]).reshape(-1, 6)
     z = model.nodes.xyz[:, 2] - 0.5
     assert stress[:, 0] == pytest.approx(STEEL["young"] * z, rel=1e-11)
     assert np.abs(stress[:, 1:]).max() < 1e-10 * STEEL["young"]
-    plain = stress_operator(made("full", n=(1, 1, 1)), "all").stress(bent(model)[:, None]).reshape(-1, 6)
+    plain = stress_operator(brick("full", n=(1, 1, 1)), "all").stress(bent(model)[:, None]).reshape(-1, 6)
     assert np.abs(plain[:, 1:]).max() > 0.1 * STEEL["young"]
 
 
@@ -100,7 +102,7 @@ def test_volume_strain_of_b_bar_is_one_value() -> None:
     """Of one element of any shape, whatever its nodes do; shears are those of the field."""
     strains = {}
     for name in ("full", "b-bar"):
-        model = made(name, n=(1, 1, 1), warp=torn)
+        model = brick(name, n=(1, 1, 1), warp=torn)
         u = np.random.default_rng(3).standard_normal((24, 2))
         strains[name] = stress_operator(model, "all").strain(u).reshape(8, 6, 2)
     volume = strains["b-bar"][:, :3].sum(axis=1)
@@ -114,7 +116,7 @@ def test_geometric_stiffness_takes_the_same_stress(name: str) -> None:
     steel = isotropic(set="all", **STEEL)
     mesh = box("hex8", (2, 1, 1), (0.2, 0.1, 0.1), skewed)
     u = (mesh.nodes.xyz @ np.diag([1e-3, -2e-4, 3e-4])).ravel()
-    kg, plain = (geometric_stiffness(of(mesh, one), [steel], u).toarray() for one in (name, "full"))
+    kg, plain = (geometric_stiffness(of(mesh, rule), [steel], u).toarray() for rule in (name, "full"))
     if name != "mean-strain":
         assert np.abs(kg - plain).max() < 1e-11 * np.abs(plain).max()
     single = of(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0), torn), name)
@@ -127,13 +129,13 @@ def test_geometric_stiffness_takes_the_same_stress(name: str) -> None:
         s = steel.stiffness @ B[q] @ u[rows]
         S = np.array([[s[0], s[5], s[4]], [s[5], s[1], s[3]], [s[4], s[3], s[2]]])
         want += dN @ S @ dN.T * dV
-    found = geometric_stiffness(single, [steel], u).toarray()[np.ix_(block.nodes[0], block.nodes[0])]
-    assert np.abs(found - want).max() < 1e-12 * np.abs(want).max()
+    of_block = geometric_stiffness(single, [steel], u).toarray()[np.ix_(block.nodes[0], block.nodes[0])]
+    assert np.abs(of_block - want).max() < 1e-12 * np.abs(want).max()
 
 
 @pytest.mark.parametrize(("mass", "kind"), [(mass, kind) for mass, kinds in MASSES.items() for kind in kinds])
 def test_every_mass_has_the_whole_mass(mass: str, kind: str) -> None:
-    model = made("full", kind, mass=mass, warp=skewed)
+    model = brick("full", kind, mass=mass, warp=skewed)
     volume = np.linalg.det(skewed(np.eye(3)))
     assert model.M.sum() / 3 == pytest.approx(STEEL["density"] * volume, rel=1e-12)
     if mass == "row-sum":
@@ -141,7 +143,7 @@ def test_every_mass_has_the_whole_mass(mass: str, kind: str) -> None:
 
 
 def test_the_mass_of_the_mean_strain_is_that_of_the_whole_volume() -> None:
-    mean, exact = made("mean-strain", mass="reduced", warp=torn), made("full", warp=torn)
+    mean, exact = brick("mean-strain", mass="reduced", warp=torn), brick("full", warp=torn)
     assert mean.M.sum() == pytest.approx(exact.M.sum(), rel=1e-12)
 
 
@@ -159,16 +161,16 @@ def test_rules_by_name_are_exact_to_degree_five(kind: str, name: str, count: int
 
 def test_names_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"formulation = 'bbar' was given for elements hex8.*did you mean 'b-bar'"):
-        made("bbar")
+        brick("bbar")
     with pytest.raises(InputError, match="formulation = 'b-bar' was given for elements tet4; it is for hex8"):
-        made("b-bar", "tet4")
+        brick("b-bar", "tet4")
     with pytest.raises(InputError, match="mass = 'row-sum' was given for elements tet10; it is for tet4, hex8, wedge6"):
-        made("full", "tet10", mass="row-sum")
+        brick("full", "tet10", mass="row-sum")
 
 
 def test_large_displacements_need_the_strain_of_the_field() -> None:
     with pytest.raises(InputError, match=r"8 elements hex8 have the formulation 'b-bar'.*formulation = \"full\""):
-        SaintVenantKirchhoff(made("b-bar"))
-    model = made("reduced", "hex20", n=(1, 1, 1))
+        SaintVenantKirchhoff(brick("b-bar"))
+    model = brick("reduced", "hex20", n=(1, 1, 1))
     tangent = SaintVenantKirchhoff(model).tangent(model.nodes.xyz)
     assert abs(tangent - model.K).max() < 1e-12 * abs(model.K).max()

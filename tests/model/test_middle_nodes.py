@@ -62,10 +62,10 @@ def test_orders_of_other_programs_are_put_right_and_named(kind: str, program: st
     for warp in (None, bent):
         mesh = box(kind, (2, 2, 1), (0.3, 0.1, 0.08), warp)
         right = assemble(mesh, steel())
-        found = assemble(mixed(mesh, KNOWN[kind, program]), steel())
-        assert abs(found.K - right.K).max() == 0 and abs(found.M - right.M).max() == 0
-        assert not right.warnings and len(found.warnings) == 1
-        assert f"in the order of {program}" in found.warnings[0] and kind in found.warnings[0]
+        model = assemble(mixed(mesh, KNOWN[kind, program]), steel())
+        assert abs(model.K - right.K).max() == 0 and abs(model.M - right.M).max() == 0
+        assert not right.warnings and len(model.warnings) == 1
+        assert f"in the order of {program}" in model.warnings[0] and kind in model.warnings[0]
         check_mesh(mixed(mesh, KNOWN[kind, program]), steel())
 
 
@@ -124,11 +124,11 @@ def test_decks_of_every_program_and_meshes_by_hand(tmp_path: Path) -> None:
     for ending, text in forms.items():
         path = tmp_path / f"part{ending}"
         path.write_text(text(mixed(mesh, KNOWN["tet10", "gmsh"])))
-        found = model_of(replace(import_file(path), materials=tuple(steel()), incomplete={}))
-        assert any("in the order of gmsh" in one for one in found.warnings), ending
-        assert found.M.sum() == pytest.approx(right.M.sum(), rel=1e-9)
+        model = model_of(replace(import_file(path), materials=tuple(steel()), incomplete={}))
+        assert any("in the order of gmsh" in warning for warning in model.warnings), ending
+        assert model.M.sum() == pytest.approx(right.M.sum(), rel=1e-9)
         if ending != ".cdb":
-            assert any("in the order of gmsh" in one for one in read_mesh(path).warnings)
+            assert any("in the order of gmsh" in warning for warning in read_mesh(path).warnings)
         path.write_text(text(mixed(mesh, UNKNOWN["tet10"])))
         with pytest.raises(InputError, match="middle nodes"):
             model_of(replace(import_file(path), materials=tuple(steel()), incomplete={}))
@@ -138,9 +138,9 @@ def test_surfaces_of_a_deck_in_another_order(tmp_path: Path) -> None:
     """A face of elements takes its middle nodes from the element as it is put in order."""
     mesh = box("hex20", (1, 1, 1), (0.3, 0.1, 0.08))
     surface = "*SURFACE, NAME=SIDE\n1, S3\n"
-    found = []
-    for name, one in (("right", mesh), ("other", mixed(mesh, KNOWN["hex20", "Nastran or Exodus"]))):
+    surfaces = []
+    for name, ordered in (("right", mesh), ("other", mixed(mesh, KNOWN["hex20", "Nastran or Exodus"]))):
         path = tmp_path / f"{name}.inp"
-        path.write_text(lines(one) + surface)
-        found.append(import_file(path).surfaces["SIDE"])
-    assert np.array_equal(found[0], found[1]) and len(found[0]) == 8
+        path.write_text(lines(ordered) + surface)
+        surfaces.append(import_file(path).surfaces["SIDE"])
+    assert np.array_equal(surfaces[0], surfaces[1]) and len(surfaces[0]) == 8

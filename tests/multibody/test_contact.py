@@ -224,9 +224,9 @@ def test_bouncing_ball_against_the_analytic_solution():
     result = simulate_contact(system, [contact], end=4.5, step=0.01)
     fall, e = np.sqrt(2 / G), 0.8
     times = fall + 2 * fall * np.concatenate(([0], np.cumsum(e ** np.arange(1, 22))))
-    found = np.array([i.time for i in result.impacts])
+    impact_times = np.array([i.time for i in result.impacts])
     # The last impact comes within one step of the one before and ends the rebounds.
-    assert found == pytest.approx(times[: len(found)], abs=1e-12) and len(found) == 22
+    assert impact_times == pytest.approx(times[: len(impact_times)], abs=1e-12) and len(impact_times) == 22
     approach = np.array([i.approach[0] for i in result.impacts])
     assert approach == pytest.approx(G * fall * e ** np.arange(22), rel=1e-10)
     assert np.array([i.loss for i in result.impacts])[:21] == pytest.approx(0.5 * approach[:21] ** 2 * (1 - e**2))

@@ -16,7 +16,6 @@ TABLE = {
     2e-3: (2.20e-2, 252.0, 27.7),
     1e-3: (5.43e-3, 115.0, 6.85),
     5e-4: (1.35e-3, 57.6, 1.71),
-    2.5e-4: (3.38e-4, 26.1, 0.427),
 }
 
 
@@ -75,9 +74,8 @@ def test_errors_are_those_of_the_published_scheme(step):
     of_position, plain, corrected = TABLE[step]
     assert errors(step, True)[0] == pytest.approx(of_position, rel=0.02)
     assert errors(step, True)[1] == pytest.approx(corrected, rel=0.02)
-    if step > 4e-4:
-        assert errors(step, False)[0] == pytest.approx(of_position, rel=0.02)
-        assert errors(step, False)[1] == pytest.approx(plain, rel=0.02)
+    assert errors(step, False)[0] == pytest.approx(of_position, rel=0.02)
+    assert errors(step, False)[1] == pytest.approx(plain, rel=0.02)
 
 
 def test_second_order_from_the_corrected_start():

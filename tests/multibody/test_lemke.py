@@ -11,7 +11,7 @@ from morembs.multibody.contact.lemke import RayError, lemke
 
 def enumerated(M, q):
     """All solutions at complementary bases."""
-    found, m = [], len(q)
+    solutions, m = [], len(q)
     for choice in product((False, True), repeat=m):
         basic = np.array(choice)
         z = np.zeros(m)
@@ -22,8 +22,8 @@ def enumerated(M, q):
             z[basic] = np.linalg.solve(inner, -q[basic])
         w = M @ z + q
         if min(z.min(), w.min()) > -1e-9:
-            found.append(z)
-    return found
+            solutions.append(z)
+    return solutions
 
 
 def check(M, q, solution, tolerance=1e-10):
@@ -54,8 +54,8 @@ def test_semidefinite_matrices_are_solved_or_end_on_a_ray_as_enumeration_says(se
     m = int(rng.integers(3, 8))
     half = rng.standard_normal((m, int(rng.integers(1, m))))
     M, q = half @ half.T, rng.standard_normal(m)
-    found = enumerated(M, q)
-    if not found:
+    solutions = enumerated(M, q)
+    if not solutions:
         with pytest.raises(RayError) as caught:
             lemke(M, q)
         # The ray is a certificate: M z = 0, z >= 0, q'z < 0.
@@ -66,7 +66,7 @@ def test_semidefinite_matrices_are_solved_or_end_on_a_ray_as_enumeration_says(se
     solution = lemke(M, q)
     check(M, q, solution)
     # w is the same in all solutions of a semidefinite problem.
-    assert solution.w == pytest.approx(M @ found[0] + q, abs=1e-8)
+    assert solution.w == pytest.approx(M @ solutions[0] + q, abs=1e-8)
 
 
 def test_the_sample_of_semidefinite_problems_has_both_ends():

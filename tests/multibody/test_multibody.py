@@ -82,12 +82,12 @@ def test_jacobians_are_derivatives(joint):
         options["motion"] = Motion.steady(0.0)
     turned = first.marker_at((0.1, 0.2, 0.3), axes=rotation((0, 1, 1), 0.4))
     node = second.marker_at((1, 0, 0), rng.standard_normal((6, 3)))
-    made = system.add(joint(turned, node, **options))
+    constraint = system.add(joint(turned, node, **options))
     assembly = Assembly(system)
     x, _ = assembly.start()
     x = assembly.moved(x, 0.4 * rng.standard_normal(assembly.size))
     Phi, B = assembly.constraints(0.0, assembly.places(x))
-    assert len(Phi) == made.count
+    assert len(Phi) == constraint.count
     e = 1e-5
     for k, unit in enumerate(np.eye(assembly.size)):
         ahead, behind = (assembly.constraints(0.0, assembly.places(assembly.moved(x, s * unit)))[0] for s in (e, -e))
@@ -291,8 +291,8 @@ def test_two_bodies_fixed_together_move_as_one():
     pair = simulate(system, end=1.0, step=1e-3)
     system = System()
     both = system.add(RigidBody(4.0, (0.02, 1 / 3 + 1, 1 / 3 + 1), angular_velocity=spin, markers={"c": (0, 0, 0)}))
-    one = simulate(system, end=1.0, step=1e-3)
-    assert pair.axes(a.marker("left"))[-1] == pytest.approx(one.axes(both.marker("c"))[-1], abs=2e-5)
+    result = simulate(system, end=1.0, step=1e-3)
+    assert pair.axes(a.marker("left"))[-1] == pytest.approx(result.axes(both.marker("c"))[-1], abs=2e-5)
     assert pair.axes(b.marker("left"))[-1] == pytest.approx(pair.axes(a.marker("left"))[-1] @ turn, abs=1e-9)
     assert pair.position(a.marker("right")) == pytest.approx(np.zeros((1001, 3)), abs=1e-7)
     assert pair.multipliers(joint).shape == (1001, 6)
@@ -395,9 +395,9 @@ def test_redundant_joints_are_named():
     system.add(SphericalJoint(ground.marker_at(), a.marker("left"), name="good"))
     for name in ("one", "two"):
         system.add(SphericalJoint(a.marker("right"), b.marker("left"), name=name))
-    with pytest.raises(InputError, match=r"3 of 9 joint equations are redundant") as told:
+    with pytest.raises(InputError, match=r"3 of 9 joint equations are redundant") as refusal:
         simulate(system, end=1, step=0.1)
-    assert "'one'" in str(told.value) and "'two'" in str(told.value) and "'good'" not in str(told.value)
+    assert "'one'" in str(refusal.value) and "'two'" in str(refusal.value) and "'good'" not in str(refusal.value)
 
 
 def test_bad_starts_are_told():

@@ -67,13 +67,13 @@ def full_run(model, path, load, count, h, rho=0.9):
         return f
 
     u, rate, factor = np.zeros(len(K)), np.zeros(len(K)), sl.cho_factor(M + h * h / 4 * K)
-    a, found = np.linalg.solve(M, spread(0.0)), [np.zeros(len(K))]
+    a, states = np.linalg.solve(M, spread(0.0)), [np.zeros(len(K))]
     for k in range(1, count + 1):
         u, rate = u + h * rate + h * h / 4 * a, rate + h / 2 * a
         a = sl.cho_solve(factor, spread(k * h) - K @ u)
         u, rate = u + h * h / 4 * a, rate + h / 2 * a
-        found.append(u)
-    return np.array(found)
+        states.append(u)
+    return np.array(states)
 
 
 def test_solid_rail_like_all_of_its_dofs():
@@ -85,7 +85,7 @@ def test_solid_rail_like_all_of_its_dofs():
     )
     with Problem(model) as problem:
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
+        tables = reducer.switching(problem, reduced)
     speed, count, begin, F = 60.0, 400, 0.1, np.array([0.0, 0.0, -1e4])
     h = 1.0 / speed / count
 
@@ -93,7 +93,7 @@ def test_solid_rail_like_all_of_its_dofs():
     def ramp(t):
         return np.sin(0.5 * np.pi * min(max(t / (40 * h), 0.0), 1.0)) ** 2
 
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=begin)
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=begin)
     system = System()
     system.add(body)
     load = system.add(MovingLoad(body.path(), position=lambda t: begin + speed * t, force=lambda t: ramp(t) * F))
@@ -108,14 +108,14 @@ def test_solid_rail_like_all_of_its_dofs():
     x = model.nodes.xyz[path, 0]
     down, sigma = np.empty(len(pick)), np.empty((len(pick), 6))
     for row, (k, s) in enumerate(zip(pick, got.position, strict=True)):
-        curve = its.curve(float(s))
+        curve = tables.curve(float(s))
         down[row] = curve.value @ curve.span.base @ all_dofs[k, 3 * path[curve.span.nodes] + 2]
         i = curve.span.interval
         c = (s - x[i]) / (x[i + 1] - x[i])
         sigma[row] = (1 - c) * tensor[at[i], :, k] + c * tensor[at[i + 1], :, k]
     assert np.abs(got.displacement[:, 2] - down).max() < 1e-2 * np.abs(down).max()
     assert np.abs(got.stress - sigma).max() < 1e-2 * np.abs(sigma).max()
-    modes_only = np.array([its.stress[its.curve(float(s)).span.interval] @ q for s, q in
+    modes_only = np.array([tables.stress[tables.curve(float(s)).span.interval] @ q for s, q in
                            zip(got.position, result.configuration(body)[:, :10], strict=True)])  # fmt: skip
     assert np.abs(modes_only - sigma).max() > 0.1 * np.abs(sigma).max()
 
@@ -138,7 +138,7 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
     )  # fmt: skip
     with Problem(model, held) as problem:
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
+        tables = reducer.switching(problem, reduced)
         frame = floating_frame(problem, reduced)
     x0 = xyz[path[0], 0]
     speed, count, F = 20.0, 300, 1e-3 * np.array([3.0, 5.0, -20.0])
@@ -148,7 +148,7 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
         return 0.05 + speed * t, np.sin(0.5 * np.pi * min(max(t / (60 * h), 0.0), 1.0)) ** 2 * F
 
     inner = FlexibleBody(frame, position=frame.origin)
-    body = SwitchingBody(inner, its, at=0.05 - x0, variant=variant, damping_ratio=0.3)
+    body = SwitchingBody(inner, tables, at=0.05 - x0, variant=variant, damping_ratio=0.3)
     system = System()
     system.add(body)
     moving = system.add(MovingLoad(body.path(), position=lambda t: load(t)[0] - x0, force=lambda t: load(t)[1]))
@@ -158,7 +158,7 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
     want, got = np.empty((len(u), 3)), np.empty((len(u), 3))
     x = result.configuration(body)
     for k, s in enumerate(local.position):
-        curve = its.curve(float(s))
+        curve = tables.curve(float(s))
         want[k] = curve.value @ curve.span.base @ u[k].reshape(-1, 3)[path[curve.span.nodes]]
         R = x[k, 3:12].reshape(3, 3)
         got[k] = x[k, :3] + R @ (curve.point - frame.origin + local.displacement[k]) - curve.point
@@ -171,37 +171,37 @@ def test_the_path_is_a_smooth_curve():
     angle = np.linspace(0, 2.5, 40) ** 1.1
     xyz = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     c = len(xyz)
-    its = StaticModeTables(
+    tables = StaticModeTables(
         kind="path", node_ids=np.arange(c), xyz=xyz, node=np.arange(c), direction=np.tile([0.0, 0, 1], (c, 1)),
         turns=np.zeros(c, bool), modes=np.zeros((c, 1)), stiffness=np.eye(1, c), mass=np.eye(1, c),
         coupling=np.zeros((1, c)), weight=np.zeros((1, 3)), static_weight=np.zeros((c, 3)),
     )  # fmt: skip
-    for s in its.s[1:-1]:
-        before, after = its.curve(s - 1e-9), its.curve(s + 1e-9)
+    for s in tables.s[1:-1]:
+        before, after = tables.curve(s - 1e-9), tables.curve(s + 1e-9)
         assert np.abs(before.point - after.point).max() < 1e-8
         assert np.abs(before.tangent - after.tangent).max() < 1e-6
         # Through the nodes, and the derivative is that of the point.
-    mid = 0.5 * (its.s[7] + its.s[8])
-    step = (its.curve(mid + 1e-6).point - its.curve(mid - 1e-6).point) / 2e-6
-    assert np.abs(step - its.curve(mid).tangent).max() < 1e-7
+    mid = 0.5 * (tables.s[7] + tables.s[8])
+    step = (tables.curve(mid + 1e-6).point - tables.curve(mid - 1e-6).point) / 2e-6
+    assert np.abs(step - tables.curve(mid).tangent).max() < 1e-7
     every = np.arange(c)
-    slope = (its.curve(mid + 1e-6).rows(every) - its.curve(mid - 1e-6).rows(every)) / 2e-6
-    assert np.abs(slope - its.curve(mid).rows(every, derivative=True)).max() < 1e-7
-    radius = [np.linalg.norm(its.curve(s).point) for s in np.linspace(its.s[2], its.s[-3], 200)]
+    slope = (tables.curve(mid + 1e-6).rows(every) - tables.curve(mid - 1e-6).rows(every)) / 2e-6
+    assert np.abs(slope - tables.curve(mid).rows(every, derivative=True)).max() < 1e-7
+    radius = [np.linalg.norm(tables.curve(s).point) for s in np.linspace(tables.s[2], tables.s[-3], 200)]
     assert np.abs(np.array(radius) - 1).max() < 1e-4
 
 
 def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
-    reduced, its = beam
+    reduced, tables = beam
 
     def failed(position, at=0.0, end=1.0, step=1e-3, **keys):
-        body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=at, **keys)
+        body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=at, **keys)
         system = System()
         system.add(body)
         system.add(MovingLoad(body.path(), position=position, force=(0, 1, 0), name="wheel"))
-        with pytest.raises(UnfinishedRunError) as found:
+        with pytest.raises(UnfinishedRunError) as stopped:
             simulate_sliding(system, SlidingSwitch(body), end=end, step=step)
-        return str(found.value), found.value.result
+        return str(stopped.value), stopped.value.result
 
     text, result = failed(lambda t: 0.8 * t, end=1.5)
     assert "outside all candidates at t = 1.25" in text and "wheel" in text
@@ -211,22 +211,22 @@ def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
     assert "from t = 0.1 s to 0.101 s" in text and "s = 0.2 m to 0.7 m" in text and "look-ahead of 1" in text
     assert result.time[-1] == pytest.approx(0.1)
     with pytest.raises(InputError, match="outside all candidates at the start"):
-        SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=1.2)
+        SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=1.2)
     # A stretch of the path whose candidates have no static modes of their own.
-    dead = np.array(its.stiffness)
-    gone = (its.node > 20) & (its.node < 30)
+    dead = np.array(tables.stiffness)
+    gone = (tables.node > 20) & (tables.node < 30)
     for k in range(len(dead)):
-        dead[k, gone] = dead[k, np.roll(gone, k) & (np.arange(its.count) >= k)] = 0.0
-    none = replace(its, stiffness=dead)
+        dead[k, gone] = dead[k, np.roll(gone, k) & (np.arange(tables.count) >= k)] = 0.0
+    none = replace(tables, stiffness=dead)
     body = SwitchingBody(LinearBody(reduced.M, reduced.K), none, variant="dynamic")
     system = System()
     system.add(body)
     system.add(MovingLoad(body.path(), position=lambda t: 0.8 * t, force=(0, 1, 0)))
     with pytest.raises(
         UnfinishedRunError, match=r"at t = 0\.\d+ s, s = 0\.\d+ m: the active set at nodes .* lost its rank"
-    ) as found:
+    ) as stopped:
         simulate_sliding(system, SlidingSwitch(body), end=1.2, step=2e-3)
-    assert found.value.result.time[-1] > 0.5
+    assert stopped.value.result.time[-1] > 0.5
     # The same where a mass rides on the compliance of static modes.
     body = SwitchingBody(LinearBody(reduced.M, reduced.K), none, at=0.4)
     rider = RigidBody(1e-3, (1, 1, 1), position=(0.4, 0, 0), velocity=(1, 0, 0), markers={"c": (0, 0, 0)}, name="rider")
@@ -236,16 +236,16 @@ def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
     system.add(PathSupport(body.path(), rider.marker("c"), up=(0, 1, 0), name="wheel"))
     with pytest.raises(
         UnfinishedRunError, match=r"in the step from t = 0\.2\d+ s on, wheel at s = 0\.6\d+ m: .*does not converge"
-    ) as found:
+    ) as stopped:
         simulate_sliding(system, SlidingSwitch(body), end=0.5, step=1e-3)
-    assert 0.2 < found.value.result.time[-1] < 0.4
+    assert 0.2 < stopped.value.result.time[-1] < 0.4
     rider = RigidBody(1.0, (1, 1, 1), position=(0.75, 0, 0), markers={"c": (0, 0, 0)}, name="rider")
     body = SwitchingBody(LinearBody(reduced.M, reduced.K), none, at=0.75)
     with pytest.raises(InputError, match=r"lost its rank at s = 0\.75 m"):
         PathSupport(body.path(), rider.marker("c"), up=(0, 1, 0))
     # A rider that starts off the path, and two loads where the compliance knows one only.
     rider = RigidBody(1.0, (1, 1, 1), position=(1.3, 0, 0), markers={"c": (0, 0, 0)}, name="rider")
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its)
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables)
     with pytest.raises(InputError, match="outside all candidates"):
         PathSupport(body.path(), rider.marker("c"), up=(0, 1, 0))
     with pytest.raises(InputError, match="dynamic variant only"):
@@ -253,10 +253,10 @@ def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
 
 
 def test_loads_at_one_place_are_as_one(beam):
-    reduced, its = beam
-    found = []
+    reduced, tables = beam
+    results = []
     for shares in ((2.0,), (0.5, 1.5)):
-        body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=(0.43,) * len(shares))
+        body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=(0.43,) * len(shares))
         system = System()
         system.add(body)
         loads = [
@@ -264,10 +264,10 @@ def test_loads_at_one_place_are_as_one(beam):
             for k, share in enumerate(shares)
         ]
         result = simulate_sliding(system, SlidingSwitch(body), end=0.02, step=2e-3)
-        found.append(local_response(result, body, loads[0]).displacement)
+        results.append(local_response(result, body, loads[0]).displacement)
     # Static modes answer at once, so that what one load leaves out would be seen in the first step.
-    assert np.abs(found[0][0]).max() > 1e-5
-    assert np.abs(found[1] - found[0]).max() < 1e-12 * np.abs(found[0]).max()
+    assert np.abs(results[0][0]).max() > 1e-5
+    assert np.abs(results[1] - results[0]).max() < 1e-12 * np.abs(results[0]).max()
 
 
 def test_a_frame_far_from_its_body_is_refused():
@@ -277,8 +277,8 @@ def test_a_frame_far_from_its_body_is_refused():
     )
     with Problem(model) as problem:
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
+        tables = reducer.switching(problem, reduced)
         near, far = (floating_frame(problem, reduced, origin=origin) for origin in ((0, 0, 0), (3, -20, 11)))
-    SwitchingBody(FlexibleBody(near), its)
+    SwitchingBody(FlexibleBody(near), tables)
     with pytest.raises(InputError, match="radii of gyration, and every switch"):
-        SwitchingBody(FlexibleBody(far), its)
+        SwitchingBody(FlexibleBody(far), tables)

@@ -26,9 +26,9 @@ def beam():
 
 def passage(beam, alpha, variant="quasi-static", steps=1600, **keys):
     """A unit load crosses the beam with ``alpha`` times the critical speed."""
-    reduced, its = beam
+    reduced, tables = beam
     v = alpha * np.pi
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, variant=variant, **keys)
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, variant=variant, **keys)
     system, switch = System(), SlidingSwitch(body)
     system.add(body)
     system.add(MovingLoad(body.path(), position=lambda t: v * t, force=(0.0, 1.0, 0.0)))
@@ -83,25 +83,25 @@ def full_beam_moments(v, steps):
 
     u, rate, factor = np.zeros(len(K)), np.zeros(len(K)), sl.lu_factor(M + h * h / 4 * K)
     a = np.linalg.solve(M, load(0.0))
-    found = []
+    moments = []
     for k in range(1, steps + 1):
         u, rate = u + h * rate + h * h / 4 * a, rate + h / 2 * a
         a = sl.lu_solve(factor, load(k * h) - K @ u)
         u, rate = u + h * h / 4 * a, rate + h / 2 * a
-        found.append((k * h, element_moment(whole(u), v * k * h)))
-    return found
+        moments.append((k * h, element_moment(whole(u), v * k * h)))
+    return moments
 
 
 def test_bending_moment_under_the_load_with_four_modes(beam):
     result, body, _, v = passage(beam, 0.25)
-    its = beam[1]
-    every, rows = np.arange(its.count), []
+    tables = beam[1]
+    every, rows = np.arange(tables.count), []
     for number, (_, state) in enumerate(states(result)):
         if number % 10 == 0:
             q, candidates, a = amplitudes(state, body)
-            u, s = its.modes @ q + its.R(every, candidates) @ a, v * state.time
+            u, s = tables.modes @ q + tables.R(every, candidates) @ a, v * state.time
             rows.append(
-                (exact_moment(state.time, v), element_moment(whole(u), s), element_moment(whole(its.modes @ q), s))
+                (exact_moment(state.time, v), element_moment(whole(u), s), element_moment(whole(tables.modes @ q), s))
             )
     exact, switched, modes = np.array(rows).T
     full = np.array([(exact_moment(t, v), value) for t, value in full_beam_moments(v, 1600)[::10]])
@@ -115,12 +115,12 @@ def test_bending_moment_under_the_load_with_four_modes(beam):
 @pytest.mark.parametrize("variant", ["quasi-static", "dynamic"])
 def test_displacement_is_continuous_and_no_energy_grows_at_switches(beam, variant):
     result, body, switch, _ = passage(beam, 0.25, variant, steps=800)
-    its, every = beam[1], np.arange(beam[1].count)
-    last, jump, largest = np.zeros(its.count), 0.0, 0.0
-    moves = ~its.turns
+    tables, every = beam[1], np.arange(beam[1].count)
+    last, jump, largest = np.zeros(tables.count), 0.0, 0.0
+    moves = ~tables.turns
     for first, state in states(result):
         q, candidates, a = amplitudes(state, body)
-        u = its.modes @ q + its.R(every, candidates) @ a
+        u = tables.modes @ q + tables.R(every, candidates) @ a
         if first and state.time > 0:
             jump = max(jump, np.abs(u - last)[moves].max())
         last, largest = u, max(largest, np.abs(u[moves]).max())
@@ -147,19 +147,19 @@ def beam_with_interface():
     interface = make_interface(model, name="middle", nodes=np.array([held]), coupling="direct")
     with Problem(model, [interface]) as problem:
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
-    loads = np.zeros((model.size, its.count))
-    for column, (node, turns) in enumerate(zip(its.node_ids[its.node], its.turns, strict=True)):
+        tables = reducer.switching(problem, reduced)
+    loads = np.zeros((model.size, tables.count))
+    for column, (node, turns) in enumerate(zip(tables.node_ids[tables.node], tables.turns, strict=True)):
         loads[(model.dofs.node == node - 1) & (model.dofs.component == (5 if turns else 1)), column] = 1.0
-    assert np.abs(its.coupling).max() > 0
-    return reduced, its, loads
+    assert np.abs(tables.coupling).max() > 0
+    return reduced, tables, loads
 
 
 @pytest.mark.parametrize("base", ["modal", "craig-bampton"])
 def test_projection_at_a_switch_is_the_nearest_in_stiffness_and_mass(base):
     """Against dense projections with explicit shapes; constraint modes share mass with static ones."""
-    reduced, its, loads = beam_with_interface() if base == "craig-bampton" else (*reduced_beam(3), None)
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=0.4, variant="dynamic")
+    reduced, tables, loads = beam_with_interface() if base == "craig-bampton" else (*reduced_beam(3), None)
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=0.4, variant="dynamic")
     rng = np.random.default_rng(3)
     with Problem(hermite_beam()) as problem:
         K, M = problem.K.toarray(), problem.M.toarray()
@@ -223,11 +223,11 @@ def moving_mass(speed, mass, gravity, start, end, n=ELEMENTS):
 
 @pytest.mark.parametrize("variant", ["quasi-static", "dynamic"])
 def test_travelling_mass(variant):
-    reduced, its = reduced_beam(2)
+    reduced, tables = reduced_beam(2)
     # Deflections so small that the mass keeps its speed; and it is heavy: half of the beam. Without damping, as work of
     # dampers comes from the trapezoidal rule, which is far off for static modes that are faster than a step.
     speed, mass, g, start, end = 0.25 * np.pi, 0.5, 1e-3, 0.05, 0.95
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=start, variant=variant, look_ahead=2,
+    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=start, variant=variant, look_ahead=2,
                          damping_ratio=0.0)  # fmt: skip
     system = System(gravity=(0.0, -g, 0.0))
     system.add(body)
@@ -254,21 +254,21 @@ def test_travelling_mass(variant):
 def test_a_step_handles_as_much_with_ten_times_as_many_candidates_and_dofs(variant):
     sizes = []
     for n in (40, 400):
-        reduced, its = reduced_beam(4, n, band=12)
-        body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=0.5, variant=variant)
+        reduced, tables = reduced_beam(4, n, band=12)
+        body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=0.5, variant=variant)
         place, active = body.path().place(body.start()[0]), body.active(body.start()[0])
         arrays = [place.jacobian, place.R, place.amplitudes, place.at(0.5).G, active.on_inner, *active.rows]
-        sizes.append((its.count // 10, body.size, body.configuration_size, [one.shape for one in arrays]))
+        sizes.append((tables.count // 10, body.size, body.configuration_size, [array.shape for array in arrays]))
     assert sizes[1][0] >= 9 * sizes[0][0] and sizes[0][1:] == sizes[1][1:]
 
 
 def test_two_wheels_share_a_beam(beam):
     """Superposition: each load in a window of its own, static modes of one seen by the other."""
-    reduced, its = beam
+    reduced, tables = beam
     v = 0.2 * np.pi
 
     def run(at, forces):
-        body = SwitchingBody(LinearBody(reduced.M, reduced.K), its, at=at)
+        body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=at)
         system = System()
         system.add(body)
         for number, (s, F) in enumerate(zip(at, forces, strict=True)):
@@ -278,7 +278,7 @@ def test_two_wheels_share_a_beam(beam):
         result = simulate_sliding(system, SlidingSwitch(body), end=0.5, step=1e-3)
         return result.time, local_response(result, body, lambda t: 0.1 + v * t).displacement[:, 1]
 
-    both, one, other = (run(*args) for args in (((0.1, 0.4), (1.0, 2.0)), ((0.1,), (1.0,)), ((0.4,), (2.0,))))
+    both, first, second = (run(*args) for args in (((0.1, 0.4), (1.0, 2.0)), ((0.1,), (1.0,)), ((0.4,), (2.0,))))
     times = np.linspace(0.01, 0.49, 50)
-    a, b, c = (np.interp(times, *pair) for pair in (both, one, other))
+    a, b, c = (np.interp(times, *pair) for pair in (both, first, second))
     assert np.abs(a - b - c).max() < 1e-5 * np.abs(a).max()

@@ -124,12 +124,12 @@ def test_a_slender_cantilever_converges_to_the_elastica(load):
         model = steel(box("hex20", (n, 1, 1), (1.0, thickness, thickness)), poisson=0.0)
         solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
         force = (0, load * 2.1e11 * thickness**4 / 12, 0)
-        found = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=4)
-        point, R = solid.frame(found.x, "tip")
+        path = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=4)
+        point, R = solid.frame(path.x, "tip")
         tip = np.array([point[0] - along, point[1] - thickness / 2 - across, np.arctan2(R[1, 0], R[0, 0]) - angle])
         errors.append(np.abs(tip).max())
         assert point[2] == pytest.approx(thickness / 2, abs=1e-9)
-        assert np.abs(found.reaction[:3] + force).max() < 1e-6 * force[1]
+        assert np.abs(path.reaction[:3] + force).max() < 1e-6 * force[1]
     assert errors[1] < 0.01 and errors[1] < 0.2 * errors[0]
 
 
@@ -164,8 +164,8 @@ def test_an_average_and_a_rigid_end_bend_a_slender_beam_alike():
     force, tips = (0.0, 2 * 2.1e11 * 0.02**4 / 12, 0.0), []
     for coupling in ("rigid", "average"):
         solid = NonlinearSolid(model, ends(model, "rigid", coupling))
-        found = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=2)
-        tips.append(solid.frame(found.x, "tip")[0])
+        path = follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=force), steps=2)
+        tips.append(solid.frame(path.x, "tip")[0])
     assert np.abs(tips[0] - tips[1]).max() < 1e-4
 
 
@@ -176,11 +176,11 @@ def test_a_turned_end_has_the_moment_of_the_circle():
     held = np.concatenate((solid.frames["root"], solid.frames["tip"][3:]))
     motion = np.zeros(9)
     motion[8] = 1.2
-    found = follow_equilibrium(solid, held=held, motion=motion, steps=2)
+    path = follow_equilibrium(solid, held=held, motion=motion, steps=2)
     EI = 2.1e11 * 0.02**4 / 12
-    assert found.reaction[8] == pytest.approx(1.2 * EI, rel=2e-3)
-    assert found.x[solid.frames["tip"][0]] == pytest.approx(np.sin(1.2) / 1.2, abs=1e-3)
-    assert solid.energy(found.x) == pytest.approx(0.5 * 1.2**2 * EI, rel=2e-3)
+    assert path.reaction[8] == pytest.approx(1.2 * EI, rel=2e-3)
+    assert path.x[solid.frames["tip"][0]] == pytest.approx(np.sin(1.2) / 1.2, abs=1e-3)
+    assert solid.energy(path.x) == pytest.approx(0.5 * 1.2**2 * EI, rel=2e-3)
 
 
 def test_a_strut_beyond_buckling_is_refused_with_the_share_reached():

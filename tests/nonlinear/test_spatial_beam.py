@@ -68,7 +68,7 @@ def test_an_end_moment_turns_a_beam_by_a_full_turn(axis):
     # All stiffnesses of turning are one: the frames turn evenly about the axis of the moment, in torsion, too.
     beam = SpatialBeam.straight(1.0, 8, section(EA=1e4, GA2=1e4, GA3=1e4, GJ=1.0, EI2=1.0, EI3=1.0))
     moment = 2 * np.pi * np.array(axis)
-    found = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0, 0, *moment), stable=False)
+    path = follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0, 0, *moment), stable=False)
     s = np.linspace(0, 1, 9)
     line = np.linspace(0, 1, 8 * 40 + 1)
     rate = Rotation.from_rotvec(line[:, None] * moment).apply([1.0, 0, 0])
@@ -77,12 +77,12 @@ def test_an_end_moment_turns_a_beam_by_a_full_turn(axis):
     middle = Rotation.from_rotvec((line[:-1, None] + half) * moment).apply([1.0, 0, 0])
     steps = (rate[:-1] + 4 * middle + rate[1:]) * half / 3
     exact = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))[::40]
-    table = found.x.reshape(-1, 6)
+    table = path.x.reshape(-1, 6)
     assert np.abs(table[:, :3] - exact).max() < 1e-9
     frames = Rotation.from_rotvec(table[:, 3:]).inv() * Rotation.from_rotvec(s[:, None] * moment)
     assert np.abs(frames.as_rotvec()).max() < 1e-11
-    assert beam.energy(found.x) == pytest.approx((2 * np.pi) ** 2 / 2, rel=1e-12)
-    assert np.abs(found.reaction[3:] + moment).max() < 1e-9
+    assert beam.energy(path.x) == pytest.approx((2 * np.pi) ** 2 / 2, rel=1e-12)
+    assert np.abs(path.reaction[3:] + moment).max() < 1e-9
 
 
 @pytest.mark.parametrize("load", [1.0, 10.0])
@@ -118,9 +118,9 @@ def rod_by_shooting(beam_section, radius, angle, force):
     guess = np.zeros(3)
     for share in (0.25, 0.5, 0.75, 1.0):
         full, force = force, share * force
-        found = root(lambda moment: end(moment)[12:], guess, tol=1e-10)
-        assert found.success
-        guess, tip, force = found.x, end(found.x)[:3], full
+        solution = root(lambda moment: end(moment)[12:], guess, tol=1e-10)
+        assert solution.success
+        guess, tip, force = solution.x, end(solution.x)[:3], full
     return tip
 
 
@@ -223,11 +223,11 @@ def test_held_frames_can_be_moved(turns):
     held = np.concatenate((CLAMPED, beam.frames["end"][3:]))
     motion = np.zeros(9)
     motion[8] = angle = 2 * np.pi * turns
-    found = follow_equilibrium(beam, held=held, motion=motion, steps=8, stable=False)
-    assert found.x[-6:-3] == pytest.approx([np.sin(angle) / angle, (1 - np.cos(angle)) / angle, 0], abs=1e-9)
-    assert found.reaction[-1] == pytest.approx(angle, rel=1e-9)
+    path = follow_equilibrium(beam, held=held, motion=motion, steps=8, stable=False)
+    assert path.x[-6:-3] == pytest.approx([np.sin(angle) / angle, (1 - np.cos(angle)) / angle, 0], abs=1e-9)
+    assert path.reaction[-1] == pytest.approx(angle, rel=1e-9)
     # The frames are moved by a linear step of the whole beam; alone they would leave it torn.
-    assert found.factorisations <= 4 * found.steps
+    assert path.factorisations <= 4 * path.steps
 
 
 def test_mass_of_rigid_motions():

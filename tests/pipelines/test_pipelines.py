@@ -46,10 +46,10 @@ def runs_in_exudyn(text):
 
 
 def has_the_factors_of_fryba(text):
-    found = re.findall(r"dynamic factor (\S+) \(Fryba (\S+)\)", text)
-    assert len(found) == 5
-    for ours, exact in found:
-        assert float(ours) == pytest.approx(float(exact), rel=3e-3)
+    factors = re.findall(r"dynamic factor (\S+) \(Fryba (\S+)\)", text)
+    assert len(factors) == 5
+    for computed, exact in factors:
+        assert float(computed) == pytest.approx(float(exact), rel=3e-3)
 
 
 def has_the_moment_with_static_modes_alone(text):
@@ -67,17 +67,26 @@ def is_as_good_as_all_dofs(text):
 
 
 def has_the_coefficient_of_southwell(text):
-    found = dict(re.findall(r"flap, simulated, (.*): c = (\S+)$", text, re.MULTILINE))
-    assert float(found["morembs with stiffening"]) == pytest.approx(1.19, abs=0.01)
-    assert abs(float(found["morembs without"])) < 5e-3
+    coefficients = dict(re.findall(r"flap, simulated, (.*): c = (\S+)$", text, re.MULTILINE))
+    assert float(coefficients["morembs with stiffening"]) == pytest.approx(1.19, abs=0.01)
+    assert abs(float(coefficients["morembs without"])) < 5e-3
     if not exudyn_missing():
-        assert abs(float(found["Exudyn"])) < 5e-3
+        assert abs(float(coefficients["Exudyn"])) < 5e-3
 
 
 def needs_few_candidates(text):
     low, high, candidates = map(int, re.search(r"active candidates: (\d+) to (\d+) of (\d+)", text).groups())
     assert 0 < low < high < candidates / 2
     assert number(r"from all of the model by (\S+) of it", text) < 1e-8
+
+
+def needs_two_modes_along_the_motion(text):
+    locked = number(r"locked at the end of the motion: (\S+) and", text)
+    assert locked == pytest.approx(3.06, rel=5e-3)
+    full, deflection = map(float, re.search(r"(\S+) Hz after the motion, largest deflection (\S+) m", text).groups())
+    error, reduced = map(float, re.search(r"^ +2  no +\S+ +(\S+) +(\S+)", text, re.MULTILINE).groups())
+    assert full == pytest.approx(locked, rel=1e-2) and reduced == pytest.approx(locked, rel=1e-2)
+    assert error < 0.02 and deflection > 0.05
 
 
 PROMISES = {
@@ -90,6 +99,7 @@ PROMISES = {
     "studies.gear_teeth": needs_few_candidates,
     "studies.moving_load": has_the_moment_with_static_modes_alone,
     "studies.rotating_beam": has_the_coefficient_of_southwell,
+    "studies.two_link_manipulator": needs_two_modes_along_the_motion,
 }
 
 
@@ -129,11 +139,11 @@ def test_the_connecting_rod_of_the_demo(tmp_path):
     assert abs(result["center_of_mass"][1]) < 1e-6 and 0.02 < result["center_of_mass"][0] < 0.075
     assert result["peak_memory_bytes"] and all(bytes_ > 0 for bytes_ in result["peak_memory_bytes"].values())
     assert (tmp_path / "connecting_rod.png").stat().st_size > 50_000
-    its = result["bodies"]["certified"]["certificate"]
+    certificate = result["bodies"]["certified"]["certificate"]
     assert result["bodies"]["certified"]["order"] <= 60
-    assert its["bound_kind"] == "bound" and len(its["frequencies_hz"]) >= 200
-    assert max(its["error"]) <= its["limits"]["pointwise"]["upper"]
-    assert its["limits"]["envelope"]["upper"] <= 1e-4 and its["measure"] == "envelope"
+    assert certificate["bound_kind"] == "bound" and len(certificate["frequencies_hz"]) >= 200
+    assert max(certificate["error"]) <= certificate["limits"]["pointwise"]["upper"]
+    assert certificate["limits"]["envelope"]["upper"] <= 1e-4 and certificate["measure"] == "envelope"
     # The other body is certified over the same band, and stored with it.
     body = read_body(tmp_path / "connecting_rod.h5").bodies["cb30"]
     assert body.certificate["error"].tolist() == result["bodies"]["cb30"]["certificate"]["error"]

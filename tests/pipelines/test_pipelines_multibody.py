@@ -1,7 +1,6 @@
 """Pipelines and studies with two simulators: both agree, and with beam theory."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.polynomial import Legendre
 
 from morembs.exporters.exudyn_system import exudyn_missing
 from morembs.recovery.recover import recover
+from tests.support.processes import python
 
 ROOT = Path(__file__).parents[2]
 PIPELINES = ROOT / "pipelines"
@@ -30,7 +30,7 @@ STEP = slider_crank.TURN / 1000
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def body_of(tmp_path_factory):
     """The body of a pipeline or study, made once."""
     done = {}
 
@@ -44,8 +44,8 @@ def made(tmp_path_factory):
     return of
 
 
-def test_mesh_of_a_bar_has_its_volume_and_inertia(made):
-    strip = made(flexible_swing)
+def test_mesh_of_a_bar_has_its_volume_and_inertia(body_of):
+    strip = body_of(flexible_swing)
     a, b, c = flexible_swing.SIZE
     mass = 7850.0 * a * b * c
     assert strip.source.mass == pytest.approx(mass, rel=1e-12)
@@ -54,9 +54,9 @@ def test_mesh_of_a_bar_has_its_volume_and_inertia(made):
 
 
 @needs_exudyn
-def test_swing_is_that_of_exudyn(made):
+def test_swing_is_that_of_exudyn(body_of):
     """Whole swing; the difference is of the steps, and of second order in them."""
-    strip = made(flexible_swing)
+    strip = body_of(flexible_swing)
     gaps = []
     for step in (2e-3, 1e-3):
         swing = flexible_swing.run(strip, end=1.0, step=step)
@@ -69,8 +69,8 @@ def test_swing_is_that_of_exudyn(made):
 
 
 @needs_exudyn
-def test_slider_crank_is_that_of_exudyn(made):
-    rod = made(slider_crank)
+def test_slider_crank_is_that_of_exudyn(body_of):
+    rod = body_of(slider_crank)
     ours, theirs = (run(rod, slider_crank.TURN / 4, STEP) for run in (slider_crank.run_ours, slider_crank.run_theirs))
     assert ours.gap(theirs).max() < 1e-6 * slider_crank.LENGTH
     assert 0.01 < np.abs(ours.deflection).max() / slider_crank.LENGTH < 0.02
@@ -81,9 +81,9 @@ def test_slider_crank_is_that_of_exudyn(made):
     assert np.abs(ours.wrist[:, 1:]).max() < 1e-9 and np.abs(ours.lead).max() < 1e-4
 
 
-def test_a_rod_that_bends_draws_the_slider_in(made):
+def test_a_rod_that_bends_draws_the_slider_in(body_of):
     """A half wave of height d shortens the chord by pi^2 d^2 / 4 l: of the body with stiffening only."""
-    rod = made(slider_crank)
+    rod = body_of(slider_crank)
     plain, stiff = (slider_crank.run_ours(rod, slider_crank.TURN / 6, STEP, stiffening=s) for s in (False, True))
     at = int(np.argmax(stiff.deflection))
     drawn_in = np.pi**2 * stiff.deflection[at] ** 2 / (4 * slider_crank.LENGTH)
@@ -106,8 +106,8 @@ def southwell(parts, count=8):
     return np.array([(sl.eigh(K + square * T, M, eigvals_only=True)[0] - rest) / square for square in squares])
 
 
-def test_rotating_beam_stiffens_as_beam_theory_says(made):
-    blade = made(rotating_beam)
+def test_rotating_beam_stiffens_as_beam_theory_says(body_of):
+    blade = body_of(rotating_beam)
     exact = southwell(rotating_beam.SPEEDS)
     assert exact[0] == pytest.approx(1.193, abs=5e-4)
     flap, lag = (rotating_beam.coefficients(blade, axis, stiffening=True) for axis in (2, 1))
@@ -133,17 +133,18 @@ def test_examples_of_the_documentation(tmp_path, point):
     code = "".join(blocks[: 2 if exudyn_missing() else 3])
     code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
     code = code.replace('coupling="rigid")', f'coupling="rigid", point={point} if name == "TIP" else None)')
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
-    *tip, energy = map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.stdout.splitlines()[0]))
+    done = python(code, tmp_path)
+    assert done.code == 0, done.errors
+    *tip, energy = map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.output.splitlines()[0]))
     # A rod of 0.5 m that fell for 0.3 s, and bent little; its energy is what it was at the start: none.
     assert np.hypot(tip[0], tip[2]) == pytest.approx(np.hypot(point[0], point[2] - 0.015), abs=2e-3)
     assert -0.52 < tip[2] < -0.3
     assert abs(energy) < 1e-3
     if not exudyn_missing():
-        other = list(map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.stdout.splitlines()[-1])))
+        other = list(map(float, re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", done.output.splitlines()[-1])))
         assert np.abs(np.array(tip) - other).max() < 5e-4
     motion = recover(tmp_path / "beam.h5", tmp_path / "motion.npz", tmp_path / "again.vtkhdf")
-    assert motion.steps == 301 and f"{motion.peak[0] / 1e6:.3f} MPa at node {motion.peak[1]}" in done.stdout
+    assert motion.steps == 301 and f"{motion.peak[0] / 1e6:.3f} MPa at node {motion.peak[1]}" in done.output
     if not exudyn_missing():
         series = [vtk_points(tmp_path / name) for name in ("again.vtkhdf", "exudyn.vtkhdf")]
         assert np.abs(series[0] - series[1]).max() < 5e-4

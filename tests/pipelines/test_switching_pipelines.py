@@ -34,34 +34,34 @@ def gears():
 
 
 def test_flank_nodes_are_on_involutes(gears):
-    for one in gears:
-        its, gear = one.sector, one.sector.gear
-        x, y, _ = np.moveaxis(its.model.nodes.xyz[its.flank], -1, 0)
+    for reduced in gears:
+        sector, gear = reduced.sector, reduced.sector.gear
+        x, y, _ = np.moveaxis(sector.model.nodes.xyz[sector.flank], -1, 0)
         radius, angle = np.hypot(x, y), np.arctan2(y, x) - np.array([-1, 0, 1])[:, None, None] * 2 * np.pi / gear.teeth
         roll = np.sqrt(radius**2 - gear.base**2)
-        assert np.abs(roll - its.roll[:, None]).max() < 1e-9
+        assert np.abs(roll - sector.roll[:, None]).max() < 1e-9
         # The tangent to the base circle at the end of a taut string is as long as the arc that it left.
         left = roll / gear.base - np.arctan2(roll, gear.base) + angle
         assert np.ptp(left) < 1e-9
         # At the pitch circle a tooth is half a pitch thick.
         at_pitch = float(gear.half_angle(np.array(gear.pitch)))
         assert at_pitch == pytest.approx(np.pi / 2 / gear.teeth)
-        normal = one.tables.direction[one.candidate[:, 1:-1]]
+        normal = reduced.tables.direction[reduced.candidate[:, 1:-1]]
         # Normals are those of the facets, means at corners: between radius and normal are 90 degrees less the pressure.
         away = np.arctan2(normal[..., 1], normal[..., 0]) - np.arctan2(y, x)[:, 1:-1]
         assert np.abs(away + np.arctan2(roll, gear.base)[:, 1:-1] - np.pi / 2).max() < 0.1
 
 
 def test_points_lie_where_the_line_of_action_meets_the_flanks(gears):
-    along = sum(one.sector.gear.base for one in gears) * np.tan(make_spur_gear.PRESSURE)
+    along = sum(reduced.sector.gear.base for reduced in gears) * np.tan(make_spur_gear.PRESSURE)
     at = gear_teeth.touch(gears, 0.3 * gear_teeth.base_pitch())
     assert sorted(set(at.pair)) == [-1, 0]
     total = np.zeros(len(at.pair))
-    for one, some, W, sign in zip(gears, at.active, at.weights, (1, -1), strict=True):
+    for reduced, some, W, sign in zip(gears, at.active, at.weights, (1, -1), strict=True):
         assert np.abs(W.sum(axis=1) - 1).max() < 1e-12
-        place = np.argsort(one.candidate.ravel())[some]
-        tooth, row, line = np.unravel_index(place, one.sector.flank.shape)
-        total += W @ one.sector.roll[row]
+        place = np.argsort(reduced.candidate.ravel())[some]
+        tooth, row, line = np.unravel_index(place, reduced.sector.flank.shape)
+        total += W @ reduced.sector.roll[row]
         middle = [np.unique(tooth[w != 0]) for w in W]
         assert [list(m) for m in middle] == [[1 + sign * k] for k in at.pair]
         assert all(len(np.unique(line[w != 0])) == 1 for w in W)
@@ -70,14 +70,14 @@ def test_points_lie_where_the_line_of_action_meets_the_flanks(gears):
 
 
 def test_compliance_of_teeth_is_that_of_the_whole_model(gears):
-    for one in gears:
-        C, some = gear_teeth.whole_compliance(one), np.arange(one.tables.count)
-        assert np.abs(one.compliance(some) - C).max() < 1e-8 * np.abs(C).max()
-        assert np.abs(one.by_modes(some) - C).max() > 0.3 * np.abs(C).max()
+    for reduced in gears:
+        C, some = gear_teeth.whole_compliance(reduced), np.arange(reduced.tables.count)
+        assert np.abs(reduced.compliance(some) - C).max() < 1e-8 * np.abs(C).max()
+        assert np.abs(reduced.by_modes(some) - C).max() > 0.3 * np.abs(C).max()
 
 
 def test_load_is_shared_as_with_the_whole_model(gears):
-    whole = [gear_teeth.whole_compliance(one) for one in gears]
+    whole = [gear_teeth.whole_compliance(reduced) for reduced in gears]
     places = gear_teeth.base_pitch() * np.linspace(-0.5, 0.5, 9)
     switched, full = (gear_teeth.cycle(gears, places, C) for C in (None, whole))
     assert np.abs(switched.approach - full.approach).max() < 1e-8 * full.approach.max()
@@ -87,9 +87,9 @@ def test_load_is_shared_as_with_the_whole_model(gears):
     assert switched.load[4] == pytest.approx([0, gear_teeth.FORCE, 0])
     assert (switched.load[0, 1:] > 0.3 * gear_teeth.FORCE).all()
     assert switched.approach[0] == pytest.approx(switched.approach[-1], rel=0.05)
-    assert switched.active.max() < 0.5 * sum(one.tables.count for one in gears)
+    assert switched.active.max() < 0.5 * sum(reduced.tables.count for reduced in gears)
     at = gear_teeth.touch(gears, float(places[0]))
-    near, f = gear_teeth.solve(at, [one.compliance(some) for one, some in zip(gears, at.active, strict=True)])
+    near, f = gear_teeth.solve(at, [reduced.compliance(some) for reduced, some in zip(gears, at.active, strict=True)])
     A = sum(W @ C[np.ix_(s, s)] @ W.T for W, C, s in zip(at.weights, whole, at.active, strict=True))
     gap = at.gap + A @ f - near
     assert np.abs(np.minimum(gap / near, f / gear_teeth.FORCE)).max() < 1e-9

@@ -162,10 +162,10 @@ def test_a_jump_among_modes_that_are_not_resolved_counts_as_error_of_the_respons
     part = []
     for jump in np.geomspace(6e4, 1e5, 12):
         with Problem(model, ends(model), damping=Damping(modal_table=[[0, 0.01], [jump, 1.0]])) as problem:
-            made = reference_model(problem, w, tolerance=tolerance)
+            reference = reference_model(problem, w, tolerance=tolerance)
             D = modal_matrix(M, values, phi, lambda hz, at=jump: np.where(hz < at, 0.01, 1.0))
-            assert made.error <= tolerance
-            part.append(off(made.response(w), dense_response(problem, w, D), problem) / made.error)
+            assert reference.error <= tolerance
+            part.append(off(reference.response(w), dense_response(problem, w, D), problem) / reference.error)
     assert max(part) < 1.5
 
 
@@ -177,21 +177,21 @@ def test_a_certificate_names_the_modes_that_a_jump_parts():
         _, M, values, phi = pencil(problem)
         first = float(np.sqrt(values[0]) / (2 * np.pi))
         true = dense_response(problem, 2 * np.pi * hz, modal_matrix(M, values, phi, table_ratio))
-        bodies = [one.reduce(problem) for one in (
+        bodies = [reducer.reduce(problem) for reducer in (
             FreeInterface(modes=6), Krylov(shifts_hz=[0.0, 1500.0]), Gramian(band_hz=[100.0, 2600.0], order=20),
         )]  # fmt: skip
-        for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
+        for body, certificate in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = each(reduced_response(body, 2 * np.pi * hz), true, problem)
-            assert np.abs(its.error - error).max() < 1e-6 * error.max() + 2e-6
+            assert np.abs(certificate.error - error).max() < 1e-6 * error.max() + 2e-6
             # The table gives ratios to the computed modes, and none of those in the band is near a jump.
-            assert its.kind == "proven" and not [note for note in its.notes if "jumps between" in note]
-            assert [note for note in its.notes if note.startswith("modal damping acts on the")]
-            part = its.bound / error
+            assert certificate.kind == "proven" and not [note for note in certificate.notes if "jumps between" in note]
+            assert [note for note in certificate.notes if note.startswith("modal damping acts on the")]
+            part = certificate.bound / error
             assert part.min() > 0.99 and np.median(part) < 1.1
     # Constraint modes alone are too stiff: a jump lies between both frequencies of the first mode.
     with Problem(model, ends(model), damping=Damping(modal_table=[[0, 0.01], [1.0001 * first, 0.1]])) as problem:
-        (its,) = certify(problem, [REDUCERS["guyan"]().reduce(problem)], hz)
-        assert [note for note in its.notes if "jumps between" in note and f"{first:,.6g} Hz" in note]
+        (certificate,) = certify(problem, [REDUCERS["guyan"]().reduce(problem)], hz)
+        assert [note for note in certificate.notes if "jumps between" in note and f"{first:,.6g} Hz" in note]
 
 
 def test_a_table_that_damps_some_modes_only():
@@ -243,10 +243,10 @@ def test_structural_damping_solves_the_dense_complex_equations(name, coupling):
         assert off(H[1:], true, problem) < 1e-6
         every = Modal(modes=problem.K.shape[0] - 6).reduce(problem)
         assert off(reduced_response(every, OMEGA), true, problem) < 1e-6
-        made = reference_model(problem, OMEGA, tolerance=1e-6)
-        assert off(made.response(OMEGA), true, problem) < 3 * made.error < 3e-6
+        reference = reference_model(problem, OMEGA, tolerance=1e-6)
+        assert off(reference.response(OMEGA), true, problem) < 3 * reference.error < 3e-6
         # The error is seen as it is: the space does not grow to the whole model.
-        assert len(made.values) < (0.25 if name != "table" else 0.5) * problem.K.shape[0]
+        assert len(reference.values) < (0.25 if name != "table" else 0.5) * problem.K.shape[0]
         if name != "table":
             assert off(direct_response(problem, OMEGA), true, problem) < 1e-8
             assert off(direct_response(problem, np.zeros(1)), H[:1], problem) < 1e-6
@@ -265,19 +265,19 @@ def test_the_bound_holds_with_structural_damping(name, coupling):
         modes = problem.elastic_modes(below=(2 * np.pi * 3300.0) ** 2).frequencies_hz
         hz = np.unique(np.concatenate([np.linspace(30.0, 2600.0, 40), modes[modes < 2600]]))
         true = dense_response(problem, 2 * np.pi * hz, viscous(problem, damping), 0.03)
-        bodies = [one.reduce(problem) for one in (
+        bodies = [reducer.reduce(problem) for reducer in (
             Modal(modes=12), FreeInterface(modes=6), Krylov(shifts_hz=[0.0, 1500.0]),
             Gramian(band_hz=[30.0, 2600.0], order=18),
         )]  # fmt: skip
-        for body, its in zip(bodies, certify(problem, bodies, hz), strict=True):
+        for body, certificate in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = each(reduced_response(body, 2 * np.pi * hz), true, problem)
-            assert its.bound_kind == "bound"
+            assert certificate.bound_kind == "bound"
             # The dense solution itself is known to 1e-9.
-            assert (its.bound + 1e-9 >= error).all()
-            assert np.median(its.bound / np.maximum(error, 1e-9)) < 1.1
-            assert np.abs(its.error - error).max() < 1e-8 * (1 + error.max()) ** 2
+            assert (certificate.bound + 1e-9 >= error).all()
+            assert np.median(certificate.bound / np.maximum(error, 1e-9)) < 1.1
+            assert np.abs(certificate.error - error).max() < 1e-8 * (1 + error.max()) ** 2
             # Statics are real in both.
-            assert body.name != "free-interface" or its.static_error < 1e-8
+            assert body.name != "free-interface" or certificate.static_error < 1e-8
 
 
 def test_a_real_krylov_basis_matches_the_response_where_the_complex_frequency_is_the_shift():
@@ -333,14 +333,14 @@ def test_what_structural_damping_has_not_is_refused():
 
 def test_a_body_says_that_the_time_domain_cannot_hold_its_structural_damping(tmp_path):
     model = beam((4, 1, 1))
-    for damping, said in ((Damping(structural=0.02), True), (Damping(modal=0.02), False)):
+    for damping, noted in ((Damping(structural=0.02), True), (Damping(modal=0.02), False)):
         with Problem(model, ends(model), damping=damping) as problem:
             body = elastic_body(problem, Modal(modes=3).reduce(problem), make_part(problem))
         write_body(tmp_path / "body.h5", [body])
         stored = read_body(tmp_path / "body.h5").bodies["modal"]
         words = frequency_domain_only(stored.recipe)
-        assert bool(words) == said and ("0.02" in words) == said
-        assert (np.abs(stored.damping_matrix).max() == 0) == said
+        assert bool(words) == noted and ("0.02" in words) == noted
+        assert (np.abs(stored.damping_matrix).max() == 0) == noted
 
 
 # Damping matrices of the model's own.

@@ -80,8 +80,8 @@ def test_a_soft_ground_under_every_node_is_kept(spring: float) -> None:
     model = block(1e11, spring, everywhere=True)
     with Problem(model) as problem:
         assert problem.rigid.shape[1] == 0
-        found = problem.elastic_modes(count=6).eigenvalues
-    assert found == pytest.approx(spring / (MASS / 8), rel=1e-3)
+        values = problem.elastic_modes(count=6).eigenvalues
+    assert values == pytest.approx(spring / (MASS / 8), rel=1e-3)
 
 
 def test_automatic_on_soft_springs_keeps_its_promise() -> None:
@@ -90,14 +90,14 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
     hz = np.linspace(1.0, 5.0, 5)
     with Problem(model, [tip]) as problem:
         body = AutoReducer(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
-        (its,) = certify(problem, [body], [1.0, 5.0])
+        (certificate,) = certify(problem, [body], [1.0, 5.0])
         c = 1 + 0.02j
         dense = [problem.B.T @ np.linalg.solve(c * problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(),
                                                problem.B.toarray()) for f in hz]  # fmt: skip
-        mine = [body.C @ np.linalg.solve(c * body.K - (2 * np.pi * f) ** 2 * body.M, body.B) for f in hz]
-    true = np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(mine, dense, strict=True)])
-    assert its.kind == "proven" and its.damping_floor == 0.01 and its.limit.upper <= 1e-3
-    assert (true <= its.limits["pointwise"].upper).all() and (true < 1e-3).all()
+        responses = [body.C @ np.linalg.solve(c * body.K - (2 * np.pi * f) ** 2 * body.M, body.B) for f in hz]
+    true = np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(responses, dense, strict=True)])
+    assert certificate.kind == "proven" and certificate.damping_floor == 0.01 and certificate.limit.upper <= 1e-3
+    assert (true <= certificate.limits["pointwise"].upper).all() and (true < 1e-3).all()
 
 
 def test_a_support_within_round_off_is_refused() -> None:
@@ -121,8 +121,8 @@ def test_free_bodies_far_away_and_in_other_units_stay_free(far: float, scale: fl
     mesh = box("hex8", (4, 2, 2), (0.5, 0.07, 0.03))
     model = steel(replace(mesh, nodes=replace(mesh.nodes, xyz=mesh.nodes.xyz + far)))
     model = replace(model, nodes=replace(model.nodes, xyz=model.nodes.xyz * scale))
-    made = make_interface(model, name="end", nodes=where(model, 0, far * scale), coupling="rigid")
-    with Problem(model, [made]) as problem:
+    interface = make_interface(model, name="end", nodes=where(model, 0, far * scale), coupling="rigid")
+    with Problem(model, [interface]) as problem:
         assert problem.rigid.shape[1] == 6
 
 
@@ -169,15 +169,15 @@ def test_the_delivered_stiffness_of_a_free_body_resists_rigid_motion_by_its_roun
 
 
 def test_round_off_is_that_of_the_equilibrated_matrix_before_and_after_a_reduction() -> None:
-    found = []
+    roundings = []
     for first in (False, True):
         model = block(1e13)
         tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
         with Problem(model, [tip]) as problem:
             if first:
                 Guyan().reduce(problem)
-            found.append(problem.uncertainty(problem.elastic_modes(count=8)))
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+            roundings.append(problem.uncertainty(problem.elastic_modes(count=8)))
+    assert roundings[1] == pytest.approx(roundings[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("on", [0, 1, 2])
@@ -198,19 +198,19 @@ def test_a_sample_on_an_undamped_resonance_is_no_trouble(on: int, monkeypatch: p
 
 def test_a_shift_on_a_resonance_gives_finite_columns() -> None:
     values = np.array([1.0, 4.0, 9.0])
-    found = apart(values, 2.0)
-    assert (np.abs(found) >= 1e-3 * values).all() and np.isfinite(1.0 / found).all()
+    moved = apart(values, 2.0)
+    assert (np.abs(moved) >= 1e-3 * values).all() and np.isfinite(1.0 / moved).all()
     assert np.array_equal(apart(values, 1.5), values - 1.5**2)
 
 
 def test_random_models_over_twelve_decades_of_stiffness() -> None:
     logging.disable(logging.WARNING)
     try:
-        found = structured.main(12, 11, automatic=100, largest=24)
+        verdicts = structured.main(12, 11, automatic=100, largest=24)
     finally:
         logging.disable(logging.NOTSET)
-    assert not [verdict.words for _, verdict in found if verdict.kind == "wrong"]
-    assert not [verdict.words for case, verdict in found if verdict.kind == "refused" and case.decade < 8]
+    assert not [verdict.words for _, verdict in verdicts if verdict.kind == "wrong"]
+    assert not [verdict.words for case, verdict in verdicts if verdict.kind == "refused" and case.decade < 8]
 
 
 @pytest.mark.parametrize(
@@ -220,14 +220,14 @@ def test_random_models_over_twelve_decades_of_stiffness() -> None:
 )  # fmt: skip
 def test_matrices_of_any_form_give_the_same_body(form) -> None:
     model = steel(box("hex8", (3, 1, 1), (0.5, 0.05, 0.03)))
-    found = []
+    matrices = []
     for K, M in ((model.K, model.M), (form(model.K), form(model.M))):
         other = replace(model, K=K, M=M)
         ends = [make_interface(other, name=name, nodes=where(other, 0, x), coupling="direct")
                 for name, x in (("a", 0), ("b", 0.5))]  # fmt: skip
         with Problem(other, ends) as problem:
-            found.append(CraigBampton(modes=3).reduce(problem))
-    assert pytest.approx(found[0].K, rel=1e-12, abs=1e-6) == found[1].K
+            matrices.append(CraigBampton(modes=3).reduce(problem))
+    assert pytest.approx(matrices[0].K, rel=1e-12, abs=1e-6) == matrices[1].K
 
 
 def test_integers_and_wide_indices_are_taken_and_other_things_are_not() -> None:

@@ -104,7 +104,8 @@ def test_static_responses_are_exact_if_asked_for(coupling):
     with Problem(model, interfaces) as problem:
         plain, exact = (AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
                         for s in (False, True))  # fmt: skip
-        loose, tight = (its.static_error for its in certify(problem, [plain, exact], [50.0, 2000.0], points=4))
+        certificates = certify(problem, [plain, exact], [50.0, 2000.0], points=4)
+        loose, tight = (certificate.static_error for certificate in certificates)
         show(coupling, f"static error {loose:.1e} {tight:.1e}, orders {plain.order} {exact.order}")
         assert tight < 1e-9 < loose
         assert exact.order >= plain.order
@@ -131,8 +132,8 @@ def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
 
 def test_what_cannot_be_reached_is_said():
     model, interfaces = ends("average")
-    said = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
-    with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=said):
+    message = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
+    with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=message):
         AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
 
 
@@ -156,16 +157,16 @@ def test_auto_needs_interfaces():
 
 
 def test_two_runs_are_equal_to_the_last_bit():
-    found = []
+    runs = []
     for _ in range(2):
         model, interfaces = ends("average")
         with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem:
             body = AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-4).reduce(problem)
-            (its,) = certify(problem, [body], [50.0, 3000.0], points=9)
-            parts = [body.V, body.K, body.M, body.D, body.B, its.error, its.bound]
-            found.append([hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest() for part in parts])
-            found[-1].append(json.dumps(dict(body.recipe)))
-    assert found[0] == found[1]
+            (certificate,) = certify(problem, [body], [50.0, 3000.0], points=9)
+            parts = [body.V, body.K, body.M, body.D, body.B, certificate.error, certificate.bound]
+            runs.append([hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest() for part in parts])
+            runs[-1].append(json.dumps(dict(body.recipe)))
+    assert runs[0] == runs[1]
 
 
 def test_a_band_below_the_first_mode_needs_few_vectors():
@@ -234,18 +235,19 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
     stored = read_body(tmp_path / "job.h5")
     assert [body.name for body in result.bodies] == ["auto", "free-interface", "guyan"]
     for body in result.bodies:
-        its, kept = body.certificate, stored.bodies[body.name].certificate
-        assert its is not None and kept is not None
+        certificate, kept = body.certificate, stored.bodies[body.name].certificate
+        assert certificate is not None and kept is not None
         for name in ("frequencies_hz", "full", "reduced", "error", "bound", "block_error", "static_error", "mode_mac",
                      "mode_frequencies_hz", "mode_deviation", "verified_below_hz", "reference_error",
                      "absolute_error"):  # fmt: skip
             if name in kept:
-                assert np.array_equal(np.asarray(kept[name]), np.asarray(getattr(its, name)), equal_nan=True), name
+                value = np.asarray(getattr(certificate, name))
+                assert np.array_equal(np.asarray(kept[name]), value, equal_nan=True), name
         assert {"error", "bound", "bound_kind", "frequencies_hz"} <= kept.keys()
         kind = kept["bound_kind"]
         kind = kind.item() if hasattr(kind, "item") else kind
         kind = kind.decode() if isinstance(kind, bytes) else str(kind)
-        assert kind == its.bound_kind == ("none" if "false" in certify else "bound")
+        assert kind == certificate.bound_kind == ("none" if "false" in certify else "bound")
     ends_ = result.bodies[0].certificate.frequencies_hz[[0, -1]]
     assert ends_ == pytest.approx([0.0, 4e4] if certify else [500.0, 3e4])
     auto = result.bodies[0].certificate
@@ -270,10 +272,10 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
 
 def test_certificates_on_the_command_line(small_meshes, tmp_path):
     path = write_job(tmp_path, small_meshes)
-    found = CliRunner().invoke(app, ["reduce", "--json", str(path)])
-    assert found.exit_code == 0, found.output
-    document = strict(found.stdout)
-    assert "NaN" not in found.stdout and "Infinity" not in found.stdout
+    result = CliRunner().invoke(app, ["reduce", "--json", str(path)])
+    assert result.exit_code == 0, result.output
+    document = strict(result.stdout)
+    assert "NaN" not in result.stdout and "Infinity" not in result.stdout
     flat = json.dumps(document)
     assert '"certificate"' in flat and '"bound_kind": "bound"' in flat
     shown = CliRunner().invoke(app, ["reduce", str(path)])

@@ -46,17 +46,17 @@ RAYLEIGH = Damping(alpha=3.0, beta=2e-6)
 ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda one: one if isinstance(one, str) else "")
 
 
-def made(damping: Damping = RAYLEIGH, cells: int = 5) -> Problem:
+def problem_of(damping: Damping = RAYLEIGH, cells: int = 5) -> Problem:
     model = steel(box("hex8", (cells, 1, 1), (0.5, 0.05, 0.03)))
     ends = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.5))]
     return Problem(model, ends, damping=damping)
 
 
-def close(one: Any, W: Any, A: Any, V: Any) -> None:
+def close(actual: Any, W: Any, A: Any, V: Any) -> None:
     """``one`` is W' A V, to the round-off of its sums and of solving."""
     size = np.abs(W).T @ (abs(A) @ np.abs(V))
-    assert one.shape == size.shape
-    worst = (np.abs(one - W.T @ (A @ V)) / np.maximum(size, np.finfo(float).tiny)).max()
+    assert actual.shape == size.shape
+    worst = (np.abs(actual - W.T @ (A @ V)) / np.maximum(size, np.finfo(float).tiny)).max()
     assert worst < 1e-10, worst
 
 
@@ -67,7 +67,7 @@ def test_methods_are_known_by_their_names() -> None:
 
 @ALL
 def test_matrices_are_projections(method: str, options: dict[str, Any]) -> None:
-    with made() as problem:
+    with problem_of() as problem:
         reducer = REDUCERS[method](**options)
         assert reducer.why_not(Facts.of(problem)) == ""
         reduced = reducer.reduce(problem)
@@ -80,8 +80,8 @@ def test_matrices_are_projections(method: str, options: dict[str, Any]) -> None:
             rigid = problem.rigid if reduced.rigid_count else problem.rigid[:, :0]
             Mr = M @ rigid
             close(reduced.D, W, RAYLEIGH.alpha * (M.toarray() - Mr @ Mr.T) + RAYLEIGH.beta * K.toarray(), V)
-        for found, columns in ((reduced.C.T, V), (reduced.B, W)):
-            np.testing.assert_allclose(found, columns.T @ problem.B.toarray(), atol=1e-9 * np.abs(columns).max())
+        for matrix, columns in ((reduced.C.T, V), (reduced.B, W)):
+            np.testing.assert_allclose(matrix, columns.T @ problem.B.toarray(), atol=1e-9 * np.abs(columns).max())
         count = reduced.mode_kind.count("constraint")
         np.testing.assert_array_equal(reduced.C[:count, :count], np.eye(count))
         assert count in (0, problem.B.shape[1]) and set(reduced.mode_kind) <= set(MODE_KINDS)
@@ -104,18 +104,18 @@ def refuse_lost_rigid_motion(problem: Problem, reduced: ReducedModel) -> None:
 
 @ALL
 def test_the_same_input_gives_the_same_bytes(method: str, options: dict[str, Any]) -> None:
-    found = []
+    runs = []
     for _ in range(2):
-        with made() as problem:
+        with problem_of() as problem:
             reduced = REDUCERS[method](**options).reduce(problem)
-            found.append([getattr(reduced, key).tobytes() for key in ("M", "K", "D", "B", "C", "V")])
-    assert found[0] == found[1]
+            runs.append([getattr(reduced, key).tobytes() for key in ("M", "K", "D", "B", "C", "V")])
+    assert runs[0] == runs[1]
 
 
 @pytest.mark.parametrize("method", ["krylov", "gramian"])
 def test_a_closed_problem_keeps_no_solutions(method: str) -> None:
     options = next(options for name, options in OPTIONS if name == method)
-    with made(cells=400) as problem:
+    with problem_of(cells=400) as problem:
         _ = problem.elastic.flexibility(problem.B.toarray())
         tracemalloc.start()
         try:
@@ -135,7 +135,7 @@ def test_a_closed_problem_keeps_no_solutions(method: str) -> None:
 @pytest.mark.parametrize("method", ["krylov", "gramian", "craig-bampton"])
 def test_a_released_problem_gives_its_factors_back_and_makes_them_anew(method: str) -> None:
     reducer = REDUCERS[method](**next(options for name, options in OPTIONS if name == method))
-    with made() as problem:
+    with problem_of() as problem:
         bodies, factors = [], []
         for _ in range(2):
             bodies.append(reducer.reduce(problem))
@@ -161,5 +161,5 @@ class TenTimes(Modal):
 
 @pytest.mark.parametrize("first", [0, -1])
 def test_a_wrong_stiffness_is_refused(first: int) -> None:
-    with made() as problem, pytest.raises(SolverError, match="not W' K V of its basis"):
+    with problem_of() as problem, pytest.raises(SolverError, match="not W' K V of its basis"):
         TenTimes(modes=6, first=first).reduce(problem)

@@ -28,9 +28,9 @@ def beam(n=(24, 2, 2)):
 
 
 def problem_of(model, damping=RAYLEIGH):
-    made = [make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
+    interfaces = [make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
             for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
-    return Problem(model, made, damping=damping)
+    return Problem(model, interfaces, damping=damping)
 
 
 def short(damping=RAYLEIGH):
@@ -60,10 +60,10 @@ def test_the_free_beam_of_the_method_comparison():
             for reducer in (Modal(modes=24), FreeInterface(modes=12), Gramian(band_hz=BAND, order=24, points=12))
         ]
         assert [r.order - r.rigid_count for r in reduced] == [24, 24, 24]
-        modal, statics, mine = (deviation(problem, r, omega) for r in reduced)
+        modal, statics, gramian = (deviation(problem, r, omega) for r in reduced)
     assert 1.1e-1 / 3 < modal < 1.1e-1 * 3
     assert 2.9e-5 / 3 < statics < 2.9e-5 * 3
-    assert mine < 1e-6 and mine < 0.1 * statics < 0.01 * modal
+    assert gramian < 1e-6 and gramian < 0.1 * statics < 0.01 * modal
     with problem_of(beam()) as problem:
         # The published 1.1e-7 counts a newton metre like a newton.
         problem.motion_scale = np.ones(12)
@@ -86,14 +86,14 @@ def test_more_points_hardly_change_the_error():
 def test_full_factorisations_give_the_same_space(options):
     omega = 2 * np.pi * np.linspace(*BAND, 40)
     with short() as problem:
-        found = [
+        spaces = [
             Gramian(band_hz=BAND, order=20, points=8, direct=direct, **options).reduce(problem)
             for direct in (False, True)
         ]
-        fast, slow = (deviation(problem, reduced, omega) for reduced in found)
-        assert angles(problem, *found).min() > 1 - 1e-6
+        fast, slow = (deviation(problem, reduced, omega) for reduced in spaces)
+        assert angles(problem, *spaces).min() > 1 - 1e-6
     assert fast == pytest.approx(slow, rel=0.03)
-    assert found[0].recipe["part_left_out"] == pytest.approx(found[1].recipe["part_left_out"], rel=1e-4)
+    assert spaces[0].recipe["part_left_out"] == pytest.approx(spaces[1].recipe["part_left_out"], rel=1e-4)
 
 
 @pytest.mark.parametrize("weight", ["position", "velocity"])
@@ -154,24 +154,24 @@ def test_inertia_loads_are_followed_where_they_are_asked_for():
         for loads in (False, True):
             reduced = Gramian(band_hz=BAND, order=30, inertia_loads=loads).reduce(problem)
             A = reduced.K + 1j * w * reduced.D - w**2 * reduced.M
-            mine = reduced.V @ np.linalg.solve(A, reduced.V.T @ F)
-            error.append(np.linalg.norm(mine - U) / np.linalg.norm(U))
+            projected = reduced.V @ np.linalg.solve(A, reduced.V.T @ F)
+            error.append(np.linalg.norm(projected - U) / np.linalg.norm(U))
     assert error[1] < 0.1 * error[0] and error[1] < 1e-3
 
 
 @pytest.mark.parametrize("direct", [False, True])
 def test_units_do_not_matter(direct):
     """Kilograms with metres or millimetres: forces, moments and inertia loads keep their proportions."""
-    found = []
+    responses = []
     for size, change in ((1.0, {"density": 7800.0}), (1e3, {"density": 7.8e-6, "young": 2.1e8})):
         model = steel(box("hex8", (6, 2, 1), (0.5 * size, 0.05 * size, 0.03 * size)), **change)
-        made = [make_interface(model, name=name, nodes=where(model, 0, x * size), coupling="average")
+        interfaces = [make_interface(model, name=name, nodes=where(model, 0, x * size), coupling="average")
                 for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
-        with Problem(model, made, damping=RAYLEIGH) as problem:
+        with Problem(model, interfaces, damping=RAYLEIGH) as problem:
             reducer = Gramian(band_hz=BAND, order=20, points=5, inertia_loads=True, direct=direct)
             reduced = reducer.reduce(problem)
-        found.append([reduced.recipe["part_left_out"], *np.diag(reduced.K)[6:]])
-    assert found[1] == pytest.approx(found[0], rel=1e-5)
+        responses.append([reduced.recipe["part_left_out"], *np.diag(reduced.K)[6:]])
+    assert responses[1] == pytest.approx(responses[0], rel=1e-5)
 
 
 @pytest.mark.parametrize("direct", [False, True])
@@ -219,8 +219,8 @@ def test_a_damping_matrix_of_the_model_is_solved_directly():
                 A = reduced.K + 1j * w * reduced.D - w**2 * reduced.M
                 loads = reduced.B.copy()
                 loads[:6] = 0.0
-                mine = reduced.C @ np.linalg.solve(A, loads)
-                assert np.linalg.norm(mine - exact) < 1e-4 * np.linalg.norm(exact)
+                response = reduced.C @ np.linalg.solve(A, loads)
+                assert np.linalg.norm(response - exact) < 1e-4 * np.linalg.norm(exact)
     added = r"add alpha M \+ beta K to the matrix"
     with problem_of(model, Damping(beta=1e-6)) as problem, pytest.raises(InputError, match=added):
         Gramian(band_hz=BAND, order=24, direct=True).reduce(problem)

@@ -73,13 +73,13 @@ def test_the_modes_are_those_of_the_constraint_part(coupling, lanczos):
     with Problem(model, faces(model, coupling)) as problem, FixedInterfaceBody(problem, by_rows=lanczos) as inside:
         assert (inside.rows is not None) == (lanczos and coupling != "average")
         exact = characteristic(problem)
-        found = interface_modes(problem, inside, count=5, from_all=not lanczos)
-        assert found.eigenvalues == pytest.approx(exact[:5], rel=1e-8)
-        assert 2 * np.pi * found.next_hz == pytest.approx(np.sqrt(exact[5]), rel=1e-6)
-        V = found.vectors
+        modes = interface_modes(problem, inside, count=5, from_all=not lanczos)
+        assert modes.eigenvalues == pytest.approx(exact[:5], rel=1e-8)
+        assert 2 * np.pi * modes.next_hz == pytest.approx(np.sqrt(exact[5]), rel=1e-6)
+        V = modes.vectors
         assert np.abs(V.T @ problem.M @ V - np.eye(5)).max() < 1e-10
         assert np.abs(problem.rigid.T @ problem.M @ V).max() < 1e-10
-        assert np.diag(V.T @ problem.K @ V) == pytest.approx(found.eigenvalues, rel=1e-9)
+        assert np.diag(V.T @ problem.K @ V) == pytest.approx(modes.eigenvalues, rel=1e-9)
         # Constraint modes carry no load inside: K V = B lambda.
         load = problem.K @ V
         rest = load - problem.B @ np.linalg.lstsq(problem.B.toarray(), load, rcond=None)[0]
@@ -95,8 +95,8 @@ def test_a_limit_takes_all_modes_below_it(lanczos):
         assert (inside.rows is not None) == lanczos
         for count in (2, 60):
             limit = 0.5 * (exact[count - 1] + exact[count])
-            found = interface_modes(problem, inside, below=(2 * np.pi * limit) ** 2)
-            assert len(found.eigenvalues) == count
+            modes = interface_modes(problem, inside, below=(2 * np.pi * limit) ** 2)
+            assert len(modes.eigenvalues) == count
 
 
 @pytest.mark.parametrize("inertia", [False, True])
@@ -132,7 +132,7 @@ def test_the_recipe_says_what_the_statics_lost():
     """Compliance under the resultant loads of each face, against that of all constraint modes."""
     model = bar()
     with Problem(model, faces(model)) as problem:
-        found = []
+        lost = []
         for count in (6, 20):
             reduced = CraigBampton(modes=0, interface_modes=count).reduce(problem)
             every = Guyan().reduce(problem)
@@ -144,12 +144,12 @@ def test_the_recipe_says_what_the_statics_lost():
                 F = B[:, columns] @ B[:, columns].T @ R
                 whole = ((Y[:, 6:].T @ every.V.T @ F) ** 2 / values[6:, None]).sum(axis=0)
                 f = reduced.V[:, 6:].T @ F
-                mine = np.einsum("ij,ij->j", f, np.linalg.solve(reduced.K[6:, 6:], f))
-                worst = max(worst, float((1 - mine / whole).max()))
+                compliance = np.einsum("ij,ij->j", f, np.linalg.solve(reduced.K[6:, 6:], f))
+                worst = max(worst, float((1 - compliance / whole).max()))
             assert reduced.recipe["interface_static_error"] == pytest.approx(worst, rel=1e-4)
             assert "not exact at the interfaces" in reduced.recipe["statics"]
-            found.append(worst)
-        assert found[1] < found[0] and found[1] > 1e-6
+            lost.append(worst)
+        assert lost[1] < lost[0] and lost[1] > 1e-6
         all_of_them = CraigBampton(modes=0, interface_modes=problem.B.shape[1] - 6).reduce(problem)
         assert elastic(all_of_them) == pytest.approx(elastic(Guyan().reduce(problem)), rel=1e-10)
 
@@ -165,21 +165,21 @@ def test_a_direct_face_beside_an_average_and_a_rigid_one():
     with Problem(model, interfaces) as problem, FixedInterfaceBody(problem, by_rows=True) as inside:
         assert inside.constrained.count == 6
         exact = characteristic(problem)
-        found = interface_modes(problem, inside, count=6, from_all=False)
-        assert found.eigenvalues == pytest.approx(exact[:6], rel=1e-8)
+        modes = interface_modes(problem, inside, count=6, from_all=False)
+        assert modes.eigenvalues == pytest.approx(exact[:6], rel=1e-8)
         fixed = inside.modes(5, None, problem.progress)
         assert fixed.eigenvalues == pytest.approx(problem.fixed_modes(count=5).eigenvalues, rel=1e-8)
         assert np.abs(problem.B.T @ fixed.vectors).max() < 1e-9 * np.abs(fixed.vectors).max()
 
 
 def test_a_budget_changes_nothing(tmp_path):
-    model, found = wide_bar(2), []
+    model, results = wide_bar(2), []
     for memory in (None, 10**9):
         with Budget(memory, tmp_path) as budget:
             solver = select_solver(memory=memory, scratch=tmp_path)
             with Problem(model, faces(model), solver=solver, budget=budget) as problem:
-                found.append(elastic(CraigBampton(modes=5, interface_modes=10).reduce(problem)))
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+                results.append(elastic(CraigBampton(modes=5, interface_modes=10).reduce(problem)))
+    assert results[1] == pytest.approx(results[0], rel=1e-9)
 
 
 def test_average_interfaces_that_share_nodes():
@@ -294,15 +294,15 @@ def job(folder, options, extra="", n=(6, 3, 3), method="craig-bampton"):
 def test_a_job_reduces_its_interfaces_and_the_file_tells(tmp_path):
     options = "modes = 34\ninertia_modes = true\ninterface_modes = 20"
     result = run_job(job(tmp_path, options, "[certify]\nband_hz = [0, 6000]\npoints = 20"))
-    made = result.bodies[0]
+    delivered = result.bodies[0]
     file = read_body(tmp_path / "bar.h5")
     body = next(iter(file.bodies.values()))
-    assert body.mode_kind == made.reduced.mode_kind and body.mode_kind.count("characteristic") == 20
+    assert body.mode_kind == delivered.reduced.mode_kind and body.mode_kind.count("characteristic") == 20
     assert body.input_matrix.shape == (6 + 20 + 34, 96)
     assert body.recipe["interface_motions"] == 96 and body.recipe["interface_static_error"] > 0
     # The static error is that of unit loads on single nodes, and says what the recipe says in words.
-    assert made.certificate.static_error > 1e-3
-    inside = made.certificate.mode_deviation[made.certificate.mode_frequencies_hz < 4000]
+    assert delivered.certificate.static_error > 1e-3
+    inside = delivered.certificate.mode_deviation[delivered.certificate.mode_frequencies_hz < 4000]
     assert len(inside) and inside.max() < 0.02
     again = tmp_path / "again.h5"
     write_body(again, result.bodies, recipe={}, provenance={})

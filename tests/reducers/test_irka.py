@@ -41,21 +41,21 @@ def last_is_kept(monkeypatch):
 @pytest.mark.parametrize("damping", [Damping(alpha=200.0, beta=5e-6), Damping(modal=0.03)], ids=repr)
 @pytest.mark.parametrize("order", [2, 4, 5])
 def test_error_in_the_band_is_measured_and_no_larger_than_at_the_start(damping, order):
-    model, made = tip((1, 2, 5))
+    model, interfaces = tip((1, 2, 5))
     omega = 2 * np.pi * np.linspace(*BAND, 2000)
-    with Problem(model, made, damping=damping) as problem:
+    with Problem(model, interfaces, damping=damping) as problem:
         r = Irka(order=order, band_hz=BAND).reduce(problem)
-        found = h2_error(problem, r, omega)
+        error = h2_error(problem, r, omega)
     assert r.order == 6 + order
     assert r.recipe["h2_error"] <= r.recipe["first_h2_error"]
-    assert r.recipe["h2_error"] == pytest.approx(found, rel=0.02)
+    assert r.recipe["h2_error"] == pytest.approx(error, rel=0.02)
 
 
 def test_converged_shifts_are_mirrored_poles_where_the_transfer_function_is_tangent(last_is_kept):
     """One load, proportional damping: H and dH/ds of the dense model at the shifts, which mirror poles of the model."""
     damping = Damping(alpha=200.0, beta=5e-6)
-    model, made = tip()
-    with Problem(model, made, damping=damping) as problem:
+    model, interfaces = tip()
+    with Problem(model, interfaces, damping=damping) as problem:
         r = Irka(order=4, band_hz=BAND, tolerance=1e-7).reduce(problem)
         K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
         B = problem.B.toarray() - M @ Z @ (Z.T @ problem.B.toarray())
@@ -71,25 +71,25 @@ def test_converged_shifts_are_mirrored_poles_where_the_transfer_function_is_tang
     for re, im in r.recipe["shifts"]:
         s = complex(re, im)
         assert re > 0
-        full, mine = both(M, D, K, B, s), both(m, d, k, b, s)
-        assert abs(full[0] - mine[0]) < 1e-7 * abs(full[0])
-        assert abs(full[1] - mine[1]) < 1e-6 * abs(full[1])
+        full, of_reduced = both(M, D, K, B, s), both(m, d, k, b, s)
+        assert abs(full[0] - of_reduced[0]) < 1e-7 * abs(full[0])
+        assert abs(full[1] - of_reduced[1]) < 1e-6 * abs(full[1])
         assert np.abs(-poles - s).min() < 0.02 * abs(s)
 
 
 def test_few_coordinates_beat_shifts_chosen_by_hand():
     damping = Damping(alpha=200.0, beta=5e-6)
-    model, made = tip((1,))
+    model, interfaces = tip((1,))
     omega = 2 * np.pi * np.linspace(*BAND, 2000)
-    with Problem(model, made, damping=damping) as problem:
+    with Problem(model, interfaces, damping=damping) as problem:
         chosen = h2_error(problem, Irka(order=4, band_hz=BAND).reduce(problem), omega)
         by_hand = h2_error(problem, Krylov(shifts_hz=[0.0, 2000.0, 4000.0, 6000.0]).reduce(problem), omega)
     assert chosen < 0.5 * by_hand
 
 
 def test_undamped_models_are_moved_off_the_axis_and_told(last_is_kept):
-    model, made = tip()
-    with Problem(model, made) as problem:
+    model, interfaces = tip()
+    with Problem(model, interfaces) as problem:
         r = Irka(order=4, band_hz=BAND).reduce(problem)
         assert np.abs(r.D).max() == 0.0
     delta = r.recipe["delta"]
@@ -100,7 +100,7 @@ def test_undamped_models_are_moved_off_the_axis_and_told(last_is_kept):
 
 
 def test_the_best_model_is_kept_when_the_shifts_do_not_rest(monkeypatch):
-    model, made = tip((1, 2, 5))
+    model, interfaces = tip((1, 2, 5))
     seen = []
     error = irka._Band.error
 
@@ -109,7 +109,7 @@ def test_the_best_model_is_kept_when_the_shifts_do_not_rest(monkeypatch):
         return seen[-1]
 
     monkeypatch.setattr(irka._Band, "error", noted)
-    with Problem(model, made, damping=Damping(modal=0.03)) as problem:
+    with Problem(model, interfaces, damping=Damping(modal=0.03)) as problem:
         r = Irka(order=5, band_hz=BAND, max_steps=7, tolerance=1e-14).reduce(problem)
     assert not r.recipe["converged"] and r.recipe["steps"] == 7
     assert "best model met was kept" in r.recipe["not_converged"]
@@ -121,8 +121,8 @@ def test_no_shift_is_factorised(monkeypatch):
         raise RuntimeError("a shift was factorised")
 
     monkeypatch.setattr(DynamicStiffness, "factorize", refuse)
-    model, made = tip()
-    with Problem(model, made, damping=Damping(modal=0.01)) as problem:
+    model, interfaces = tip()
+    with Problem(model, interfaces, damping=Damping(modal=0.01)) as problem:
         assert Irka(order=4, band_hz=BAND).reduce(problem).order == 10
 
 
@@ -130,8 +130,8 @@ def test_options_that_make_no_sense_are_refused():
     for options in ({"order": 0}, {"band_hz": [5.0]}, {"band_hz": [5.0, 4.0]}, {"max_steps": 0}, {"tolerance": 0.0}):
         with pytest.raises(InputError, match=next(iter(options))):
             Irka(**{"order": 4, "band_hz": BAND, **options})
-    model, made = tip()
-    with Problem(model, made) as problem, pytest.raises(InputError, match="lower the order"):
+    model, interfaces = tip()
+    with Problem(model, interfaces) as problem, pytest.raises(InputError, match="lower the order"):
         Irka(order=100, band_hz=BAND).reduce(problem)
     with Problem(model) as problem, pytest.raises(InputError, match="interface"):
         Irka(order=2, band_hz=BAND).reduce(problem)

@@ -63,8 +63,8 @@ def test_moments_match_once_for_any_output_and_twice_for_the_loads_own(hz, real)
         V = r.V[:, 6:]
         for out, matched in ((C, J), (B.T, 2 * J)):
             full = moments(K, M, B, out, sigma, 2 * J + 1)
-            mine = moments(V.T @ K @ V, V.T @ M @ V, V.T @ B, out @ V, sigma, 2 * J + 1)
-            error = differences(full, mine)
+            reduced_moments = moments(V.T @ K @ V, V.T @ M @ V, V.T @ B, out @ V, sigma, 2 * J + 1)
+            error = differences(full, reduced_moments)
             assert error[:matched].max() < 1e-10
             assert error[matched] > 30 * error[:matched].max() and error[matched] > 1e-10
         assert r.order == 6 + J * 12 and np.abs(r.V.T @ M @ r.V - np.eye(r.order)).max() < 1e-13 * r.order
@@ -76,12 +76,12 @@ def test_zero_shift_matches_elastic_moments_of_the_free_body():
     with Problem(model, ends(model)) as problem:
         r = Krylov(moments=2).reduce(problem)
         K, M, Z, B = problem.K.toarray(), problem.M.toarray(), problem.rigid, elastic_loads(problem)
-        mine = problem.elastic.flexibility(B)
+        U = problem.elastic.flexibility(B)
     # Forces and lengths of the border are of the size of the stiffness.
     c = np.abs(K).max() / np.abs(M @ Z).max()
     border = np.block([[K, c * M @ Z], [c * (M @ Z).T, np.zeros((6, 6))]])
     other = np.linalg.solve(border, np.vstack([B, np.zeros((6, B.shape[1]))]))[: len(K)]
-    assert np.abs(mine - other).max() < 1e-9 * np.abs(other).max()
+    assert np.abs(U - other).max() < 1e-9 * np.abs(other).max()
     values, X = sl.eigh(K, M)
     g = X[:, 6:].T @ B
     V = r.V[:, 6:]
@@ -107,8 +107,8 @@ def test_damped_transfer_function_is_interpolated_at_the_damped_place():
     assert s[0].real < 0 < abs(s[0].imag)
     for x in (*s, 2j * np.pi * hz):
         full = B.T @ np.linalg.solve(x * x * M + x * D + K, B)
-        mine = B.T @ V @ np.linalg.solve(V.T @ (x * x * M + x * D + K) @ V, V.T @ B)
-        error = np.linalg.norm(full - mine) / np.linalg.norm(full)
+        reduced_H = B.T @ V @ np.linalg.solve(V.T @ (x * x * M + x * D + K) @ V, V.T @ B)
+        error = np.linalg.norm(full - reduced_H) / np.linalg.norm(full)
         assert error > 1e-8 if x == 2j * np.pi * hz else error < 1e-10
 
 
@@ -121,9 +121,9 @@ def test_moments_with_general_damping_about_real_points(s0):
         r = reducer.reduce(problem)
         B, N = elastic_loads(problem), sl.null_space((problem.M @ problem.rigid).T)
         full = [N.T @ A @ N for A in (problem.M, problem.D, problem.K)]
-        mine = [A[6:, 6:] for A in (r.M, r.D, r.K)]
+        matrices = [A[6:, 6:] for A in (r.M, r.D, r.K)]
     assert r.order == 6 + 24
-    error = differences(taylor(*full, N.T @ B, s0, 5), taylor(*mine, r.V[:, 6:].T @ B, s0, 5))
+    error = differences(taylor(*full, N.T @ B, s0, 5), taylor(*matrices, r.V[:, 6:].T @ B, s0, 5))
     assert error[:4].max() < 1e-9
     assert error[4] > 30 * error[:4].max()
 
@@ -150,8 +150,8 @@ def test_general_damping_is_interpolated_at_a_frequency_and_its_conjugate(ground
         for s in (2j * np.pi * hz, -2j * np.pi * hz):
             full = B.T @ np.linalg.solve(s * s * M + s * D + K, B)
             b = r.B * problem.motion_scale
-            mine = b.T @ np.linalg.solve(s * s * r.M + s * r.D + r.K, b)
-            assert np.linalg.norm(full - mine) < 1e-9 * np.linalg.norm(full)
+            reduced_H = b.T @ np.linalg.solve(s * s * r.M + s * r.D + r.K, b)
+            assert np.linalg.norm(full - reduced_H) < 1e-9 * np.linalg.norm(full)
         if ground:
             with pytest.raises(InputError, match="no expansion at 0 Hz"):
                 Krylov().reduce(problem)
@@ -199,10 +199,10 @@ def test_tangential_shifts_pay_at_equal_order():
         assert max(many, cut) < 0.1 * error(Krylov(shifts_hz=[0.0, 2400.0]))
 
 
-def worst(problem, mine, H):
+def worst(problem, reduced, H):
     """Largest relative error in the Frobenius norm, forces and moments scaled."""
     S = np.outer(problem.motion_scale, problem.motion_scale)
-    return (np.linalg.norm(S * (mine - H), axis=(1, 2)) / np.linalg.norm(S * H, axis=(1, 2))).max()
+    return (np.linalg.norm(S * (reduced - H), axis=(1, 2)) / np.linalg.norm(S * H, axis=(1, 2))).max()
 
 
 def test_two_sided_matches_the_moments_of_both_chains():
@@ -211,13 +211,13 @@ def test_two_sided_matches_the_moments_of_both_chains():
     hz = 900.0
     with Problem(model, ends(model, tip=0.5, near=0.4375)) as problem:
         both = Krylov(shifts_hz=[hz], two_sided=True, inputs=["tip"], outputs=["near"]).reduce(problem)
-        one = Krylov(shifts_hz=[hz], inputs=["tip"]).reduce(problem)
+        one_sided = Krylov(shifts_hz=[hz], inputs=["tip"]).reduce(problem)
         K, M = problem.K.toarray(), problem.M.toarray()
         B, C = (elastic_loads(problem, problem.coupling.columns[name]) for name in ("tip", "near"))
-    assert both.order == one.order == 12 and not both.symmetric
+    assert both.order == one_sided.order == 12 and not both.symmetric
     s2 = -((2 * np.pi * hz) ** 2)
     full = moments(K, M, B, C.T, s2, 3)
-    for r, matched in ((both, 2), (one, 1)):
+    for r, matched in ((both, 2), (one_sided, 1)):
         V = r.V[:, 6:]
         W = V if r.W is None else r.W[:, 6:]
         error = differences(full, moments(W.T @ K @ V, W.T @ M @ V, W.T @ B, C.T @ V, s2, 3))
@@ -273,9 +273,9 @@ def counted(monkeypatch):
         # A solver that chooses among others asks them in turn.
         monkeypatch.setattr(LinearSolver, "analyse", symbolic)
         count["analyse"] += 1
-        made = symbolic(self, *args)
+        analysis = symbolic(self, *args)
         monkeypatch.setattr(LinearSolver, "analyse", analyse)
-        return made
+        return analysis
 
     monkeypatch.setattr(DynamicStiffness, "factorize", factorize)
     monkeypatch.setattr(LinearSolver, "analyse", analyse)
@@ -325,8 +325,8 @@ def test_tangential_directions_share_between_interface_and_inertia_loads():
             f = 1 + 0.01j, -((2 * np.pi * hz) ** 2)
             u = np.linalg.solve(f[0] * K + f[1] * M, F)
             u -= problem.rigid @ (problem.rigid.T @ (M @ u))
-            mine = V @ np.linalg.solve(V.T @ (f[0] * K + f[1] * M) @ V, V.T @ F)
-            assert (np.linalg.norm(mine - u, axis=0) < 1e-2 * np.linalg.norm(u, axis=0)).all()
+            U = V @ np.linalg.solve(V.T @ (f[0] * K + f[1] * M) @ V, V.T @ F)
+            assert (np.linalg.norm(U - u, axis=0) < 1e-2 * np.linalg.norm(u, axis=0)).all()
 
 
 def test_options_that_make_no_sense_are_refused():

@@ -42,8 +42,8 @@ def test_craig_bampton_with_all_modes_is_the_full_model(coupling):
         reduced = CraigBampton(modes=inside).reduce(problem)
         K, M = dense(problem)
     full = sl.eigh(K, M, eigvals_only=True)[6:]
-    mine = sl.eigh(reduced.K, reduced.M, eigvals_only=True)[6:]
-    assert mine == pytest.approx(full, rel=1e-9)
+    values = sl.eigh(reduced.K, reduced.M, eigvals_only=True)[6:]
+    assert values == pytest.approx(full, rel=1e-9)
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)
@@ -61,8 +61,8 @@ def test_statics_at_the_interfaces_are_exact(coupling, reducer):
         B = problem.B.toarray()
         half = B.shape[1] // 2
     full = held_flexibility(K, B[:, :half], B[:, half:])
-    mine = held_flexibility(reduced.K, reduced.B[:, :half], reduced.B[:, half:])
-    assert np.abs(mine - full).max() < 1e-9 * np.abs(full).max()
+    flexibility = held_flexibility(reduced.K, reduced.B[:, :half], reduced.B[:, half:])
+    assert np.abs(flexibility - full).max() < 1e-9 * np.abs(full).max()
 
 
 def held_flexibility(K, hold, load):
@@ -109,9 +109,9 @@ def test_ritz_frequencies_are_upper_bounds_and_free_interface_beats_modal_in_sta
     with Problem(model, ends(model, "average")) as problem:
         full = problem.elastic_modes(count=12).frequencies_hz
         for reducer in (CraigBampton(modes=12), FreeInterface(modes=8), Modal(modes=12)):
-            mine = frequencies(reducer.reduce(problem))[:8]
-            assert (mine > full[:8] * (1 - 1e-9)).all()
-            assert mine[:3] == pytest.approx(full[:3], rel=3e-3)
+            hz = frequencies(reducer.reduce(problem))[:8]
+            assert (hz > full[:8] * (1 - 1e-9)).all()
+            assert hz[:3] == pytest.approx(full[:3], rel=3e-3)
         omega = 2 * np.pi * np.linspace(50.0, 2600.0, 60)
         H = full_response(problem, omega)
 
@@ -180,8 +180,9 @@ def test_results_do_not_depend_on_numbering_rotation_or_units(coupling):
     def result(mesh, left, right, factor=1.0, Q=None):
         material = isotropic(set="all", **STEEL)
         model = assemble(mesh, [material])
-        made = [make_interface(model, name=n, nodes=rows, coupling=coupling) for n, rows in (("l", left), ("r", right))]
-        with Problem(model, made) as problem:
+        interfaces = [make_interface(model, name=n, nodes=rows, coupling=coupling)
+                      for n, rows in (("l", left), ("r", right))]  # fmt: skip
+        with Problem(model, interfaces) as problem:
             body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
             free = problem.elastic_modes(count=8).frequencies_hz
         return free, body.frequencies_hz[6:], body.part.mass, np.linalg.eigvalsh(body.part.inertia)
@@ -197,8 +198,8 @@ def test_results_do_not_depend_on_numbering_rotation_or_units(coupling):
     Q *= np.linalg.det(Q)
     turned = Mesh(nodes=Nodes(ids=mesh.nodes.ids, xyz=mesh.nodes.xyz @ Q.T + [1.0, -2.0, 0.5]), blocks=mesh.blocks)
     for other in (result(shuffled, inverse[left], inverse[right]), result(turned, left, right)):
-        for mine, expected in zip(other, reference, strict=True):
-            assert mine == pytest.approx(expected, rel=1e-9)
+        for actual, expected in zip(other, reference, strict=True):
+            assert actual == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_body_far_from_the_origin_keeps_its_digits():
@@ -206,34 +207,34 @@ def test_a_body_far_from_the_origin_keeps_its_digits():
     mesh = box("hex20", (5, 1, 1), (0.5, 0.05, 0.03))
     away = np.array([1000.0, -2000.0, 500.0])
     far = Mesh(nodes=Nodes(ids=mesh.nodes.ids, xyz=mesh.nodes.xyz + away), blocks=mesh.blocks)
-    found = []
+    figures = []
     for nodes in (mesh, far):
         model = steel(nodes)
         left = model.nodes.xyz[:, 0] < model.nodes.xyz[:, 0].min() + 1e-6
-        made = [make_interface(model, name="l", nodes=np.flatnonzero(left)),
+        interfaces = [make_interface(model, name="l", nodes=np.flatnonzero(left)),
                 make_interface(model, name="r", nodes=np.flatnonzero(~left)[-8:], coupling="average")]  # fmt: skip
-        with Problem(model, made) as problem:
+        with Problem(model, interfaces) as problem:
             body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
-        found.append((body.frequencies_hz[6:], np.linalg.eigvalsh(body.part.inertia)))
+        figures.append((body.frequencies_hz[6:], np.linalg.eigvalsh(body.part.inertia)))
         assert body.reduced.rigid_count == 6
     # Coordinates of 2000 m hold the 0.03 m part to 1e-11 only.
-    for near, other in zip(*found, strict=True):
+    for near, other in zip(*figures, strict=True):
         assert other == pytest.approx(near, rel=1e-7)
 
 
 @pytest.mark.parametrize("size", [1e-7, 1e-5, 1e4])
 def test_size_does_not_matter(size):
     """Frequencies go with the inverse of the size, from a tenth of a micrometre to ten kilometres."""
-    found = []
+    results = []
     for length in (1.0, size):
         model = steel(box("hex20", (5, 1, 1), (0.5 * length, 0.05 * length, 0.03 * length)))
-        made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
+        interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
                 for n, x in (("l", 0.0), ("r", 0.5 * length))]  # fmt: skip
-        with Problem(model, made) as problem:
+        with Problem(model, interfaces) as problem:
             reduced = CraigBampton(modes=14, inertia_modes=True).reduce(problem)
         assert reduced.rigid_count == 6
-        found.append(frequencies(reduced) * length)
-    assert found[1] == pytest.approx(found[0], rel=1e-7)
+        results.append(frequencies(reduced) * length)
+    assert results[1] == pytest.approx(results[0], rel=1e-7)
 
 
 def test_a_far_interface_point_is_refused():
@@ -291,8 +292,8 @@ def test_unconnected_parts_are_reported():
 
 def test_interfaces_that_leave_motion_free_are_refused_by_craig_bampton():
     model = bar()
-    one = make_interface(model, name="p", nodes=where(model, 0, 0.0)[:1], coupling="direct")
-    with Problem(model, [one]) as problem:
+    interface = make_interface(model, name="p", nodes=where(model, 0, 0.0)[:1], coupling="direct")
+    with Problem(model, [interface]) as problem:
         with pytest.raises(InputError, match="leave 3 rigid-body motions"):
             CraigBampton(modes=3).reduce(problem)
         assert FreeInterface(modes=3).reduce(problem).order == 6 + 3 + 3

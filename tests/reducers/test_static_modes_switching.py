@@ -41,21 +41,21 @@ def held(model, rows):
     return FEModel(K=K, M=M, nodes=model.nodes, dofs=dofs, mesh=model.mesh, materials=model.materials)
 
 
-def load_columns(problem, its):
+def load_columns(problem, tables):
     """B (Nc, c) of the candidates, from labels and directions."""
     model = problem.model
-    B = np.zeros((model.size, its.count))
-    for column, (node, e) in enumerate(zip(its.node, its.direction, strict=True)):
-        row = np.flatnonzero(model.nodes.ids == its.node_ids[node])[0]
+    B = np.zeros((model.size, tables.count))
+    for column, (node, e) in enumerate(zip(tables.node, tables.direction, strict=True)):
+        row = np.flatnonzero(model.nodes.ids == tables.node_ids[node])[0]
         for axis in range(3):
             dof = np.flatnonzero((model.dofs.node == row) & (model.dofs.component == axis))
             B[dof, column] += e[axis]
     return problem.coupling.T.T @ B
 
 
-def dense_modes(problem, reduced, its):
+def dense_modes(problem, reduced, tables):
     """Psi (Nc, c) from the definition: the answer with V left out, by a dense least-energy solve."""
-    K, M, V, B = problem.K.toarray(), problem.M.toarray(), reduced.V, load_columns(problem, its)
+    K, M, V, B = problem.K.toarray(), problem.M.toarray(), reduced.V, load_columns(problem, tables)
     fixed = "constraint" in reduced.mode_kind or "fixed-interface" in reduced.mode_kind
     C = problem.B.toarray() if fixed else M @ problem.rigid
     k = C.shape[1]
@@ -81,26 +81,26 @@ def test_tables_are_those_of_dense_static_modes(base, options, coupled):
     with Problem(model, ends(model) if coupled else ()) as problem:
         reducer = StaticModesSwitching(base=base, base_options=options, candidates=candidates, directions=[2, 0])
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
-        Psi = dense_modes(problem, reduced, its)
-        K, M, B = problem.K, problem.M, load_columns(problem, its)
+        tables = reducer.switching(problem, reduced)
+        Psi = dense_modes(problem, reduced, tables)
+        K, M, B = problem.K, problem.M, load_columns(problem, tables)
         moving = problem.coupling.R[:, :3]
-    every = np.arange(its.count)
+    every = np.arange(tables.count)
     R, Q = Psi.T @ (K @ Psi), Psi.T @ (M @ Psi)
-    assert np.abs(its.R(every) - R).max() < 1e-8 * np.abs(R).max()
-    assert np.abs(its.Q(every) - Q).max() < 1e-8 * np.abs(Q).max()
+    assert np.abs(tables.R(every) - R).max() < 1e-8 * np.abs(R).max()
+    assert np.abs(tables.Q(every) - Q).max() < 1e-8 * np.abs(Q).max()
     # K-orthogonal: displacements of candidates are the table itself.
-    assert np.abs(its.R(every) - B.T @ Psi).max() < 1e-8 * np.abs(R).max()
+    assert np.abs(tables.R(every) - B.T @ Psi).max() < 1e-8 * np.abs(R).max()
     coupling = reduced.V.T @ (M @ Psi)
     size = np.sqrt(np.diag(reduced.M)[:, None] * np.diag(Q))
-    assert (np.abs(its.coupling - coupling) / size).max() < 1e-7
-    assert np.abs(its.modes - B.T @ reduced.V).max() < 1e-12 * np.abs(its.modes).max()
-    assert np.abs(its.weight - reduced.V.T @ (M @ moving)).max() < 1e-9 * np.abs(M).sum()
+    assert (np.abs(tables.coupling - coupling) / size).max() < 1e-7
+    assert np.abs(tables.modes - B.T @ reduced.V).max() < 1e-12 * np.abs(tables.modes).max()
+    assert np.abs(tables.weight - reduced.V.T @ (M @ moving)).max() < 1e-9 * np.abs(M).sum()
     weight = Psi.T @ (M @ moving)
     heavy = np.sqrt(np.diag(Q).max() * np.abs(moving.T @ (M @ moving)).max())
-    assert np.abs(its.static_weight - weight).max() < 1e-8 * heavy
+    assert np.abs(tables.static_weight - weight).max() < 1e-8 * heavy
     invariant = base == "modal"
-    assert (its.notes["mass_coupling"] < 1e-8) == invariant
+    assert (tables.notes["mass_coupling"] < 1e-8) == invariant
 
 
 def test_static_answers_of_a_held_body_are_exact_and_stress_too():
@@ -110,18 +110,18 @@ def test_static_answers_of_a_held_body_are_exact_and_stress_too():
     with Problem(model) as problem:
         assert problem.rigid.shape[1] == 0
         reduced = reducer.reduce(problem)
-        its = reducer.switching(problem, reduced)
-        B = load_columns(problem, its)
-    f = np.array([0.0] * 5 + [3.0, -7.0] + [0.0] * (its.count - 7))
+        tables = reducer.switching(problem, reduced)
+        B = load_columns(problem, tables)
+    f = np.array([0.0] * 5 + [3.0, -7.0] + [0.0] * (tables.count - 7))
     u = np.linalg.solve(model.K.toarray(), B @ f)
-    eta = np.linalg.solve(reduced.K, its.modes.T @ f)
-    every = np.arange(its.count)
-    assert np.abs(its.modes @ eta + its.R(every) @ f - B.T @ u).max() < 1e-9 * np.abs(u).max()
+    eta = np.linalg.solve(reduced.K, tables.modes.T @ f)
+    every = np.arange(tables.count)
+    assert np.abs(tables.modes @ eta + tables.R(every) @ f - B.T @ u).max() < 1e-9 * np.abs(u).max()
     full = np.zeros(3 * len(whole.nodes))
     full[3 * model.dofs.node + model.dofs.component] = u
-    row = np.flatnonzero(whole.nodes.ids == its.node_ids[3])
+    row = np.flatnonzero(whole.nodes.ids == tables.node_ids[3])
     want = stress_operator(whole, row).stress(full[:, None])[:, 0]
-    assert np.abs(its.stress_at(3, eta, every, f) - want).max() < 1e-5 * np.abs(want).max()
+    assert np.abs(tables.stress_at(3, eta, every, f) - want).max() < 1e-5 * np.abs(want).max()
 
 
 @pytest.mark.parametrize("width", [1, 4])
@@ -155,12 +155,13 @@ def test_active_set_drops_directions_without_stiffness():
     model, candidates = bar()
     with Problem(model) as problem:
         reducer = StaticModesSwitching(base_options={"modes": 4}, candidates=candidates, directions=[2])
-        its = reducer.switching(problem, reducer.reduce(problem))
+        tables = reducer.switching(problem, reducer.reduce(problem))
     twice = np.array([1, 2, 2])
-    found = active_set(its, twice)
-    assert found.rank == 2
-    assert np.abs(found.Y.T @ its.Q(twice) @ found.Y - np.eye(2)).max() < 1e-9
-    assert np.abs(found.Y.T @ its.R(twice) @ found.Y / np.outer(found.omega, found.omega) - np.eye(2)).max() < 1e-9
+    active = active_set(tables, twice)
+    assert active.rank == 2
+    assert np.abs(active.Y.T @ tables.Q(twice) @ active.Y - np.eye(2)).max() < 1e-9
+    scale = np.outer(active.omega, active.omega)
+    assert np.abs(active.Y.T @ tables.R(twice) @ active.Y / scale - np.eye(2)).max() < 1e-9
 
 
 def test_paths_are_chained_and_normals_point_outwards():
@@ -191,12 +192,12 @@ def test_rank_of_forces_and_moments_does_not_depend_on_the_size_of_the_part():
         small = FEModel(K=K / length**3, M=M * length, nodes=nodes, dofs=beam.dofs)
         with Problem(small) as problem:
             reducer = StaticModesSwitching(base_options={"modes": 4}, candidates="set:RAIL", directions=[1, 5])
-            its = reducer.switching(problem, reducer.reduce(problem))
-        active = its.of_nodes(12, 6)
-        found = active_set(its, active)
-        assert found.rank == len(active) == 12 and its.notes["empty_candidates"] == 0
-        R, force = its.R(active), np.eye(12)[4]
-        answer = R @ (found.Y @ ((found.Y.T @ (R @ force)) / found.omega**2))
+            tables = reducer.switching(problem, reducer.reduce(problem))
+        active = tables.of_nodes(12, 6)
+        kept = active_set(tables, active)
+        assert kept.rank == len(active) == 12 and tables.notes["empty_candidates"] == 0
+        R, force = tables.R(active), np.eye(12)[4]
+        answer = R @ (kept.Y @ ((kept.Y.T @ (R @ force)) / kept.omega**2))
         assert np.abs(answer - R @ force)[::2].max() < 1e-10 * np.abs(R @ force)[::2].max()
 
 
@@ -222,14 +223,14 @@ def test_round_trip_through_a_file(tmp_path):
         reducer = StaticModesSwitching(
             base_options={"modes": 4}, candidates=candidates, directions=[2], stress=True, band=3
         )
-        its = reducer.switching(problem, reducer.reduce(problem))
+        tables = reducer.switching(problem, reducer.reduce(problem))
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        Writer(file).rows("switching/", SWITCHING, its)
+        Writer(file).rows("switching/", SWITCHING, tables)
         back = read_rows(file["switching"], SWITCHING, "the switching data lack")
-        for name, value in vars(its).items():
+        for name, value in vars(tables).items():
             if isinstance(value, np.ndarray):
                 assert np.array_equal(getattr(back, name), value), name
-        assert back.kind == its.kind and dict(back.notes) == dict(its.notes)
+        assert back.kind == tables.kind and dict(back.notes) == dict(tables.notes)
         del file["switching/stiffness"]
         with pytest.raises(InputError, match="lack stiffness"):
             read_rows(file["switching"], SWITCHING, "the switching data lack")
@@ -239,17 +240,17 @@ def test_bad_input_is_named():
     model, candidates = bar()
 
     def message(interfaces=(), **keys):
-        with Problem(model, interfaces) as problem, pytest.raises(InputError) as found:
+        with Problem(model, interfaces) as problem, pytest.raises(InputError) as refusal:
             reducer = StaticModesSwitching(**{"base_options": {"modes": 3}, "candidates": candidates, **keys})
             reducer.switching(problem, reducer.reduce(problem))
-        return str(found.value)
+        return str(refusal.value)
 
     assert "selects no node" in message(candidates="box:5,5,5,6,6,6")
     assert "does not exist or is empty" in message(candidates="set:RAIL")
     assert "belong to the interface 'left'" in message(ends(model), candidates="box:0,0,0,0.1,0.1,0.1")
     assert "did you mean 'modal'" in message(base="modall")
-    said = message(base_options={"mode": 3})
-    assert "'mode' is no key of it; its keys are modes, up_to_hz, interfaces" in said and "__init__" not in said
+    words = message(base_options={"mode": 3})
+    assert "'mode' is no key of it; its keys are modes, up_to_hz, interfaces" in words and "__init__" not in words
     assert "'band_hz' is missing" in message(base="gramian", base_options={})
     assert "no candidate node has the component 4" in message(directions=[4])
     first, last = candidates[4:].split(",")[0], candidates.split(",")[-1]

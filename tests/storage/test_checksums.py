@@ -35,9 +35,9 @@ def body(tmp_path_factory: pytest.TempPathFactory) -> Path:
     faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("root", 0.0), ("tip", 0.4))]
     with Problem(model, faces) as problem:
         reduced = CraigBampton(modes=2).reduce(problem, "cb")
-        one = elastic_body(problem, reduced, make_part(problem), floating=floating_frame(problem, reduced))
-        one = replace(one, recovery=stress_recovery(problem, reduced))
-        return write_body(tmp_path_factory.mktemp("body") / "beam.h5", [one], provenance={"checksums": {"names": 1}})
+        part = elastic_body(problem, reduced, make_part(problem), floating=floating_frame(problem, reduced))
+        part = replace(part, recovery=stress_recovery(problem, reduced))
+        return write_body(tmp_path_factory.mktemp("body") / "beam.h5", [part], provenance={"checksums": {"names": 1}})
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +68,11 @@ def expected(item: Any, by_columns: bool) -> str:
 def test_sums_are_those_of_the_documentation(body: Path, model: Path) -> None:
     for path in (body, model):
         with h5py.File(path) as file:
-            found, columns = rows(file), 0
-            for name, held in found.items():
+            sums, columns = rows(file), 0
+            for name, held in sums.items():
                 above, _, number = name.rpartition("/")
                 if name in file:
-                    assert held == expected(file[name], f"{name}/0" in found), name
+                    assert held == expected(file[name], f"{name}/0" in sums), name
                 else:
                     values, columns = file[above][:, int(number)], columns + 1
                     assert held == hashlib.sha256(f"f{values.itemsize} {values.shape}\n".encode() + values.tobytes()
@@ -80,7 +80,7 @@ def test_sums_are_those_of_the_documentation(body: Path, model: Path) -> None:
             every: list[str] = []
             file.visititems(lambda name, item, every=every: every.append(name) if hasattr(item, "shape") else None)
             outside = {name for name in every if not name.startswith(("checksums/", "provenance/"))}
-            assert outside <= set(found) and {name.split("/")[0] for name in found}.isdisjoint({"provenance"})
+            assert outside <= set(sums) and {name.split("/")[0] for name in sums}.isdisjoint({"provenance"})
             # Basis; stress and jumps of the coordinates; stress, jumps and displacements of the static correction.
             assert columns == (3 * 14 + 3 * 12 if path is body else 0)
     assert read_body(body, whole=True).provenance["checksums_"] == {"names": 1}
@@ -90,9 +90,9 @@ def test_sums_are_those_of_the_documentation(body: Path, model: Path) -> None:
 def used(path: Path) -> list[Any]:
     """All that a body file holds."""
     stored = read_body(path)
-    one = stored.bodies["cb"]
+    part = stored.bodies["cb"]
     recovery, grid = stored_recovery(path, "cb"), read_grid(path)
-    return [stored, one.basis(), vars(recovery), vars(grid)]
+    return [stored, part.basis(), vars(recovery), vars(grid)]
 
 
 def changed(value: Any) -> Any:
@@ -191,10 +191,10 @@ def test_any_damaged_byte_is_found_or_changes_nothing(
     read: Callable[[Path], Any] = {"body": used, "model": read_model, "equilibria": equilibria}[kind]
     path = tmp_path / f"{kind}.h5"
     if kind == "equilibria":
-        made = Checkpoint(path, signature=np.arange(3.0), options="all")
-        made.begin(0.4, ("a note",))
-        made.add((1, 2, 0, 1), X=np.ones(4), W=2.0, moments=np.ones(2), modes=np.ones((4, 2)))
-        made.save()
+        checkpoint = Checkpoint(path, signature=np.arange(3.0), options="all")
+        checkpoint.begin(0.4, ("a note",))
+        checkpoint.add((1, 2, 0, 1), X=np.ones(4), W=2.0, moments=np.ones(2), modes=np.ones((4, 2)))
+        checkpoint.save()
     else:
         shutil.copy(request.getfixturevalue(kind), path)
     whole, first, chance, refused = path.read_bytes(), plain(read(path)), random.Random(7), 0

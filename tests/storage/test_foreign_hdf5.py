@@ -74,11 +74,11 @@ def test_a_model_with_a_matrix_from_elsewhere(tmp_path: Path) -> None:
 def test_filters_that_are_no_part_of_hdf5(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
-        made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        made.set_chunk((3, 3))
-        made.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_chunk((3, 3))
+        properties.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
         space = h5py.h5s.create_simple((3, 3))
-        h5py.h5d.create(file.id, b"K", h5py.h5t.IEEE_F64LE, space, made)
+        h5py.h5d.create(file.id, b"K", h5py.h5t.IEEE_F64LE, space, properties)
     with pytest.raises(InputError, match="/K is packed with the filter 32015"):
         import_file(path, "hdf5")
 
@@ -100,8 +100,8 @@ def test_groups_within_each_other(tmp_path: Path) -> None:
         file["K"] = file["M"] = np.eye(3)
         file["other/more/alias"] = h5py.SoftLink("/other")
         file["D"] = h5py.SoftLink("/K")
-    found = import_file(path, "hdf5")
-    assert found.K is not None and found.D is not None and found.D.nnz == 3
+    imported = import_file(path, "hdf5")
+    assert imported.K is not None and imported.D is not None and imported.D.nnz == 3
     with h5py.File(path, "r+") as file:
         file["other/more/up"] = file["other"]
     with pytest.raises(InputError, match="is a group that has another name too"):

@@ -12,9 +12,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from rich.console import Console
 
 from morembs import read_body
 from morembs.body.stress_shapes import read_recovery
+from morembs.cli.certificates import Certified, print_certificates
 from morembs.errors import InputError
 from morembs.gmp.stored import read_members, write_members
 from morembs.importers.model_file import read_model
@@ -32,10 +34,10 @@ def unpacked(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def compare(name: str, found: dict[str, object]) -> None:
+def compare(name: str, values: dict[str, object]) -> None:
     """All that was found then; there may be more by now."""
     expected = EXPECTED[name]
-    assert {place: found.get(place, "missing") for place in expected} == expected
+    assert {place: values.get(place, "missing") for place in expected} == expected
 
 
 @pytest.mark.parametrize("name", ["symmetric.h5", "two_sided.h5"])
@@ -45,12 +47,26 @@ def test_body_files(unpacked: Path, name: str) -> None:
 
 def test_what_the_body_files_hold(unpacked: Path) -> None:
     """Every part of the format is in one of them."""
-    one, two = read_body(unpacked / "symmetric.h5", whole=True), read_body(unpacked / "two_sided.h5", whole=True)
-    rail, (both,) = one.bodies["rail"], two.bodies.values()
-    assert (one.format_version, two.format_version) == (1, 2)
+    symmetric, two_sided = (read_body(unpacked / f"{name}.h5", whole=True) for name in ("symmetric", "two_sided"))
+    rail, (both,) = symmetric.bodies["rail"], two_sided.bodies.values()
+    assert (symmetric.format_version, two_sided.format_version) == (1, 2)
     assert rail.has_switching and rail.has_recovery and rail.certificate and rail.ranking
     assert rail.floating is not None and rail.floating.stiffening is not None and rail.floating.kind == "tangent"
     assert not np.array_equal(both.input_matrix.T, both.output_matrix)
+
+
+def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They were errors at samples, and are told as such beside those that hold at every frequency."""
+    one = read_body(unpacked / "symmetric.h5")
+    for body in one.bodies.values():
+        values = body.certificate
+        assert values is not None and "version" not in values and "limits" not in values
+        assert values["bound_kind"] == "bound" and (values["error"] <= values["bound"]).all()
+        print_certificates(Console(width=200), [Certified(name=body.name, order=8, values=values)], [])
+        assert (
+            f"{body.name}: certificate at samples: error at most {values['error'].max():.1e}, bound "
+            f"{values['bound'].max():.1e} at 2 frequencies from 10 to 2,000 Hz"
+        ) in capsys.readouterr().out
 
 
 def test_a_model_file(unpacked: Path) -> None:
@@ -63,10 +79,10 @@ def test_members_with_large_deflections(unpacked: Path) -> None:
 
 
 def test_a_run_goes_on_from_equilibria(unpacked: Path) -> None:
-    made = member(checkpoint=unpacked / "equilibria.h5")
-    assert made.report.solved == 0 and made.report.restored
+    resumed = member(checkpoint=unpacked / "equilibria.h5")
+    assert resumed.report.solved == 0 and resumed.report.restored
     then = read_members(unpacked / "members.h5")["rod"]
-    assert made.data.table.coefficients == pytest.approx(then.table.coefficients, rel=1e-6, abs=1e-9)
+    assert resumed.data.table.coefficients == pytest.approx(then.table.coefficients, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["symmetric.h5", "coupled.model.h5", "members.h5", "equilibria.h5"])

@@ -37,12 +37,12 @@ def test_what_is_written_is_read(file: Path) -> None:
     with h5py.File(file) as opened:
         group = opened["at"]
         TableCheck(file, opened, "file").table("at/", TABLE, {})
-        found = read_rows(group, TABLE)
+        values = read_rows(group, TABLE)
         assert group["shapes"].chunks == (3, 1) and group["shapes"].attrs["units"] == b"m"
         assert group["order"].attrs["description"] == b"number of shapes" and group["on"].dtype == np.uint8
     expected = VALUES | {"notes": ("one; two",), "blocks": tuple(VALUES["blocks"])}
     del expected["error"]
-    np.testing.assert_equal(found, expected)
+    np.testing.assert_equal(values, expected)
 
 
 @pytest.mark.parametrize(

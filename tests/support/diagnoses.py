@@ -7,9 +7,9 @@ from morembs.diagnostics.findings import Diagnosis, Finding
 
 def grave(diagnosis: Diagnosis) -> set[str]:
     """Codes of errors and warnings."""
-    return {one.code for one in diagnosis.findings if one.severity != "note"}
+    return {finding_.code for finding_ in diagnosis.findings if finding_.severity != "note"}
 
 
 def finding(diagnosis: Diagnosis, code: str) -> Finding:
     """The first finding of that code."""
-    return next(one for one in diagnosis.findings if one.code == code)
+    return next(candidate for candidate in diagnosis.findings if candidate.code == code)

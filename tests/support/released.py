@@ -59,14 +59,14 @@ JOBS: dict[str, dict[str, str | None]] = {
 def described(value: Any, name: str = "") -> dict[str, Any]:
     """What a reader gave, flat: place -> number, text, or shape and checksum of the bytes of an array."""
     if sp.issparse(value):
-        parts = {"shape": np.array(value.shape), **{one: getattr(value, one) for one in ("data", "indices", "indptr")}}
+        parts = {"shape": np.array(value.shape), **{key: getattr(value, key) for key in ("data", "indices", "indptr")}}
         return described(parts, name)
     if is_dataclass(value):
-        value = {one.name: getattr(value, one.name) for one in fields(value)}
+        value = {part.name: getattr(value, part.name) for part in fields(value)}
     if isinstance(value, Mapping):
-        return {place: text for key, one in value.items() for place, text in described(one, f"{name}/{key}").items()}
+        return {place: text for key, part in value.items() for place, text in described(part, f"{name}/{key}").items()}
     if isinstance(value, tuple | list) and value:
-        return {place: text for i, one in enumerate(value) for place, text in described(one, f"{name}/{i}").items()}
+        return {place: text for i, part in enumerate(value) for place, text in described(part, f"{name}/{i}").items()}
     if isinstance(value, np.ndarray):
         # Widths of whole numbers are free.
         plain = value.astype(np.int64) if value.dtype.kind in "iu" else value
@@ -133,13 +133,13 @@ def make(folder: Path) -> None:
     xyz = np.vstack([mesh.nodes.xyz, [[500.0, 25, 10], [-50.0, 25, 10]]])
     nodes = Nodes(ids=np.append(mesh.nodes.ids, [900, 901]), xyz=xyz, sets={"END": right})
     first = len(mesh.nodes)
-    found = Imported(
+    imported = Imported(
         source="bar", nodes=nodes, mesh=mesh, materials=(isotropic(set="all", young=70.0, poisson=0.3, density=2.7),),
         rigid=(RigidElement(name="RBE2_1", master=first, slaves=right),),
         average=(AverageElement(name="RBE3 2", reference=first + 1, nodes=left, weights=np.arange(1.0, 5)),),
         masses=(PointMass(name="CONM2_3", node=first, mass=2.0, inertia=np.diag([1.0, 2.0, 3.0])),),
     )  # fmt: skip
-    write_model(folder / "coupled.model.h5", model_of(found))
+    write_model(folder / "coupled.model.h5", model_of(imported))
     expected["coupled.model.h5"] = described(import_native(folder / "coupled.model.h5"))
     write_members(folder / "members.h5", {"rod": member(checkpoint=folder / "equilibria.h5").data})
     expected["members.h5"] = described(read_members(folder / "members.h5"))
@@ -159,9 +159,9 @@ def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
                 "basis": body.basis(), "switching": body.switching() if body.has_switching else None,
                 "stress": read_recovery(group["recovery"]) if body.has_recovery else None,
             }  # fmt: skip
-    found = described(stored) | described(more, "/read")
+    content = described(stored) | described(more, "/read")
     # Times and memory of the run, and the version of the program.
-    return {name: value for name, value in found.items() if not name.startswith("/provenance")}
+    return {name: value for name, value in content.items() if not name.startswith("/provenance")}
 
 
 if __name__ == "__main__":

@@ -95,8 +95,8 @@ class _Job(Generic[T]):
             self.error = error
         with self._guard:
             self.done.set()
-            mine = self._abandoned
-        if mine:
+            abandoned = self._abandoned
+        if abandoned:
             self._free()
 
     def abandon(self) -> bool:

@@ -100,20 +100,20 @@ class SlidingSwitch(EventHandler):
     def change(self, state: State) -> RestartState:
         x, v = state.x.copy(), state.v.copy()
         for body in self.bodies:
-            mine = [window for window in self._wanted if window[0] is body]
-            if not mine:
+            windows = [window for window in self._wanted if window[0] is body]
+            if not windows:
                 continue
             number = state.assembly.index(body)
             if number is None:
                 continue
             in_x, in_v = state.assembly.in_x[number], state.assembly.in_v[number]
             new = list(body.firsts(x[in_x]))
-            for _, window, _, s in mine:
+            for _, window, _, s in windows:
                 new[window] = body.window_about(s)
             try:
-                x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, mine)
+                x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, windows)
             except InputError as error:
-                raise InputError(f"at t = {state.time:.9g} s, s = {mine[0][3]:.9g} m: {error}") from error
+                raise InputError(f"at t = {state.time:.9g} s, s = {windows[0][3]:.9g} m: {error}") from error
         return RestartState(x=x, v=v)
 
     def _moved(

@@ -1,0 +1,96 @@
+"""Programs of others that assemble decks as a process of their own; the table is the contents page.
+
+An engine takes a path, options as keyword arguments and the executable, and returns an ``Imported`` whose matrices are
+those of the program, in the units of the deck.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from morembs.errors import InputError
+from morembs.importers.engines.calculix import find_ccx
+from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
+from morembs.importers.engines.run import Program
+from morembs.importers.imported import Imported
+from morembs.options import Text, checked, known
+from morembs.plugins import Registry
+
+# What of the parameters is no option.
+_NO_OPTIONS = ("executable",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """A program: what it is in one line, the ``formats`` of decks that it reads and what people call them, how it is
+    found (given a path or ""), the function that reads a deck, and one that raises where a deck cannot be for it."""
+
+    about: str
+    formats: tuple[str, ...]
+    decks: str
+    find: Callable[[str], Program]
+    read: Callable[..., Imported]
+    readable: Callable[..., None]
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the options."""
+        return tuple(name for name in known(self.read) if name not in _NO_OPTIONS)
+
+
+_OWN: dict[str, Engine] = {
+    "calculix": Engine(
+        about="CalculiX (ccx) assembles decks of Abaqus and CalculiX", formats=("abaqus",),
+        decks="decks of Abaqus or CalculiX", find=find_ccx, read=import_with_calculix,
+        readable=readable_by_calculix,
+    ),
+}  # fmt: skip
+ENGINES: Registry[Engine] = Registry(
+    "morembs.engines", _OWN, lambda _, entry: "" if isinstance(entry, Engine) else f"{entry!r} is no Engine"
+)
+
+
+def engine_of(text: str) -> tuple[Engine, str]:
+    """The engine and the executable that NAME or NAME:PATH means.
+
+    Raises:
+        InputError: no such engine.
+    """
+    name, _, path = text.partition(":")
+    if name not in ENGINES:
+        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name)}")
+    return ENGINES[name], path
+
+
+def engines_for(path: Path, format: str, options: Mapping[str, Any]) -> list[str]:
+    """Names of the engines that would read a deck; none is run."""
+    names = []
+    for name, engine in ENGINES.items():
+        own = {key: value for key, value in options.items() if key in known(engine.readable)}
+        if format in engine.formats:
+            with suppress(InputError):
+                engine.readable(path, **own)
+                names.append(name)
+    return names
+
+
+def import_with_engine(path: Path, format: str, text: str, options: Mapping[str, Any]) -> Imported:
+    """What the engine NAME or NAME:PATH makes of a deck of a format.
+
+    Raises:
+        InputError: an unknown engine or option, a deck of another format, or what the engine refuses.
+    """
+    engine, executable = engine_of(text)
+    name = text.partition(":")[0]
+    if format not in engine.formats:
+        raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is read as {format}")
+    given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
+    values = checked(
+        engine.read, given, f"the engine {name}", where=f"{path.name}: ", hidden=_NO_OPTIONS,
+        cure="; give --set {key}=VALUE",
+    )  # fmt: skip
+    return engine.read(path, executable=executable, **values)

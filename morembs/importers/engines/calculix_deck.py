@@ -1,0 +1,284 @@
+"""One flat deck for CalculiX from the tables of a deck: parts in their places, labels from 1 without gaps.
+
+CalculiX knows no parts, allocates memory by the largest label, and wants sets before their use. So nodes, elements,
+sets and names are written anew; of all other keywords the table ``CARDS`` says what stands in their data lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_deck import Rows
+from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_surfaces import FACES
+from morembs.importers.engines.calculix_read import EngineDeck
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+# CalculiX takes this many characters of a number, and entries of a line of a set or an element.
+_DIGITS, _ENTRIES, _PER_ELEMENT = 20, 16, 10
+# Types by shape and formulation, as ``formulations`` has them for CalculiX.
+_CODES = {
+    ("tet4", "full"): "C3D4", ("tet10", "full"): "C3D10", ("wedge6", "reduced"): "C3D6", ("wedge15", "full"): "C3D15",
+    ("hex8", "full"): "C3D8", ("hex8", "mean-strain"): "C3D8R", ("hex8", "incompatible"): "C3D8I",
+    ("hex20", "full"): "C3D20", ("hex20", "reduced"): "C3D20R",
+}  # fmt: skip
+# What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
+# m a material, . as it stands. The last letter holds for all fields behind it.
+CARDS = {
+    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".",
+    "MEMBRANE SECTION": ".", "SPRING": ".",
+    "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
+    "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
+    "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",
+    "STATIC": ".", "ORIENTATION": ".",
+}  # fmt: skip
+_OPTIONS = {
+    "NSET": "n", "TIE NSET": "n", "PIN NSET": "n", "REF NODE": "n", "ROT NODE": "n", "NODE": "n", "ELSET": "e",
+    "ELEMENT": "e", "MATERIAL": "m", "ORIENTATION": "o", "SURFACE": "s",
+}  # fmt: skip
+# Conditions of Abaqus by name, as the first and the last dof that they hold.
+_HOLD = {
+    "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
+    "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
+}  # fmt: skip
+# Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
+_DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
+_LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
+
+
+def numeral(value: float) -> str:
+    """A number in the characters that CalculiX reads."""
+    text = repr(float(value))
+    return text if len(text) <= _DIGITS else f"{value:.12e}"
+
+
+@dataclass(eq=False)
+class FlatDeck:
+    """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
+
+    ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds.
+    """
+
+    assembly: Assembly
+    deck: EngineDeck
+    sets: dict[tuple[str, int, str], str] = field(default_factory=dict)
+    names: dict[tuple[str, int, str], str] = field(default_factory=dict)
+    defined: list[str] = field(default_factory=list)
+    surfaces: list[str] = field(default_factory=list)
+    body: list[tuple[int, str]] = field(default_factory=list)
+    steps: list[str] = field(default_factory=list)
+    masses: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.labels = self.assembly.element_labels()
+        self.held = np.zeros((len(self.assembly.ids), 3), dtype=bool)
+
+    @property
+    def free(self) -> int:
+        """The first label that no node has."""
+        return len(self.assembly.ids) + 1
+
+    def text(self, extra: str, step: str, nodes: str = "") -> str:
+        """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
+        body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
+        return "\n".join(
+            [*_nodes(self.assembly), nodes, *_elements(self.assembly, self.masses), *self.defined, *self.surfaces,
+             *body, extra, *self.steps, step, ""]
+        )  # fmt: skip
+
+    def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
+        """A keyword with its data."""
+        kinds = CARDS[card.keyword] if fields is None else fields
+        rank = _LAST.index(card.keyword) + 1 if card.keyword in _LAST else 0
+        self.body.append((rank, self.lines(placed, card, rows, kinds)))
+
+    def lines(self, placed: Placed, card: Card, rows: Rows, kinds: str) -> str:
+        """The text of a keyword with its data, names and labels in those of the flat deck."""
+        if card.keyword in ("SOLID SECTION", "SHELL SECTION") and "COMPOSITE" not in card.options:
+            kinds = "."
+        head = "*" + ", ".join([card.keyword, *(self._option(placed, card, *item) for item in card.options.items())])
+        data = []
+        for row in rows:
+            fields = [
+                self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)
+            ]
+            data += [", ".join(fields[i : i + _ENTRIES]) for i in range(0, len(fields), _ENTRIES)] or [""]
+        return "\n".join([head, *data])
+
+    def _option(self, placed: Placed, card: Card, key: str, text: str) -> str:
+        if key == "NAME":
+            kind = {"ORIENTATION": "o", "DISTRIBUTION": "d"}.get(card.keyword, "x")
+            return f"NAME={self.name(kind, placed, text)}"
+        if not text:
+            return key
+        return f"{key}={self.translated(_OPTIONS.get(key, '.'), placed, text, card)}"
+
+    def name(self, kind: str, placed: Placed, text: str) -> str:
+        """A new name for what a scope calls ``text``."""
+        return self.names.setdefault((kind, id(placed), text.upper()), f"{kind.upper()}{len(self.names) + 1}")
+
+    def known(self, kind: str, placed: Placed, text: str, card: Card) -> str:
+        """The name of what a scope, or the assembly, has defined as ``text``."""
+        for scope in (placed, self.assembly.top):
+            if (kind, id(scope), text.upper()) in self.names:
+                return self.names[kind, id(scope), text.upper()]
+        raise InputError(f"{card} names {text!r}, which is not defined")
+
+    def translated(self, kind: str, placed: Placed, text: str, card: Card) -> str:
+        """A field of a data line."""
+        if not text or kind == ".":
+            return text
+        if kind in "ne":
+            return self.group(kind, placed, text)
+        if kind == "s":
+            return self.surface(placed, text, card)
+        if kind == "m":
+            return self.name("m", self.assembly.top, text)
+        return self.known(kind, placed, text, card)
+
+    def group(self, kind: str, placed: Placed, text: str) -> str:
+        """The label of a node or element in the flat deck, or a set of them."""
+        find = self.assembly.nodes_of if kind == "n" else self.assembly.elements_of
+        if label(text.partition(".")[2] if "." in text else text) is not None:
+            return str(int(find(placed, text)[0]) + 1)
+        key = kind, id(placed), text.upper()
+        if key not in self.sets:
+            self.sets[key] = self.new_set(kind, find(placed, text))
+        return self.sets[key]
+
+    def new_set(self, kind: str, rows: Ints) -> str:
+        """A set of nodes or elements (counted from 0) under a name of its own."""
+        name, word = f"{kind.upper()}S{len(self.defined) + 1}", "NSET" if kind == "n" else "ELSET"
+        self.defined.append("\n".join([f"*{word}, {word}={name}", *_sixteen(rows + 1)]))
+        return name
+
+    def surface(self, placed: Placed, text: str, card: Card) -> str:
+        """The name of a surface, which is written when it is named first; also of a set of nodes as one."""
+        where, own, rows = self._find_surface(placed, text, card)
+        name = own.options["NAME"]
+        if ("s", id(where), name.upper()) in self.names:
+            return self.names["s", id(where), name.upper()]
+        return self._surface(where, own, rows, name)
+
+    def _find_surface(self, placed: Placed, text: str, card: Card) -> tuple[Placed, Card, Rows]:
+        scope, rest = self.assembly.split(placed, text)
+        for where in (scope, self.assembly.top):
+            for content in where.contents:
+                for own, rows in content.surfaces:
+                    if own.options.get("NAME", "").upper() == rest.upper():
+                        return where, own, [row for row in rows if row]
+        raise InputError(f"{card} names the surface {text!r}, which is not defined")
+
+    def _surface(self, placed: Placed, card: Card, rows: Rows, text: str) -> str:
+        name = self.name("s", placed, text)
+        kind = "n" if card.options.get("TYPE", "ELEMENT").upper() == "NODE" else "e"
+        if "COMBINE" in card.options:
+            raise InputError(f"{card} {text!r} combines others; list their faces in one surface")
+        lines = []
+        for row in rows:
+            if kind == "e" and (len(row) < 2 or not row[1]):
+                lines += self._free_sides(placed, row[0])
+            else:
+                lines.append(", ".join([self.group(kind, placed, row[0]), *(row[1:] if kind == "e" else [])]))
+        word = "NODE" if kind == "n" else "ELEMENT"
+        self.surfaces.append("\n".join([f"*SURFACE, NAME={name}, TYPE={word}", *lines]))
+        return name
+
+    def _free_sides(self, placed: Placed, text: str) -> list[str]:
+        """Element and side of the faces of some solids that no other element has."""
+        wanted = self.assembly.elements_of(placed, text)
+        keys, numbers, sides, start = [], [], [], 0
+        for part in self.assembly.blocks:
+            for side, corners in enumerate(FACES[part.type[0]]):
+                key = np.full((len(part.nodes), 4), -1, dtype=np.int64)
+                key[:, : len(corners)] = np.sort(part.nodes[:, corners], axis=1)
+                keys.append(key)
+                numbers.append(start + np.arange(len(key)))
+                sides.append(np.full(len(key), side + 1))
+            start += len(part.nodes)
+        _, group, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
+        number, side_of = np.concatenate(numbers), np.concatenate(sides)
+        free = np.flatnonzero((times[group.ravel()] == 1) & np.isin(number, wanted))
+        return [f"{number[i] + 1}, S{side_of[i]}" for i in free.tolist()]
+
+    def boundary(self, placed: Placed, card: Card, rows: Rows) -> str:
+        """*BOUNDARY that holds its dofs at zero."""
+        lines = []
+        for row in rows:
+            node, own = self.group("n", placed, row[0]), self.assembly.nodes_of(placed, row[0])
+            for first, last in _spans(row, card):
+                lines.append(f"{node}, {first}, {last}")
+                self.held[own, first - 1 : min(last, 3)] = True
+        return "\n".join(["*BOUNDARY", *lines])
+
+    def equation(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """*EQUATION: a count of terms, then node, dof and coefficient of each; node sets term by term."""
+        at = 0
+        while at < len(rows):
+            count = int(rows[at][0])
+            flat: list[str] = []
+            while len(flat) < 3 * count and (at := at + 1) < len(rows):
+                flat += rows[at]
+            at += 1
+            nodes = [self.assembly.nodes_of(placed, text) for text in flat[: 3 * count : 3]]
+            for each in range(max(map(len, nodes), default=0)):
+                terms = []
+                for k, own in enumerate(nodes):
+                    row = own[min(each, len(own) - 1)] + 1
+                    terms.append(f"{row}, {flat[3 * k + 1]}, {numeral(float(flat[3 * k + 2]))}")
+                lines = [", ".join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
+                self.body.append((1, "\n".join(["*EQUATION", str(count), *lines])))
+
+
+def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
+    """The first and the last dof of each span that a line of *BOUNDARY holds."""
+    fields = [text for text in row[1:3] if text]
+    if fields and fields[0].upper() in _HOLD:
+        return _HOLD[fields[0].upper()]
+    if not fields or not all(text.isdigit() and 0 < int(text) < 12 for text in fields):
+        raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
+    return [(int(fields[0]), int(fields[-1]))]
+
+
+def _sixteen(labels: Ints) -> list[str]:
+    entries = list(map(str, labels.tolist()))
+    return [", ".join(entries[i : i + _ENTRIES]) + "," for i in range(0, len(entries), _ENTRIES)]
+
+
+def _nodes(assembly: Assembly) -> list[str]:
+    rows = zip(range(1, len(assembly.ids) + 1), assembly.xyz.tolist(), strict=True)
+    return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
+
+
+def _elements(assembly: Assembly, masses: set[int]) -> list[str]:
+    """All elements in the order of their numbers, of point masses some."""
+    lines, number = [], 1
+
+    def block(code: str, nodes: Ints) -> None:
+        nonlocal number
+        lines.append(f"*ELEMENT, TYPE={code}")
+        for row in (nodes + 1).tolist():
+            entries = [str(number), *map(str, row)]
+            lines.extend(
+                ", ".join(entries[i : i + _PER_ELEMENT]) + ("," if i + _PER_ELEMENT < len(entries) else "")
+                for i in range(0, len(entries), _PER_ELEMENT)
+            )
+            number += 1
+
+    for part in assembly.blocks:
+        block(_CODES[part.type, part.formulation], part.nodes)
+    for one in assembly.discrete:
+        if one.code in _DISCRETE or one.number in masses:
+            number = one.number + 1
+            block(one.code, np.array([one.nodes]))
+    number = 1 + assembly.solids + len(assembly.discrete)
+    for code, _, nodes in assembly.others:
+        block(code, nodes)
+    return lines

@@ -1,0 +1,326 @@
+"""From the tables of a deck to the flat deck for CalculiX, and what stays outside of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_constraints import Constraints, point_value
+from morembs.importers.abaqus_deck import Rows, values
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
+from morembs.importers.deck_options import DeckOptions
+from morembs.importers.engines.calculix_deck import CARDS, FlatDeck, numeral
+from morembs.importers.engines.calculix_read import EngineDeck
+from morembs.importers.imported import PointMass
+from morembs.importers.problems import Problem
+from morembs.model.constraints import AverageElement
+
+Ints = NDArray[np.int64]
+# Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
+_PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
+                       "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
+_IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
+# Left out with a warning: the body is that of the deck without them.
+_WARNED = ("CYCLIC SYMMETRY MODEL",)
+_HARMLESS = NOTED | SILENT | OF_OTHER_ELEMENTS | {
+    "STATIC", "DASHPOT", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION", "CHANGE FRICTION",
+    "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "SENSITIVITY", "FEASIBLE DIRECTION",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """How a deck is to be taken: ``options`` as of the own reader, ``keep`` what the boundary holds, the steps up to
+    ``preload`` before (0: none)."""
+
+    options: DeckOptions = field(default_factory=DeckOptions)
+    keep: bool = False
+    preload: int = 0
+
+
+@dataclass(eq=False)
+class Flat:
+    """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
+    rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
+    nodes whose conditions are in axes ``turned`` by *TRANSFORM; what is to be said."""
+
+    deck: FlatDeck
+    constraints: Constraints
+    average: list[AverageElement] = field(default_factory=list)
+    bodies: list[int] = field(default_factory=list)
+    turning: dict[int, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    masses: list[PointMass] = field(default_factory=list)
+    turned: set[int] = field(default_factory=set)
+
+
+def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
+    """The deck that CalculiX reads.
+
+    Raises:
+        InputError: what it holds is no linear model, or names what is not there.
+    """
+    constraints = Constraints(deck, assembly)
+    constraints.surfaces.read()
+    flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
+    writer = _Writer(deck, assembly, choices, flat)
+    for placed, card, _ in writer.cards():
+        if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
+            flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
+    for placed, card, rows in writer.cards():
+        with deck.problems.collected(card, (f"--skip {card.keyword}",)):
+            writer.take(placed, card, rows)
+    writer.couplings()
+    writer.steps()
+    writer.materials()
+    deck.problems.refuse()
+    return flat
+
+
+class _Writer:
+    def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
+        self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
+        self._constraints, self.options = flat.constraints, choices.options
+        self._couplings = count(1)
+        top = assembly.top
+        self.places = [*assembly.placed.values(), top]
+        self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
+
+    def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
+        """Every card in every place that it has."""
+        for scope, card, rows in self.deck.cards:
+            for placed in self.places:
+                if any(scope is own for own in placed.contents):
+                    yield placed, card, rows
+
+    def take(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Write a card, or say why not."""
+        word, flat, out = card.keyword, self.flat, self.flat.deck
+        if self.options.skips(word):
+            self.deck.skipped[f"*{word}"] = self.deck.skipped.get(f"*{word}", 0) + 1
+        elif word in ("ORIENTATION", "DISTRIBUTION"):
+            self._orientation(placed, card, rows)
+        elif word == "BOUNDARY":
+            self._boundary(placed, card, rows)
+        elif word == "INITIAL CONDITIONS":
+            if card.options.get("TYPE", "").upper() == "TEMPERATURE":
+                out.card(placed, card, rows)
+        elif word == "CONTACT PAIR":
+            self._glue(placed, card, rows)
+        elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
+            flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
+        elif word in ("MASS", "ROTARY INERTIA"):
+            self._masses(placed, card, rows)
+        elif word == "EQUATION":
+            out.equation(placed, card, rows)
+        elif word == "KINEMATIC COUPLING":
+            self._kinematic_coupling(placed, card, rows)
+        elif word == "DISTRIBUTING COUPLING":
+            self._distributing(placed, card, rows)
+        elif word == "SOLID SECTION":
+            self._section(placed, card, rows)
+        elif word in _PLAIN and word not in _IN_STEPS:
+            self._plain(placed, card, rows)
+        elif word in _HARMLESS:
+            self.deck.noted[word] = self.deck.noted.get(word, 0) + 1
+        else:
+            raise InputError(
+                f"{card} cannot be read: it is not known here, so stiffness or mass may depend on it; take it out of "
+                f"the deck, or leave it out with --skip {word!r}, if the model is right without it"
+            )
+
+    def _plain(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if card.keyword == "SPRING":
+            numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+            axial = any(one.code == "SPRINGA" and one.number in numbers for one in self.assembly.discrete)
+            if axial and (len(rows) == 1 or "NONLINEAR" in card.options):
+                # The line of directions, which a spring along its axis has empty.
+                rows = [[], *rows]
+        if card.keyword == "RIGID BODY":
+            self._rigid_body(placed, card)
+        if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
+            normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
+            rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
+        if card.keyword == "TRANSFORM":
+            self.flat.turned |= set(self.assembly.nodes_of(placed, card.need("NSET")).tolist())
+        self.flat.deck.card(placed, card, rows)
+
+    def _masses(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Point masses, which are added to the matrices: CalculiX loses those on nodes without stiffness, and has no
+        rotary inertia. Only those on shells and beams are its own."""
+        numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+        value, left = point_value(placed, card, rows), []
+        for one in self.assembly.discrete:
+            if one.number not in numbers:
+                continue
+            if card.keyword == "MASS" and one.nodes[0] in self._expanded:
+                left.append(one.number)
+                continue
+            name = f"{card.options['ELSET']}:{one.label}"
+            if card.keyword == "MASS":
+                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=float(value[0, 0])))
+            else:
+                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=0.0, inertia=value))
+        if left:
+            out = self.flat.deck
+            out.masses |= set(left)
+            own = out.new_set("e", np.array(left))
+            out.body.append((0, f"*MASS, ELSET={own}\n{numeral(value[0, 0])}"))
+
+    def _section(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if card.options.get("ELSET") and not len(self.assembly.elements_of(placed, card.options["ELSET"])):
+            return
+        self.flat.deck.card(placed, card, rows)
+
+    def _rigid_body(self, placed: Placed, card: Card) -> None:
+        options = card.options
+        if options.get("REF NODE"):
+            reference = self.assembly.one_node(placed, options["REF NODE"])
+            if options.get("ROT NODE"):
+                self.flat.turning[self.assembly.one_node(placed, options["ROT NODE"]) + 1] = reference + 1
+            else:
+                self.flat.bodies.append(reference + 1)
+
+    def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
+        turned = not np.array_equal(placed.rotation, np.eye(3))
+        if turned and card.keyword == "ORIENTATION" and rows:
+            if not card.options.get("SYSTEM", "RECTANGULAR").upper().startswith("RECT"):
+                raise InputError(f"{card} is cylindrical in an instance that is turned; give it in the assembly")
+            points = np.array(values(rows[0], card)).reshape(-1, 3)
+            origin = points[2] if len(points) > 2 else np.zeros(3)
+            axes = (points[:2] - origin) @ placed.rotation.T
+            rows = [[numeral(x) for x in axes.ravel()], *rows[1:]]
+        out = self.flat.deck
+        kinds = CARDS[card.keyword]
+        if card.keyword == "ORIENTATION" and rows and rows[0][0][:1].isalpha():
+            kinds = "d."
+        out.body.append((-1, out.lines(placed, card, rows, kinds)))
+
+    def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if self.choices.keep:
+            self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
+        else:
+            self.deck.noted["BOUNDARY"] = 1
+
+    def _glue(self, placed: Placed, card: Card, rows: Rows) -> None:
+        adjust = card.options.get("ADJUST", "")
+        options = {"NAME": f"contact {len(self.flat.warnings)}"}
+        if adjust[:1].isdigit() or adjust[:1] == ".":
+            options["POSITION TOLERANCE"] = adjust
+        self.flat.deck.card(placed, Card("TIE", options, card.file), [row[:2] for row in rows])
+        self.flat.warnings.append(f"*{card.keyword} was glued as *TIE does [contact-tied]")
+
+    def _kinematic_coupling(self, placed: Placed, card: Card, rows: Rows) -> None:
+        for row in rows:
+            nodes = self.assembly.nodes_of(placed, row[0])
+            self._kinematic(self.assembly.one_node(placed, card.need("REF NODE")), nodes, [row[1:]] if row[1:] else [])
+
+    def _kinematic(self, reference: int, nodes: Ints, rows: Rows) -> None:
+        """*COUPLING with *KINEMATIC, whose rotations CalculiX makes of displacements alone."""
+        out, name = self.flat.deck, f"KS{next(self._couplings)}"
+        own = out.new_set("n", np.setdiff1d(nodes, reference))
+        held = sorted({d for row in rows for d in range(int(row[0]), int(row[-1]) + 1) if d < 4} if rows else {1, 2, 3})
+        self.flat.bodies.append(reference + 1)
+        out.surfaces.append(f"*SURFACE, NAME={name}, TYPE=NODE\n{own}")
+        dofs = "\n".join(f"{d}, {d}" for d in held)
+        text = f"*COUPLING, REF NODE={reference + 1}, SURFACE={name}, CONSTRAINT NAME={name}\n*KINEMATIC\n{dofs}"
+        out.body.append((5, text))
+
+    def couplings(self) -> None:
+        """*COUPLING with *KINEMATIC for CalculiX, with *DISTRIBUTING as average elements."""
+        for placed in self.places:
+            for scope in placed.contents:
+                for card, _, kind, kind_rows in scope.constraints:
+                    self._coupling(placed, card, kind, [row for row in kind_rows if row])
+
+    def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
+        if kind is None:
+            raise InputError(f"{card} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
+        if kind.keyword == "DISTRIBUTING":
+            self._constraints.coupling(placed, card, kind, rows)
+            self.flat.average = self._constraints.found.average
+            return
+        reference = self.assembly.one_node(placed, card.need("REF NODE"))
+        nodes, _ = self._constraints.surface(placed, card.need("SURFACE"), card)
+        self._kinematic(reference, nodes, rows)
+
+    def _distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Weights of nodes at the node of an element DCOUP3D."""
+        self._constraints.distributing_coupling(placed, card, rows)
+        self.flat.average = self._constraints.found.average
+
+    def steps(self) -> None:
+        """The boundary that the first step holds, or the steps of a preload."""
+        top, out = self.assembly.top, self.flat.deck
+        if self.choices.preload > len(self.deck.steps):
+            raise InputError(f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps")
+        for step in self.deck.steps[: self.choices.preload]:
+            lines = ["*STEP" + (", NLGEOM" if "NLGEOM" in step[0][0].options else "")]
+            for card, rows in step[1:]:
+                if card.keyword == "BOUNDARY":
+                    # Also where it moves its nodes: motions after it are small ones about what it holds.
+                    out.boundary(top, card, rows)
+                if card.keyword in _IN_STEPS:
+                    lines.append(out.lines(top, _plain_card(card), rows, CARDS[card.keyword]))
+            out.steps += [*lines, "*END STEP"]
+        if self.choices.keep and not self.choices.preload and self.deck.steps:
+            for card, rows in self.deck.steps[0]:
+                if card.keyword == "BOUNDARY":
+                    out.body.append((9, out.boundary(top, card, rows)))
+
+    def materials(self) -> None:
+        """Materials that sections name, with their stiffness and density only."""
+        out = self.flat.deck
+        for (kind, _, key), name in list(out.names.items()):
+            if kind != "m":
+                continue
+            if key not in self.deck.materials:
+                self._problem(f"a section names the material {key!r}, which is not defined")
+                continue
+            given = {card.keyword: (card, rows) for card, rows in self.deck.materials[key]}
+            if "ELASTIC" not in given:
+                words = ", ".join(f"*{word}" for word in given) or "empty"
+                self._problem(f"material {key} is {words} only, which is not linear elastic; expected *ELASTIC")
+                continue
+            lines = [f"*MATERIAL, NAME={name}"]
+            for word in ["ELASTIC", "DENSITY"] + (["EXPANSION"] if self.choices.preload else []):
+                if word in given:
+                    card, rows = given[word]
+                    lines.append(out.lines(self.assembly.top, card, [row for row in rows if row], "."))
+            if "DENSITY" not in given:
+                density = self._density(key)
+                if density is None:
+                    self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
+                    continue
+                lines.append(f"*DENSITY\n{numeral(density)}")
+                self.flat.warnings.append(f"the material {key} has no *DENSITY; {density:g} was given and taken "
+                                          "[density-given]")  # fmt: skip
+            out.body.append((-2, "\n".join(lines)))
+
+
+    def _density(self, material: str) -> float | None:
+        """The density that was given for a material: of one of the sets that it is for, or of all."""
+        given = {name.upper(): value for name, value in self.options.density.items()}
+        for _, card, _ in self.deck.cards:
+            if card.options.get("MATERIAL", "").upper() == material:
+                own = given.get(card.options.get("ELSET", "").upper())
+                if own is not None:
+                    return own
+        return given.get(material, given.get("ALL"))
+
+    def _problem(self, what: str, *flags: str) -> None:
+        self.deck.problems.add(Problem(what=what, file=self.deck.name, keyword="MATERIAL", flags=flags))
+
+
+def _plain_card(card: Card) -> Card:
+    """A card of a step without options that belong to its history."""
+    kept = {key: value for key, value in card.options.items() if key not in ("AMPLITUDE", "TIME DELAY", "LOAD CASE")}
+    return Card(card.keyword, kept, card.file)

@@ -1,0 +1,108 @@
+"""External programs that assemble models: finding them, running them within limits, and what they said."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from morembs.errors import InputError
+
+# The end of what a program printed that is looked at: one that repeats itself may print gigabytes.
+_TAIL = 1 << 20
+# Files of a run may not grow beyond this part of the free space of their disk.
+_DISK = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """An external program: its name for people, ``path``, and what it says of its ``version``."""
+
+    name: str
+    path: Path
+    version: str = ""
+
+
+def found(name: str, given: str, variable: str, executables: Sequence[str], cure: str) -> Path:
+    """The executable: ``given``, or what the environment ``variable`` names, or the first of ``executables`` in PATH.
+
+    Raises:
+        InputError: none is there, or one that was named cannot be run.
+    """
+    named = given or os.environ.get(variable, "")
+    if named:
+        path = Path(named).expanduser()
+        if not (path.is_file() and os.access(path, os.X_OK)):
+            whence = f"{name}:{given}" if given else f"the variable {variable} = {named}"
+            raise InputError(f"{whence} was given, which is no file that can be run; give the path of the executable")
+        return path.resolve()
+    for executable in executables:
+        path_of = shutil.which(executable)
+        if path_of:
+            return Path(path_of).resolve()
+    raise InputError(cure)
+
+
+def run(
+    command: Sequence[str | Path], folder: Path, *, seconds: float, memory: int | None = None,
+    environment: Mapping[str, str] | None = None, late: str,
+) -> str:  # fmt: skip
+    """Run a program in ``folder`` and return the end of what it printed, whatever its exit status is.
+
+    Args:
+        seconds: time after which it and its children are ended.
+        memory: bytes of address space that it may have; None for no limit.
+        environment: variables beside those of this process.
+        late: the message when the time is over.
+
+    Raises:
+        InputError: it cannot be started, or did not finish in time.
+    """
+    log = folder / "output.txt"
+    disk = int(_DISK * shutil.disk_usage(folder).free)
+
+    def limits() -> None:
+        # Only what exists on this system, and without anything that could wait for another thread.
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (disk, disk))
+        if memory is not None:
+            resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+    with log.open("wb") as out:
+        try:
+            process = subprocess.Popen(
+                [str(part) for part in command], cwd=folder, stdout=out, stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL, env={**os.environ, **(environment or {})}, start_new_session=True,
+                preexec_fn=limits if os.name == "posix" else None,
+            )  # fmt: skip
+        except OSError as error:
+            raise InputError(f"{command[0]} cannot be started ({error.strerror}); check the executable") from error
+        try:
+            process.wait(timeout=seconds)
+        except subprocess.TimeoutExpired as error:
+            raise InputError(late) from error
+        finally:
+            _end(process)
+    with log.open("rb") as text:
+        text.seek(max(log.stat().st_size - _TAIL, 0))
+        return text.read().decode("utf-8", "replace")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the process and its children, also where this one is being ended."""
+    if process.poll() is not None:
+        return
+    try:
+        if os.name == "posix":
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+    except ProcessLookupError:
+        pass
+    process.wait()

@@ -1,0 +1,72 @@
+"""A model of matrices that a program already holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.importers.imported import Imported
+from morembs.importers.named import square_csr
+from morembs.importers.to_model import model_of
+from morembs.model import DofMap, FEModel, Nodes
+from morembs.model.fe_model import SCALAR
+from morembs.units import Units, parse_units
+
+Ints = NDArray[np.int64]
+
+
+def from_matrices(
+    K: Any, M: Any, D: Any = None, *, nodes: Nodes | Any = None, node: Any = None, component: Any = None,
+    name: str = "matrices", units: Units | str | None = None,
+) -> FEModel:  # fmt: skip
+    """Model M u'' + D u' + K u = f of matrices of SciPy (any format, matrix or array), NumPy or nested lists.
+
+    Args:
+        K, M, D: (N, N) stiffness, mass and damping, symmetric for reductions; D may be left out.
+        nodes: places (n, 3), or ``Nodes`` with labels and sets. Without any, each dof is a node of its own, whose mass
+            properties and rigid motion mean nothing.
+        node, component: (N,) row of ``nodes`` of each dof and its component: 0..2 displacements along x, y, z, 3..5
+            rotations, 6 a coordinate without place and direction. x, y, z of each node in turn without them.
+        name: what messages call the model.
+        units: of all numbers, as ``parse_units`` takes them ("mm-t-s"); SI unless given.
+
+    Peak memory: copies of the matrices in CSR form.
+
+    Raises:
+        InputError: matrices that are not square, of different sizes, or not finite, or dofs that do not fit them.
+    """
+    given = {"K": K, "M": M, "D": D}
+    missing = [role for role in ("K", "M") if given[role] is None]
+    if missing:
+        raise InputError(f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix")
+    if (node is None) != (component is None) or (node is not None and nodes is None):
+        raise InputError(f"{name}: nodes, node and component belong together; expected all three, or nodes alone")
+    ready = {role: square_csr(name, role, value) for role, value in given.items() if value is not None}
+    placed = nodes if nodes is None or isinstance(nodes, Nodes) else _nodes_at(nodes, name)
+    dofs = None
+    if node is not None:
+        dofs = DofMap(node=_whole(node, "node", name), component=_whole(component, "component", name))
+        if len(dofs) and dofs.component.max() > SCALAR:
+            raise InputError(f"{name}: component runs to {dofs.component.max()}; expected 0 to {SCALAR}")
+    system = parse_units(units) if isinstance(units, str) else units
+    return model_of(Imported(source=name, nodes=placed, dofs=dofs, **ready), system)
+
+
+def _nodes_at(xyz: Any, name: str) -> Nodes:
+    try:
+        places = np.asarray(xyz, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: nodes are no numbers ({error}); expected places (n, 3)") from error
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise InputError(f"{name}: nodes have the shape {places.shape}; expected places (n, 3)")
+    return Nodes(ids=np.arange(1, len(places) + 1), xyz=places)
+
+
+def _whole(values: Any, what: str, name: str) -> Ints:
+    numbers = np.asarray(values)
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
+        raise InputError(f"{name}: {what} is {numbers.dtype} of shape {numbers.shape}; expected integers (N,)")
+    return numbers.astype(np.int64)

@@ -1,0 +1,101 @@
+"""Points on the nearest faces of a surface, with the shape functions there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from morembs.model.elements import FACES
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Faces that are tried for each point, by the distance of their centres.
+_TRIED = 9
+_STEPS = 25
+# Shape functions below this are round-off of a point that is on an edge or a node.
+_NONE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Of each point its ``distance`` (n,) to the surface and the ``foot`` (n, 3) there; ``nodes`` (n, w) and
+    ``weights`` (n, w) of the face, padded by zero weights on its first node."""
+
+    distance: Floats
+    foot: Floats
+    nodes: Ints
+    weights: Floats
+
+
+def face_size(xyz: Floats, faces: list[tuple[str, Ints]]) -> float:
+    """Root of the mean area of plane faces through the corners."""
+    areas = []
+    for kind, nodes in faces:
+        corners = xyz[nodes[:, : 3 if kind.startswith("tri") else 4]]
+        legs = (corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        if corners.shape[1] == 4:
+            legs = (corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+        areas.append(0.5 * np.linalg.norm(np.cross(*legs), axis=1))
+    return float(np.sqrt(np.concatenate(areas).mean()))
+
+
+def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Projection:
+    """The points (n, 3) on the nearest of ``faces`` (type, rows (nf, k) of ``xyz``).
+
+    Feet are found by Gauss-Newton steps in the coordinates of each face, which are kept within it.
+    """
+    width = max(nodes.shape[1] for _, nodes in faces)
+    best = Projection(
+        np.full(len(points), np.inf), np.zeros((len(points), 3)), np.zeros((len(points), width), dtype=np.int64),
+        np.zeros((len(points), width)),
+    )  # fmt: skip
+    for kind, nodes in faces:
+        tree = cKDTree(xyz[nodes].mean(axis=1))
+        tried = min(_TRIED, len(nodes))
+        near = tree.query(points, k=tried)[1].reshape(len(points), tried)
+        for candidate in near.T:
+            corners = xyz[nodes[candidate]]
+            N, foot = _on_face(kind, points, corners)
+            distance = np.linalg.norm(points - foot, axis=1)
+            closer = distance < best.distance
+            best.distance[closer], best.foot[closer] = distance[closer], foot[closer]
+            best.nodes[closer] = nodes[candidate[closer], :1]
+            best.nodes[closer, : nodes.shape[1]] = nodes[candidate[closer]]
+            best.weights[closer] = 0.0
+            best.weights[closer, : nodes.shape[1]] = N[closer]
+    best.weights[np.abs(best.weights) < _NONE] = 0.0
+    best.weights[:] /= best.weights.sum(axis=1, keepdims=True)
+    return best
+
+
+def _on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Shape functions (n, k) and places (n, 3) of the points on faces with nodes at ``corners`` (n, k, 3)."""
+    face, triangle = FACES[kind], kind.startswith("tri")
+    s = np.full((len(points), 2), 1 / 3 if triangle else 0.5)
+    for _ in range(_STEPS):
+        N, dN = face.shape(s)
+        J = np.einsum("nki,nkx->nxi", dN, corners)
+        gap = points - np.einsum("nk,nkx->nx", N, corners)
+        normal = np.einsum("nxi,nxj->nij", J, J)
+        size = np.trace(normal, axis1=1, axis2=2)
+        normal += 1e-14 * np.maximum(size, np.finfo(float).tiny)[:, None, None] * np.eye(2)
+        moved = _inside(s + np.linalg.solve(normal, np.einsum("nxi,nx->ni", J, gap)[..., None])[..., 0], triangle)
+        done = np.abs(moved - s).max(initial=0.0) < 1e-15
+        s = moved
+        if done:
+            break
+    N, _ = face.shape(s)
+    return N, np.einsum("nk,nkx->nx", N, corners)
+
+
+def _inside(s: Floats, triangle: bool) -> Floats:
+    """The nearest coordinates that belong to the face."""
+    s = np.clip(s, 0.0, 1.0)
+    if triangle:
+        over = np.maximum(s.sum(axis=1) - 1.0, 0.0)[:, None]
+        s = np.clip(s - 0.5 * over, 0.0, 1.0)
+        s /= np.maximum(s.sum(axis=1, keepdims=True), 1.0)
+    return s

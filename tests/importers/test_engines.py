@@ -1,0 +1,256 @@
+"""Decks that CalculiX assembles: its matrices on the right nodes, and its own frequencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs import InputError
+from morembs.cli import app
+from morembs.importers import import_file
+from morembs.importers.model_file import read_model
+from morembs.importers.to_model import model_of
+from morembs.model import FEModel, rigid_motion
+from tests.support import calculix
+from tests.support.calculix import STEEL, eigenvalues, needs_ccx, on_plane, own_frequencies, program, solids
+
+PLATE = (
+    "*NODE\n1,0,0,0\n2,1,0,0\n3,2,0,0\n4,0,1,0\n5,1,1,0\n6,2,1,0\n7,0,2,0\n8,1,2,0\n9,2,2,0\n10,2.5,1,0.5\n"
+    "*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,5,4\n2,2,3,6,5\n3,4,5,8,7\n4,5,6,9,8\n*NSET,NSET=EDGE\n3,6,9\n"
+    f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n0.05\n*RIGID BODY,NSET=EDGE,REF NODE=10\n"
+)
+TIED = (
+    "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,0,0,1\n6,1,0,1\n7,1,1,1\n8,0,1,1\n11,.1,.1,1\n12,.6,.1,1\n"
+    "13,.6,.6,1\n14,.1,.6,1\n15,.1,.1,2\n16,.6,.1,2\n17,.6,.6,2\n18,.1,.6,2\n30,0,0,-1\n"
+    "*ELEMENT,TYPE=C3D8,ELSET=A\n1,1,2,3,4,5,6,7,8\n*ELEMENT,TYPE=C3D8,ELSET=B\n2,11,12,13,14,15,16,17,18\n"
+    "*SURFACE,NAME=SA\nA\n*SURFACE,NAME=SB\nB,S1\n*NSET,NSET=BOT\n1,2,3,4\n"
+    f"{STEEL}*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n*SOLID SECTION,ELSET=B,MATERIAL=STEEL\n"
+    "*TIE,NAME=T,POSITION TOLERANCE=0.1\nSB,SA\n*RIGID BODY,NSET=BOT,REF NODE=30\n"
+)
+LINE = "*NODE\n1,0,0,0\n2,.5,0,0\n3,1,0,0\n4,1.5,0,0\n5,2,0,0\n"
+BEAM = (
+    f"{LINE}*ELEMENT,TYPE=B32,ELSET=E\n1,1,2,3\n2,3,4,5\n{STEEL}"
+    "*BEAM SECTION,ELSET=E,MATERIAL=STEEL,SECTION=RECT{}\n.1,.2\n0,0,1\n"
+)
+
+
+def imported(tmp_path: Path, deck: str, **options: object) -> FEModel:
+    path = tmp_path / "deck.inp"
+    path.write_text(deck)
+    executable = options.pop("executable", "")
+    return model_of(import_file(path, options=options, engine=f"calculix:{executable}"))
+
+
+def of_rigid_motion(model: FEModel) -> np.ndarray:
+    return rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+
+
+def mass(model: FEModel) -> np.ndarray:
+    R = of_rigid_motion(model)[:, :3]
+    return R.T @ (model.M @ R)
+
+
+def assert_free(model: FEModel, kg: float, strain: float = 1e-12) -> None:
+    """Rigid motion is followed and strains nothing, and the mass is ``kg``."""
+    R = of_rigid_motion(model)
+    assert np.abs(model.K @ R).max() < strain * np.abs(model.K.data).max() * np.abs(R).max()
+    if model.dependent is not None:
+        assert np.abs(model.dependent.S @ R - R).max() < 1e-12 * np.abs(R).max()
+    assert mass(model) == pytest.approx(kg * np.eye(3), rel=1e-10, abs=1e-10 * kg)
+
+
+@pytest.fixture(params=["stored", pytest.param("ccx", marks=needs_ccx)])
+def run(request, tmp_path):
+    """Imports a deck by what ccx wrote for it once, and by ccx itself."""
+    stored = request.param == "stored"
+    return lambda name, deck: imported(tmp_path, deck, executable=calculix.replay(tmp_path, name) if stored else "")
+
+
+def test_expanded_shells_and_a_rigid_body_are_on_their_places(run):
+    model = run("plate", PLATE)
+    assert_free(model, 0.05 * 4 * 7850)
+    # Two nodes for each of those that follow nothing, one for those of the edge, three modes for each element.
+    assert model.size == 2 * 3 * 6 + 3 * 3 + 9 * 4 + 6
+    edge = model.nodes.xyz[model.nodes.sets["EDGE"]]
+    assert np.abs(edge[:, 2]) == pytest.approx(0.025, abs=1e-15) and sorted(edge[:, 1]) == [0, 1, 2]
+    turns = model.dofs.node[model.dofs.turning]
+    assert model.nodes.ids[turns].tolist() == [10, 10, 10]
+
+
+def test_ties_and_rigid_bodies_are_read_off_by_springs(run):
+    model = run("tied", TIED)
+    assert_free(model, 1.25 * 7850)
+    (follows,) = model.equations
+    at = np.flatnonzero((model.nodes.ids[follows.nodes] == 11) & (follows.components == 0))[0]
+    terms = slice(follows.offsets[at], follows.offsets[at + 1])
+    weights = dict(zip(model.nodes.ids[follows.term_nodes[terms]].tolist(), follows.coefficients[terms], strict=True))
+    assert weights == pytest.approx({5: 0.81, 6: 0.09, 7: 0.01, 8: 0.09}, abs=1e-14)
+
+
+@needs_ccx
+@pytest.mark.parametrize(("deck", "kg"), [
+    (BEAM.format(""), 314.0),
+    (BEAM.format(",OFFSET1=.5"), 314.0),
+    (f"{LINE}*ELEMENT,TYPE=B31,ELSET=E\n1,1,3\n2,3,5\n{STEEL}*BEAM SECTION,ELSET=E,MATERIAL=STEEL,SECTION=RECT\n"
+     ".1,.2\n0,0,1\n", 314.0),
+    ("*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=T3D2,ELSET=E\n1,1,2\n2,1,3\n3,1,4\n4,2,3\n5,3,4\n6,2,4\n"
+     f"{STEEL}*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n.01\n", 7850 * 0.01 * (3 + 3 * 2**0.5)),
+    # Shells at a right angle have knots on the edge that they share.
+    ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,1,0,1\n6,1,1,1\n*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,3,4\n2,2,5,6,3\n"
+     f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.02\n", 2 * 0.02 * 7850),
+    # A mass on a distributing coupling, and springs to it.
+    (solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n"
+     "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n"
+     "*DISTRIBUTING\n1,6\n",
+     3 * 7850 + 70.0),
+    (solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
+     "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n", 2 * 7850),
+], ids=["B32", "B32 with knots", "B31", "trusses", "S4 with knots", "distributing", "kinematic"])  # fmt: skip
+def test_kinds_of_decks_have_free_rigid_motion_and_their_mass(tmp_path, deck, kg):
+    assert_free(imported(tmp_path, deck), kg)
+
+
+@needs_ccx
+def test_instances_are_placed_and_matrices_are_those_of_own_assembly(tmp_path):
+    text = solids("C3D20", (2, 1, 1), (2.0, 1.0, 1.0))
+    mesh, rest = text.split("*MATERIAL")
+    material, section = rest.split("*SOLID")
+    deck = (
+        f"*PART,NAME=P\n{mesh}*SOLID{section}*END PART\n*ASSEMBLY,NAME=A\n*INSTANCE,NAME=I,PART=P\n*END INSTANCE\n"
+        "*INSTANCE,NAME=J,PART=P\n0,0,3\n0,0,0,1,0,0,30\n*END INSTANCE\n*NSET,NSET=ALL\nI.5,J.5\n*END ASSEMBLY\n"
+        f"*MATERIAL{material}"
+    )
+    model = imported(tmp_path, deck)
+    own = model_of(import_file(tmp_path / "deck.inp", options={"dialect": "calculix"}))
+    assert np.array_equal(model.nodes.ids, own.nodes.ids) and np.array_equal(model.dofs.node, own.dofs.node)
+    for ours, theirs in ((own.K, model.K), (own.M, model.M)):
+        assert np.abs((ours - theirs).data).max() < 2e-13 * np.abs(theirs.data).max()
+    assert {name: rows.tolist() for name, rows in model.nodes.sets.items()} == {
+        name: rows.tolist() for name, rows in own.nodes.sets.items()
+    }
+
+
+@needs_ccx
+def test_incompatible_modes_keep_their_mass_and_the_frequencies_of_ccx(tmp_path):
+    deck = solids("C3D8I", (10, 1, 1), (10.0, 1.0, 1.0))
+    held = deck + "*BOUNDARY\n" + "".join(f"{node},1,3\n" for node in on_plane(deck, 0, 0.0))
+    assert eigenvalues(imported(tmp_path, held, boundary="keep")) == pytest.approx(
+        own_frequencies(held, tmp_path), rel=1e-6
+    )
+    free = imported(tmp_path, held)
+    assert_free(free, 10 * 7850)
+    assert (free.dofs.component == 6).sum() == 90
+
+
+@needs_ccx
+def test_a_preload_stiffens_as_ccx_says(tmp_path):
+    deck = solids("C3D20", (6, 1, 1), (6.0, 0.2, 0.1))
+    deck += "*BOUNDARY\n" + "".join(f"{node},1,3\n" for node in on_plane(deck, 0, 0.0))
+    load = "".join(f"{node},1,2e5\n" for node in on_plane(deck, 0, 6.0))
+    step = f"*STEP\n*STATIC\n*CLOAD\n{load}*END STEP\n"
+    plain = eigenvalues(imported(tmp_path, deck + step, boundary="keep"))
+    pulled = eigenvalues(imported(tmp_path, deck + step, boundary="keep", preload=1))
+    assert pulled == pytest.approx(own_frequencies(deck, tmp_path, before=step), rel=1e-6)
+    assert pulled[0] > 1.05 * plain[0]
+
+
+@needs_ccx
+def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
+    (tmp_path / "deck.inp").write_text(TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n"))
+    model, kept = tmp_path / "part.model.h5", tmp_path / "kept"
+    line = ["import", str(tmp_path / "deck.inp"), "--engine", "calculix", "-o", str(model)]
+    refused = CliRunner().invoke(app, line)
+    assert refused.exit_code == 2 and "--density X" in refused.stderr and "Traceback" not in refused.stderr
+    shells = tmp_path / "shells.inp"
+    shells.write_text(PLATE)
+    other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
+    assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
+    done = CliRunner().invoke(app, [*line, "--density", "7850", "--check", "--keep-files", str(kept)])
+    assert done.exit_code == 0, done.stderr
+    assert "read as abaqus (calculix)" in done.stdout and "[density-given]" in done.stdout
+    assert {"model.sti", "probe.inp", "model.output.txt"} <= {path.name for path in kept.iterdir()}
+    (tmp_path / "job.toml").write_text(
+        f'[model]\nfile = "{model}"\n[[interface]]\nname = "top"\nnodes = "ids:15,16,17,18"\ncoupling = "rigid"\n'
+        '[[interface]]\nname = "foot"\nnodes = "ids:30"\ncoupling = "direct"\n'
+        '[[reduce]]\nmethod = "craig-bampton"\nmodes = 5\n[output]\npath = "out.h5"\n'
+    )
+    reduced = CliRunner().invoke(app, ["reduce", str(tmp_path / "job.toml")])
+    assert reduced.exit_code == 0 and "9812.5 kg" in reduced.stdout, reduced.stderr
+    assert mass(read_model(model)) == pytest.approx(1.25 * 7850 * np.eye(3), rel=1e-10, abs=1e-6)
+
+
+@needs_ccx
+def test_errors_of_ccx_name_the_labels_of_the_deck(tmp_path):
+    flat = TIED.replace("2,11,12,13,14,15,16,17,18", "1017,11,12,13,14,11,12,13,14")
+    with pytest.raises(InputError, match=r"ccx: .*ERROR.*element +2 \(label 1017 of the deck\)"):
+        imported(tmp_path, flat)
+
+
+WRITES = (
+    "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\n"
+    "print({said!r})"
+)
+ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1 1 1.\n2 2 1.\n3 3 1.\n"}
+
+
+@pytest.mark.parametrize(("body", "message"), [
+    ("time.sleep(60)", r"ccx did not finish in 0.5 s \(17 nodes\); --engine-timeout, or own assembly"),
+    ("print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
+     r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)"),
+    ("print('segmentation')", "ended without a word that it finished"),
+    ("print('Job finished')", "wrote no matrices"),
+    (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
+    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 NaN\n3 3 1.\n"}, said="Job finished"),
+     r"a stiffness that is not a number in row 1\.2"),
+    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n3 3 1"}, said="Job finished"), "ends within"),
+    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), "no diagonal entry for row 3"),
+    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
+    (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
+    (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
+], ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"])  # fmt: skip
+def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
+    with pytest.raises(InputError, match=message):
+        imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)
+
+
+@pytest.mark.parametrize(("line", "message"), [
+    (["--engine", "calculx"], "did you mean 'calculix'?"),
+    (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
+    (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
+    (["--engine", "calculix", "--boundary", "hold"], "known: drop, keep"),
+    (["--engine", "calculix", "--dialect", "abaqus"], "--dialect was given with --engine calculix"),
+    (["--boundary", "keep"], "--boundary was given without --engine"),
+    (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),
+])  # fmt: skip
+def test_options_of_engines_that_cannot_be_are_refused(tmp_path, line, message):
+    (tmp_path / "deck.inp").write_text(TIED)
+    out = ["-o", str(tmp_path / "a.model.h5")]
+    replayed = [word if word != "calculix" else f"calculix:{calculix.replay(tmp_path, 'tied')}" for word in line]
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "deck.inp"), *out, *replayed])
+    assert done.exit_code == 2 and message in " ".join(done.stderr.split()), done.stderr
+
+
+def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("MOREMBS_CCX", raising=False)
+    with pytest.raises(InputError, match="no program ccx was found; install calculix-ccx"):
+        imported(tmp_path, TIED)
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
+    assert imported(tmp_path, TIED).size == 54
+    assert "not found" not in CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("lines", "message"), [
+    ("*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n", "plane or axisymmetric"),
+    ("*ELEMENT,TYPE=U1,ELSET=Q\n9,1,2\n", "1 of the type 'U1'"),
+    ("*EMBEDDED ELEMENT\nA\n", "is not known here"),
+    ("*MATERIAL,NAME=R\n*HYPERELASTIC\n1,0\n*SOLID SECTION,ELSET=B,MATERIAL=R\n", "HYPERELASTIC only"),
+    ("*CONTACT PAIR,INTERACTION=I\nSB,SA\n", "contact is not linear"),
+    ("*TIE,NAME=U\nSB,SX\n", "'SX', which is not defined"),
+])  # fmt: skip
+def test_decks_that_are_no_linear_model_are_refused_before_a_run(tmp_path, lines, message):
+    with pytest.raises(InputError, match=message):
+        imported(tmp_path, TIED + lines, executable=calculix.replay(tmp_path, "tied"))

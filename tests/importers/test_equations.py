@@ -1,0 +1,149 @@
+"""Equations between dofs: eliminated like rigid elements, stored in the model file, refused where they contradict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+import scipy.linalg as sl
+
+from morembs import InputError, Problem, make_interface
+from morembs.importers.imported import Imported, PointMass
+from morembs.importers.model_file import read_model, write_model
+from morembs.importers.to_model import model_of
+from morembs.model import Nodes
+from morembs.model.constraints import Equations, RigidElement, solved_for_first
+from morembs.model.material import isotropic
+from morembs.units import parse_units
+from tests.support.meshes import STEEL, box
+
+MATERIAL = isotropic(set="all", **STEEL)
+
+
+def bar() -> Imported:
+    """A bar of two elements with a loose node behind its end."""
+    mesh = box("hex8", (2, 1, 1), (0.2, 0.1, 0.1))
+    nodes = Nodes(ids=np.append(mesh.nodes.ids, 900), xyz=np.vstack([mesh.nodes.xyz, [[0.3, 0.05, 0.05]]]))
+    return Imported(source="bar", nodes=nodes, mesh=mesh, materials=(MATERIAL,))
+
+
+def dense(model, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    free = np.flatnonzero(model.dependent.owner < 0)
+    T = S[:, free]
+    return T.T @ model.K.toarray() @ T, T.T @ model.M.toarray() @ T
+
+
+def test_chains_of_equations_and_a_rigid_element_against_dense_elimination():
+    given = bar()
+    hub = len(given.mesh.nodes)
+    right = np.flatnonzero(np.isclose(given.mesh.nodes.xyz[:, 0], 0.2))
+    # u0x = 0.3 u1x - 2 u2y;  u1x = 0.5 u3z;  u4y held;  u3z = u(hub, rz) by the chain's end.
+    sums = [
+        ("first", [(0, 0, -2.0), (1, 0, 0.6), (2, 1, -1.0), (2, 1, -3.0), (5, 0, 1.0), (5, 0, -1.0)]),
+        ("second", [(1, 0, 1.0), (3, 2, -0.5)]),
+        ("third", [(4, 1, 7.0)]),
+        ("fourth", [(3, 2, 1.0), (hub, 5, -0.04)]),
+    ]
+    equations = solved_for_first("MPC", sums)
+    assert len(equations) == 4 and equations.offsets.tolist() == [0, 2, 3, 3, 4]
+    rigid = RigidElement(name="R", master=hub, slaves=right[right > 4])
+    model = model_of(replace(given, rigid=(rigid,), equations=(equations,)))
+    plain = model_of(replace(given, rigid=(rigid,)))
+    S = plain.dependent.S.toarray()
+    turn = int(np.flatnonzero((model.dofs.node == hub) & (model.dofs.component == 5))[0])
+    S[[3 * 3 + 2, 1 * 3, 0, 4 * 3 + 1]] = 0
+    S[3 * 3 + 2, turn] = 0.04
+    S[3, turn] = 0.02
+    S[0, turn], S[0, 2 * 3 + 1] = 0.3 * 0.02, -2.0
+    assert model.dependent.S.toarray() == pytest.approx(S, abs=1e-15)
+    K, M = dense(model, S)
+    with Problem(model) as problem:
+        assert problem.K.toarray() == pytest.approx(K, rel=1e-12, abs=1e-5)
+        assert problem.M.toarray() == pytest.approx(M, rel=1e-12, abs=1e-14)
+
+
+def test_a_node_outside_the_mesh_that_equations_join_carries_its_mass():
+    given = bar()
+    hub = len(given.mesh.nodes)
+    right = np.flatnonzero(np.isclose(given.mesh.nodes.xyz[:, 0], 0.2))
+    joined = solved_for_first("*EQUATION", [
+        (f"equation of {row} in {c}", [(int(row), c, 1.0), (hub, c, -1.0)]) for row in right for c in range(3)
+    ])
+    mass = PointMass(name="m", node=hub, mass=3.0)
+    model = model_of(replace(given, equations=(joined,), masses=(mass,)))
+    with Problem(model) as problem:
+        total = 0.2 * 0.1 * 0.1 * STEEL["density"]
+        assert problem.mass_properties[0] == pytest.approx(total + 3.0, rel=1e-12)
+        plain = sl.eigvalsh(problem.K.toarray(), problem.M.toarray())
+    # The face keeps its angle to the axis, so three motions are left; nodes of the face are hidden from interfaces.
+    assert (np.abs(plain[:3]) < 1e-6 * plain[6]).all() and plain[3] > 1e-6 * plain[6]
+    end = make_interface(model, name="end", nodes=right, coupling="direct")
+    with pytest.raises(InputError, match=r"follows equations '\*EQUATION' of the model; take other nodes"):
+        Problem(model, [end])
+
+
+def test_equations_come_back_and_older_readers_are_kept_away(tmp_path):
+    given = bar()
+    hub = len(given.mesh.nodes)
+    equations = solved_for_first("*TIE A", [("one", [(0, 0, 1.0), (1, 1, -0.7)]), ("held", [(2, 2, 1.0)])])
+    lever, back = ("lever", [(3, 0, 1.0), (hub, 4, -50.0)]), ("back", [(hub, 3, 1.0), (4, 1, 0.5)])
+    turned = solved_for_first("MPC", [lever, back])
+    model = model_of(replace(given, equations=(equations, turned)), parse_units("mm-t-s"))
+    # Displacements in mm over angles: levers are in m now.
+    assert model.equations[1].coefficients.tolist() == pytest.approx([0.05, -500.0], rel=1e-15)
+    assert model.equations[0].coefficients.tolist() == [0.7]
+    path = write_model(tmp_path / "a.model.h5", model)
+    again = read_model(path)
+    assert [e.name for e in again.equations] == ["*TIE A", "MPC"]
+    assert (again.dependent.S != model.dependent.S).nnz == 0
+    assert write_model(tmp_path / "b.model.h5", again).read_bytes() == path.read_bytes()
+    with h5py.File(path) as file:
+        assert file["format_version"][()] == 2
+    plain = write_model(tmp_path / "c.model.h5", model_of(given))
+    with h5py.File(plain) as file:
+        assert file["format_version"][()] == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("nodes", lambda v: v + 99, "names rows that do not exist"),
+        ("term_components", lambda v: v + 7, "components beyond 0 to"),
+        ("offsets", lambda v: v[::-1].copy(), "different lengths"),
+        ("coefficients", lambda v: v * np.nan, "holds nan"),
+    ],
+)
+def test_damaged_equations_are_refused(tmp_path, name, change, words):
+    equations = solved_for_first("*TIE A", [("one", [(0, 0, 1.0), (1, 1, -0.7)]), ("two", [(2, 0, 1.0), (1, 1, -0.7)])])
+    path = write_model(tmp_path / "a.model.h5", model_of(replace(bar(), equations=(equations,))))
+    with h5py.File(path, "r+") as file:
+        del file["checksums"]
+        values = change(file[f"equations/equations_0/{name}"][()])
+        del file[f"equations/equations_0/{name}"]
+        file[f"equations/equations_0/{name}"] = values
+    with pytest.raises(InputError, match=words):
+        read_model(path)
+
+
+def test_what_contradicts_itself_is_named():
+    given = bar()
+    one = ("the equation in line 7", [(0, 0, 1.0), (1, 0, -1.0)])
+    with pytest.raises(InputError, match="the first coefficient of the equation in line 9 is zero"):
+        solved_for_first("MPC", [one, ("the equation in line 9", [(0, 1, 2.0), (1, 0, 1.0), (0, 1, -2.0)])])
+    with pytest.raises(InputError, match="line 9 has coefficients that are not finite"):
+        solved_for_first("MPC", [("the equation in line 9", [(0, 1, 2.0), (1, 0, np.inf)])])
+    back = ("", [(1, 0, 1.0), (2, 0, -1.0)])
+    closed = ("", [(2, 0, 1.0), (0, 0, -1.0)])
+    outside = ("", [(3, 0, 1.0), (0, 0, 1.0)])
+    with pytest.raises(InputError, match="in a circle: one of them is 'MPC' where it gives component 0 of node 1"):
+        model_of(replace(given, equations=(solved_for_first("MPC", [outside, one, back, closed]),)))
+    with pytest.raises(InputError, match="component 0 of node 1 follows 'MPC' twice"):
+        model_of(replace(given, equations=(solved_for_first("MPC", [one, one]),)))
+    with pytest.raises(InputError, match="component 0 of node 1 follows both 'MPC' and 'other'"):
+        model_of(replace(given, equations=(solved_for_first("MPC", [one]), solved_for_first("other", [one]))))
+    with pytest.raises(InputError, match="different lengths"):
+        Equations(
+            name="x", nodes=[0], components=[0], offsets=[0, 2], term_nodes=[1], term_components=[0], coefficients=[1.0]
+        )

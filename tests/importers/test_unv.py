@@ -1,0 +1,116 @@
+"""Universal files, and models of matrices in Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sp
+
+import morembs
+from morembs import InputError, Problem, read_mesh
+from morembs.importers import import_file
+from morembs.importers.unv import SOLIDS, import_unv
+from tests.support.meshes import box, steel
+
+DESCRIPTOR = {kind: number for number, (kind, _) in SOLIDS.items()}
+
+
+def universal(mesh, *, old: bool = False, exponent: str = "D") -> str:
+    """A file as Salome writes it: units, nodes, a beam, solids, a group of nodes and one of elements."""
+    lines = ["    -1", "   164", "         1  SI: Meters (newton)         2", "    1.0    1.0    1.0", "    -1"]
+    lines += ["    -1", "    15" if old else "  2411"]
+    for label, x in zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True):
+        numbers = "".join(f"{value:25.16E}" for value in x).replace("E", exponent)
+        head = f"{label:10d}{0:10d}{0:10d}{0:10d}"
+        lines += [head + numbers] if old else [f"{label:10d}{1:10d}{1:10d}{11:10d}", numbers]
+    lines += ["    -1", "    -1", "  2412", f"{900:10d}{11:10d}{1:10d}{1:10d}{7:10d}{2:10d}"]
+    lines += [f"{0:10d}{0:10d}{0:10d}", f"{1:10d}{2:10d}"]
+    block = mesh.blocks[0]
+    number = DESCRIPTOR[block.type]
+    for label, row in zip(block.ids.tolist(), mesh.nodes.ids[block.nodes].tolist(), strict=True):
+        listed = [0] * len(row)
+        for place, vtk in zip(SOLIDS[number][1], range(len(row)), strict=True):
+            listed[place] = row[vtk]
+        lines.append(f"{label:10d}{number:10d}{2:10d}{1:10d}{7:10d}{len(row):10d}")
+        lines += ["".join(f"{n:10d}" for n in listed[i : i + 8]) for i in range(0, len(row), 8)]
+    lines += ["    -1", "    -1", "  2467"]
+    lines += [f"{1:10d}{0:10d}{0:10d}{0:10d}{0:10d}{0:10d}{0:10d}{3:10d}", "LEFT END"]
+    lines += ["".join(f"{7:10d}{n:10d}{0:10d}{0:10d}" for n in (1, 2)), f"{7:10d}{3:10d}{0:10d}{0:10d}"]
+    lines += [f"{2:10d}{0:10d}{0:10d}{0:10d}{0:10d}{0:10d}{0:10d}{1:10d}", "FIRST", f"{8:10d}{1:10d}{0:10d}{0:10d}"]
+    return "\n".join([*lines, "    -1", ""])
+
+
+@pytest.mark.parametrize("kind", DESCRIPTOR)
+@pytest.mark.parametrize("old", [False, True])
+def test_every_solid_comes_back(kind, old, tmp_path):
+    mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
+    path = tmp_path / "mesh.unv"
+    path.write_text(universal(mesh, old=old))
+    found = import_unv(path)
+    assert np.array_equal(found.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
+    assert np.array_equal(found.nodes.xyz, mesh.nodes.xyz) and found.nodes.sets["LEFT END"].tolist() == [0, 1, 2]
+    assert [rows.tolist() for rows in found.mesh.element_sets["FIRST"]] == [[0]]
+    assert any("SI: Meters" in note for note in found.notes) and any("1 elements that are no" in n for n in found.notes)
+    assert np.array_equal(read_mesh(path, "mm-t-s").nodes.xyz, 1e-3 * mesh.nodes.xyz)
+    assert import_file(path).mesh is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t[: len(t) // 2], "it is cut off|cannot be read"),
+        (lambda t: t.replace("  2412", "  2999"), "no solid elements"),
+        (lambda t: t.replace(f"{115:10d}", f"{999:10d}", 1), "of the kind 999, which is not supported"),
+        (lambda t: t.replace("    -1\n  2411", "    -1\nnodes"), "dataset without a number"),
+        (lambda t: t.replace(f"\n{3:10d}{1:10d}", f"\n{2:10d}{1:10d}", 1), "node 2 twice"),
+    ],
+)
+def test_damaged_files_are_refused(change, words, tmp_path):
+    path = tmp_path / "mesh.unv"
+    path.write_text(change(universal(box("hex8", (2, 1, 1), (0.3, 0.2, 0.1)))))
+    with pytest.raises(InputError, match=words):
+        import_unv(path)
+
+
+def test_matrices_of_any_kind_become_a_model():
+    model = steel(box("hex8", (2, 1, 1), (0.3, 0.2, 0.1)))
+    for form in (sp.csc_matrix, sp.coo_array, sp.lil_matrix, sp.dok_array, np.asarray, lambda A: A.tolist()):
+        dense = form in (np.asarray,) or form.__name__ == "<lambda>"
+        K, M = (form(A.toarray() if dense else A) for A in (model.K, model.M))
+        found = morembs.from_matrices(K, M, 1e-5 * model.K, nodes=model.nodes.xyz)
+        assert abs(found.K - model.K).max() == 0 and abs(found.M - model.M).max() == 0 and found.D is not None
+        with Problem(found) as problem:
+            assert problem.rigid.shape[1] == 6
+    order = np.random.default_rng(1).permutation(model.size)
+    mixed = morembs.from_matrices(
+        model.K[order][:, order], model.M[order][:, order], nodes=model.nodes, node=model.dofs.node[order],
+        component=model.dofs.component[order], units="mm-t-s",
+    )  # fmt: skip
+    assert abs(mixed.K).sum() == pytest.approx(1e3 * abs(model.K).sum()) and np.array_equal(mixed.dofs.node, order // 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "words"),
+    [
+        ((np.eye(3), None), {}, "M of matrices is None"),
+        ((np.eye(3), np.ones((3, 2))), {}, "M has the shape"),
+        ((np.eye(3), np.eye(4)), {}, "M has the shape"),
+        ((np.eye(3) * np.nan, np.eye(3)), {}, "K has entries that are not finite"),
+        ((np.eye(6), np.eye(6)), {"nodes": np.zeros((2, 2))}, "expected places"),
+        ((np.eye(6), np.eye(6)), {"nodes": np.zeros((3, 3))}, "expected 9 rows"),
+        ((np.eye(6), np.eye(6)), {"node": [0] * 6}, "belong together"),
+        ((np.eye(1), np.eye(1)), {"nodes": np.zeros((1, 3)), "node": [0], "component": [7]}, "expected 0 to 6"),
+        ((np.eye(1), np.eye(1)), {"nodes": np.zeros((1, 3)), "node": [0.5], "component": [1]}, "expected integers"),
+    ],
+)
+def test_matrices_that_make_no_model_are_refused(arguments, options, words):
+    with pytest.raises(InputError, match=words):
+        morembs.from_matrices(*arguments, **options)
+
+
+def test_first_order_systems_are_refused_with_a_sentence(tmp_path):
+    path = tmp_path / "system.mat"
+    scipy.io.savemat(path, {"A": np.eye(4), "B": np.ones((4, 1)), "C": np.ones((1, 4))})
+    with pytest.raises(InputError, match=r"first-order system .* expected a second-order one"):
+        import_file(path)

@@ -1,0 +1,310 @@
+"""What decks hold beside a mesh: equations, ties, contact, springs, rigid bodies; and all problems at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from morembs.errors import InputError
+from morembs.importers.abaqus import import_abaqus
+from morembs.importers.dependent_dofs import interface_of_coupling
+from morembs.importers.problems import DeckError
+from morembs.importers.projection import project
+from morembs.importers.to_model import model_of
+from morembs.interface.average import averaging
+from morembs.model import rigid_motion
+from morembs.model.elements import FACES, TYPES
+from morembs.model.handedness import mirror_of
+from tests.support.meshes import box, fully_integrated, steel
+
+STEEL_LINES = "*MATERIAL, NAME=M\n*ELASTIC\n2.1E11, .3\n*DENSITY\n7850.\n"
+SECTION = "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n" + STEEL_LINES
+CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+
+
+def cube(first: int, low=(0.0, 0.0, 0.0), size=1.0, element: int = 1) -> str:
+    """A cube of one element; its nodes are ``first`` to ``first + 7``, as in the manual."""
+    rows = [f"{first + i}, " + ", ".join(str(a + size * b) for a, b in zip(low, c, strict=True))
+            for i, c in enumerate(CORNERS)]  # fmt: skip
+    nodes = ", ".join(str(first + i) for i in range(8))
+    return "*NODE\n" + "\n".join(rows) + f"\n*ELEMENT, TYPE=C3D8, ELSET=ALL\n{element}, {nodes}\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Writes a deck and imports it."""
+
+    def write(text, **options):
+        path = tmp_path / "deck.inp"
+        path.write_text(text)
+        return import_abaqus(path, **options)
+
+    return write
+
+
+def reduced(model):
+    """K and M without dependent dofs, and the six rigid motions of what is left."""
+    free = np.flatnonzero(model.dependent.owner < 0)
+    T = model.dependent.S[:, free]
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)[free]
+    return (T.T @ model.K @ T).toarray(), (T.T @ model.M @ T).toarray(), R
+
+
+def terms(equations, index):
+    """Terms of an equation as (node, component) -> coefficient."""
+    at = slice(*equations.offsets[index : index + 2])
+    keys = zip(equations.term_nodes[at].tolist(), equations.term_components[at].tolist(), strict=True)
+    return dict(zip(keys, equations.coefficients[at].tolist(), strict=True))
+
+
+PAIR = (
+    cube(1) + cube(11, (0.1, 0.2, 1.0), 0.6, element=2)
+    + "*ELSET, ELSET=LOW\n1\n*ELSET, ELSET=HIGH\n2\n*SURFACE, NAME=BELOW\nLOW, S2\n*SURFACE, NAME=ABOVE\nHIGH, S1\n"
+)  # fmt: skip
+
+
+def test_tied_nodes_have_the_weights_that_calculix_gives_them(read):
+    found = read(PAIR + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION)
+    (tie,) = found.equations
+    labels = found.nodes.ids
+    assert tie.name == "*TIE GLUE" and labels[tie.nodes].tolist() == [11, 11, 11, 12, 12, 12, 13, 13, 13, 14, 14, 14]
+    # As the spring probe reads them off ccx at (0.1, 0.2) of the face.
+    first = {(int(labels[node]), c): value for (node, c), value in terms(tie, 0).items()}
+    assert first == pytest.approx({(5, 0): 0.72, (6, 0): 0.08, (7, 0): 0.02, (8, 0): 0.18}, abs=1e-14)
+    K, M, R = reduced(model_of(found))
+    assert np.abs(K @ R).max() < 1e-12 * np.abs(K).max()
+    assert R[:, 0] @ M @ R[:, 0] == pytest.approx(7850 * (1 + 0.6**3), rel=1e-12)
+    assert np.linalg.matrix_rank(K, tol=1e-9 * np.abs(K).max()) == len(K) - 6
+
+
+def test_nodes_near_the_master_are_moved_to_it_and_far_ones_are_told(read):
+    text = PAIR.replace("11, 0.1, 0.2, 1.0", "11, 0.1, 0.2, 1.01").replace("13, 0.7, 0.8, 1.0", "13, 0.7, 0.8, 1.3")
+    found = read(text + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION)
+    place = dict(zip(found.nodes.ids.tolist(), found.nodes.xyz.tolist(), strict=True))
+    assert place[11] == pytest.approx([0.1, 0.2, 1.0], abs=1e-12) and place[13][2] == 1.3
+    assert any("3 nodes were moved to the faces they follow, by up to 0.01" in note for note in found.notes)
+    away = "1 nodes are further than 0.025 from the other surface and are not tied (13)"
+    assert any(away in warning for warning in found.warnings)
+    kept = read(text + "*TIE, NAME=GLUE, ADJUST=NO, POSITION TOLERANCE=0.4\nABOVE, BELOW\n" + SECTION)
+    assert kept.nodes.xyz[kept.nodes.ids == 11][0, 2] == 1.01 and len(kept.equations[0]) == 12
+    apart = PAIR.replace(cube(11, (0.1, 0.2, 1.0), 0.6, element=2), cube(11, (0.1, 0.2, 2.0), 0.6, element=2))
+    with pytest.raises(InputError, match=r"no node of 'ABOVE' is within 0\.025 of the faces of 'BELOW'"):
+        read(apart + "*TIE, NAME=G\nABOVE, BELOW\n" + SECTION)
+
+
+@pytest.mark.parametrize("kind", FACES)
+def test_feet_on_plane_and_curved_faces(kind):
+    """Points put off a curved face along its normal come back to it."""
+    face, rng = FACES[kind], np.random.default_rng(3)
+    flat = np.column_stack([face.reference, np.zeros(len(face.reference))])
+    bent = flat + 0.05 * np.column_stack([flat[:, 1] ** 2, flat[:, 0] * flat[:, 1], np.sin(2 * flat[:, 0])])
+    s = rng.uniform(0.1, 0.4, (20, 2))
+    N, dN = face.shape(s)
+    legs = np.einsum("nki,kx->nix", dN, bent)
+    normal = np.cross(legs[:, 0], legs[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    away = rng.uniform(-0.02, 0.02, (20, 1))
+    got = project(N @ bent + away * normal, bent, [(kind, np.arange(len(bent))[None])])
+    assert got.foot == pytest.approx(N @ bent, abs=1e-12)
+    assert got.distance == pytest.approx(np.abs(away[:, 0]), abs=1e-12)
+    assert got.weights == pytest.approx(N, abs=1e-10) and got.weights.sum(axis=1) == pytest.approx(np.ones(20))
+
+
+def test_contact_is_refused_skipped_or_glued(read):
+    text = PAIR + "*SURFACE INTERACTION, NAME=I\n*CONTACT PAIR, INTERACTION=I\nABOVE, BELOW\n" + SECTION
+    with pytest.raises(DeckError, match=r"line 32: \*CONTACT PAIR .* contact is not linear; --contact skip"):
+        read(text)
+    skipped = read(text, contact="skip")
+    assert not skipped.equations and "*CONTACT PAIR left out as asked" in skipped.warnings[0]
+    glued = read(text, contact="tie")
+    assert len(glued.equations[0]) == 12 and any("contact-tied" in warning for warning in glued.warnings)
+    with pytest.raises(InputError, match="contact = 'glue' was given"):
+        read(text, contact="glue")
+
+
+def test_equations_between_sets_and_along_turned_axes(read):
+    text = cube(1) + "*NODE\n90, 2., 2., 2.\n*NSET, NSET=TOP\n5, 6\n*NSET, NSET=LOW\n1, 2\n" + SECTION
+    three = "3\n3, 1, 1., 4, 1, -.5,\n90, 1, -.5\n"
+    found = read(text + "*EQUATION\n2\nTOP, 3, 2., LOW, 3, -1.\n" + three + "2\n1, 11, 1., 2, 11, 1.\n")
+    (equations,) = found.equations
+    ids = found.nodes.ids
+    assert [(int(ids[n]), int(c)) for n, c in zip(equations.nodes, equations.components, strict=True)] == [
+        (5, 2), (6, 2), (3, 0),
+    ]  # fmt: skip
+    assert terms(equations, 1) == {(1, 2): 0.5} and terms(equations, 2) == {(3, 0): 0.5, (8, 0): 0.5}
+    # Away from the z axis at (1, 1): u_x + u_y of node 3 is sqrt(2) u_x of node 1; around it: equal motions.
+    turned = read(
+        text + "*NSET, NSET=C\n3\n*TRANSFORM, NSET=C, TYPE=C\n0,0,0, 0,0,1\n"
+        "*EQUATION\n2\n3, 1, 1., 1, 1, -1.\n2\n3, 2, 1., 1, 2, -1.\n"
+    )
+    (equations,) = turned.equations
+    s = np.sqrt(0.5)
+    u = {0: s * 1.0 - s * 2.0, 1: s * 1.0 + s * 2.0}  # u_r = 1, u_phi = 2 of node 1's x and y
+    for i, component in enumerate(equations.components.tolist()):
+        given = terms(equations, i)
+        assert given[0, 0] * 1.0 + given[0, 1] * 2.0 == pytest.approx(u[component])
+
+
+def test_multipoint_constraints_of_two_and_three_nodes(read):
+    text = cube(1) + "*NODE\n90, .25, 0., 0.\n91, 5., 5., 5.\n" + SECTION
+    found = read(text + "*MPC\nLINEAR, 90, 1, 2\nLINK, 91, 7\nPIN, 5, 8\n")
+    (equations,) = found.equations
+    assert len(equations) == 3 + 1 + 3
+    assert terms(equations, 0) == {(0, 0): 0.75, (1, 0): 0.25}
+    link = terms(equations, 3)
+    row = found.nodes.ids.tolist().index(91)
+    motion = sum(value * 0.3 for (node, _), value in link.items() if node == 6)
+    assert equations.nodes[3] == row and motion == pytest.approx(3 * 0.3)
+    with pytest.raises(InputError, match=r"'STRAIGHT' is not linear.*--skip MPC leaves all"):
+        read(text + "*MPC\nSTRAIGHT, 1, 2, 3\n")
+    assert not read(text + "*MPC\nSTRAIGHT, 1, 2, 3\n", skip="MPC").equations
+
+
+SPRINGS = (
+    cube(1) + "*NODE\n90, 1., 1., 4.\n*ELEMENT, TYPE=SPRINGA, ELSET=AX\n50, 7, 90\n*SPRING, ELSET=AX\n\n500.\n"
+    "*ELEMENT, TYPE=SPRING1, ELSET=G\n51, 1,\n52, 2,\n*SPRING, ELSET=G\n2\n70.\n"
+    "*ELEMENT, TYPE=SPRING2, ELSET=B\n53, 3, 90\n*SPRING, ELSET=B, NONLINEAR\n1, 3\n-8., -2.\n0., 0.\n5., 1.\n"
+    "*ELEMENT, TYPE=DASHPOTA, ELSET=D\n54, 8, 90\n*DASHPOT, ELSET=D\n\n3.\n"
+    "*ELEMENT, TYPE=MASS, ELSET=W\n55, 90\n*MASS, ELSET=W\n9.\n"
+)  # fmt: skip
+
+
+def test_springs_and_dashpots_are_entries_of_k_and_d(read):
+    found = read(SPRINGS + SECTION)
+    model, plain = model_of(found), model_of(read(cube(1) + SECTION))
+    n, last = plain.size, found.nodes.ids.tolist().index(90)
+    expected = np.zeros((n + 3, n + 3))
+    expected[:n, :n] = plain.K.toarray()
+    at = {(int(node), int(c)): i for i, (node, c) in enumerate(zip(model.dofs.node, model.dofs.component, strict=True))}
+    for a, b, value in (
+        ((6, 2), (last, 2), 500.0), ((0, 1), None, 70.0), ((1, 1), None, 70.0), ((2, 0), (last, 2), 5.0),
+    ):  # fmt: skip
+        part = np.zeros(n + 3)
+        part[at[a]] = 1.0
+        if b is not None:
+            part[at[b]] = -1.0
+        expected += value * np.outer(part, part)
+    assert model.K.toarray() == pytest.approx(expected, rel=1e-12, abs=1e-4)
+    line = np.array([1.0, 0, 3.0]) / np.sqrt(10)
+    part = np.zeros(n + 3)
+    part[[at[7, c] for c in range(3)]], part[[at[last, c] for c in range(3)]] = -line, line
+    assert model.D.toarray() == pytest.approx(3.0 * np.outer(part, part), abs=1e-12)
+    assert model.M.toarray()[-3:, -3:] == pytest.approx(9.0 * np.eye(3))
+    assert any("its slope at zero was taken" in warning for warning in found.warnings)
+
+
+def test_rigid_bodies_without_reference_and_distributing_elements(read):
+    text = cube(1) + "*NSET, NSET=TOP\n5, 6, 7, 8\n*NODE\n90, .5, .5, 2.\n" + SECTION
+    found = read(text + "*RIGID BODY, NSET=TOP\n")
+    (rigid,) = found.rigid
+    assert found.nodes.xyz[rigid.master] == pytest.approx([0.5, 0.5, 1.0]) and found.nodes.ids[rigid.master] == 91
+    found = read(
+        text + "*ELEMENT, TYPE=DCOUP3D, ELSET=E\n7, 90\n*DISTRIBUTING COUPLING, ELSET=E\nTOP, 1.\n5, 3.\n"
+    )
+    (mean,) = found.average
+    assert found.nodes.ids[mean.reference] == 90 and mean.weights.tolist() == [3, 1, 1, 1]
+    model = model_of(found)
+    T = averaging(interface_of_coupling(model, "coupling:E", name="x"), model.nodes.xyz[mean.nodes])
+    dofs = np.flatnonzero(model.dofs.node == mean.reference)
+    assert model.dependent.S[dofs].toarray()[:, model.dofs.of_nodes(mean.nodes).ravel()] == pytest.approx(T)
+
+
+FIVE = (
+    "*NODE\n" + cube(1).split("*NODE\n")[1] + "*ELEMENT, TYPE=S4\n8, 1, 2, 3, 4\n9, 1, 2, 3, 4\n*FANCY THING\n1.\n"
+    "*SURFACE, NAME=A\nALL, S1\n*CONTACT PAIR\nA, A\n*CONTACT PAIR\nA, A\n*MPC\nMEANROT, 1, 2\n"
+    "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n*MATERIAL, NAME=M\n*ELASTIC\n2.E11, .3\n"
+)  # fmt: skip
+
+
+def test_five_problems_are_five_in_one_message_with_the_line_that_answers_them(read):
+    with pytest.raises(DeckError) as told:
+        read(FIVE)
+    message, problems = str(told.value), told.value.problems
+    assert [p.keyword for p in problems] == ["FANCY THING", "CONTACT PAIR", "CONTACT PAIR", "ELEMENT", "MPC", "DENSITY"]
+    assert problems[0].line == 15 and problems[1].line == 19
+    assert message.startswith("deck.inp has 6 problems: (1) deck.inp, line 15: *FANCY THING cannot be read: it is not")
+    assert "(2) 2 times (lines 19, 21), first: deck.inp, line 19: *CONTACT PAIR" in message
+    assert '--skip "FANCY THING,S4,MPC" --contact skip --density X' in message
+    # What the line says does it.
+    found = read(FIVE, skip="FANCY THING,S4,MPC", contact="skip", density=7850.0)
+    assert model_of(found).M.sum() / 3 == pytest.approx(7850.0)
+    codes = [warning.rsplit("[", 1)[1].rstrip("]") for warning in found.warnings]
+    assert codes == ["keywords-skipped", "contact-skipped", *["keywords-skipped"] * 2, "density-given"]
+
+
+def test_what_ends_the_reading_is_told_beside_what_was_found_before(read):
+    with pytest.raises(DeckError, match=r"2 problems: \(1\).*FANCY THING.*\(2\).*not defined: 91, 92, 93"):
+        read("*FANCY THING\n" + cube(1) + "*ELEMENT, TYPE=C3D4\n5, 1, 91, 92, 93\n")
+
+
+def test_density_is_asked_for_only_where_only_it_is_missing(read):
+    text = cube(1) + "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n*MATERIAL, NAME=M\n*ELASTIC\n2.1E11, .3\n*PLASTIC\n1.,0.\n"
+    bare = read(text)
+    with pytest.raises(InputError, match=r"no \*DENSITY; .* --density X,set=ALL, or a material"):
+        model_of(bare)
+    for density in (7850.0, {"all": 7850.0}, {"all": 1.0, "all ": 2.0, "ALL": 7850.0}):
+        if isinstance(density, dict) and "all " in density:
+            with pytest.raises(InputError, match="'all ', which lacks none"):
+                read(text, density=density)
+            continue
+        found = read(text, density=density)
+        assert found.materials[0].density == 7850.0 and "7850 was given and taken" in found.warnings[0]
+    assert read(text + "*DENSITY\n10.\n", density=7850.0).materials[0].density == 10.0
+    section = "*SOLID SECTION, ELSET=ALL, MATERIAL=R\n*MATERIAL, NAME=R\n"
+    rubber = read(cube(1) + section + "*HYPERELASTIC\n1.\n*DENSITY\n1.\n")
+    with pytest.raises(InputError, match=r"is \*HYPERELASTIC only, which is not linear elastic; .*--material young"):
+        model_of(rubber)
+
+
+def test_tables_of_temperature_give_their_first_row(read):
+    text = SECTION.replace("2.1E11, .3\n", "2.1E11, .3, 20.\n1.E11, .3, 500.\n")
+    found = read(cube(1) + text)
+    assert found.materials[0].stiffness[3, 3] == pytest.approx(2.1e11 / 2.6)
+    (said,) = found.warnings
+    assert said == "*ELASTIC of the material M is a table; its first line was taken [temperature-first-row]"
+
+
+def test_quirks_of_text(read):
+    text = (cube(1) + SECTION).replace("*SOLID SECTION", "*solidsection").replace("*ELASTIC", "*Elastic,type=ISO")
+    found = read("\ufeff" + text.replace("\n", "\r\n") + "*timepoints,name=t\r\n1.,\r\n*END\r\n*STEP\r\n*STATIC\r\n")
+    assert found.materials[0].density == 7850.0
+    assert "The last step is not ended (*END STEP is missing)." in found.notes
+
+
+def test_types_of_elements_in_another_order_in_each_part_keep_their_labels(read):
+    tet = "*ELEMENT, TYPE=C3D4, ELSET=TET\n7, 1, 2, 4, 5\n"
+    hexa = "*ELEMENT, TYPE=C3D8, ELSET=HEX\n3, 1, 2, 3, 4, 5, 6, 7, 8\n"
+    nodes = cube(1).split("*ELEMENT")[0]
+    text = f"*PART, NAME=A\n{nodes}{tet}{hexa}*END PART\n*PART, NAME=B\n{nodes}{hexa}{tet}*END PART\n"
+    text += "*ASSEMBLY, NAME=X\n"
+    for name, move in (("A", ""), ("B", "3., 0., 0.\n")):
+        text += f"*INSTANCE, NAME={name}1, PART={name}\n{move}*END INSTANCE\n"
+    sets = read(text + "*END ASSEMBLY\n").mesh.element_sets
+    mesh = read(text + "*END ASSEMBLY\n").mesh
+    for name in ("A1.TET", "A1.HEX", "B1.TET", "B1.HEX"):
+        of_type = [block.type for block, rows in zip(mesh.blocks, sets[name], strict=True) if len(rows)]
+        assert of_type == ["tet4" if name.endswith("TET") else "hex8"], name
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_left_handed_elements_are_reversed(kind, read):
+    mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
+    codes = {"tet4": "C3D4", "tet10": "C3D10", "hex8": "C3D8", "hex20": "C3D20", "hex27": "C3D27", "wedge6": "C3D6",
+             "wedge15": "C3D15"}  # fmt: skip
+    nodes = mesh.nodes.ids[mesh.blocks[0].nodes]
+    nodes[0] = nodes[0][mirror_of(kind)]
+    places = zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True)
+    text = "*NODE\n" + "".join(f"{i}, {', '.join(map(repr, x))}\n" for i, x in places)
+    text += f"*ELEMENT, TYPE={codes[kind]}, ELSET=ALL\n"
+    for i, row in enumerate(nodes.tolist(), start=1):
+        lines = [f"{i}, " + ", ".join(map(str, row[:10])), *[", ".join(map(str, row[10:]))] * (len(row) > 10)]
+        text += ",\n".join(lines) + "\n"
+    found = read(text + SECTION)
+    model = model_of(replace(found, mesh=fully_integrated(found.mesh)))
+    assert any("1 elements are left-handed and were reversed" in warning for warning in model.warnings)
+    order = np.argsort(found.nodes.ids)
+    assert (order == np.arange(len(order))).all()
+    assert abs(model.K - steel(mesh).K).max() < 1e-12 * abs(steel(mesh).K).max()
+
