@@ -2,7 +2,7 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup test-setup mumps demo test lint benchmark attack clean
+.PHONY: setup test-setup mumps demo test lint docs benchmark attack clean
 
 setup:
 	@bash scripts/setup.sh
@@ -27,6 +27,20 @@ lint: setup
 	@$(RUN)/python scripts/imports.py
 	@$(RUN)/python scripts/schema.py --check
 	@$(RUN)/mypy
+
+# The site, in build/site. Pictures of the gallery and what tutorials print are made anew where their programs changed.
+PICTURES := $(patsubst pipelines/%,docs/built/pipelines/%.png,$(filter-out pipelines/common,$(basename $(wildcard pipelines/*.py))))
+
+docs: $(PICTURES) docs/built/pipelines/connecting_rod.png
+	@$(RUN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
+	@echo build/site/index.html
+
+docs/built/pipelines/connecting_rod.png: pipelines/connecting_rod.toml | demo
+	@mkdir -p $(@D)
+	@cp pipelines/connecting_rod.png $@
+
+docs/built/pipelines/%.png: pipelines/%.py pipelines/common.py | setup
+	@MPLBACKEND=agg $(RUN)/python $< --quick --folder $(@D)
 
 # For example: make benchmark CASES="small modes --quick"
 benchmark: setup

@@ -1,4 +1,4 @@
-"""Writes the tables of docs from those that writers, readers and checks of files go by, and from the reducers.
+"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by, and from the reducers.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -13,9 +13,13 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 
+from pydantic.fields import FieldInfo
+
 from morembs.body import tables
 from morembs.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
+from morembs.jobs.job import inner_table
+from morembs.jobs.schema import JobTables
 from morembs.options import in_toml
 from morembs.reducers import REDUCERS, Reducer
 from morembs.storage.table import KINDS, Row, Table
@@ -94,12 +98,33 @@ def default(field: Field[object]) -> str:
     return "" if value is MISSING else "none" if value in (None, [], {}) else f"`{in_toml(value)}`".replace("'", '"')
 
 
+def job_keys() -> Iterator[str]:
+    """A row for each key of a job that is the same for all methods."""
+    for table, held in JobTables.model_fields.items():
+        kind = inner_table(held.annotation)
+        if kind is None:
+            raise TypeError(f"{table} of a job holds no table")
+        name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
+        for key, one in kind.model_fields.items():
+            yield f"| `{name}` | `{key}` | {left_out(one)} | {one.description} |"
+
+
+def left_out(key: FieldInfo) -> str:
+    """What a key of a job has where it is left out."""
+    if key.is_required():
+        return "must be given"
+    value = key.get_default(call_default_factory=True)
+    return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
+
+
 def renewed(text: str) -> str:
     """A page with its tables as they are now."""
 
     def table(match: re.Match[str]) -> str:
         if match[1] == "reducers":
             head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
+        elif match[1] == "job keys":
+            head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
         else:
             head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
             rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]

@@ -61,6 +61,6 @@ if [ ! -x "$venv/bin/pip" ] && ! "$python" -m venv "$venv"; then
     exit 2
 fi
 echo "setup: installing the Python packages into $venv"
-"$venv/bin/pip" install --quiet --disable-pip-version-check --editable '.[mesh,dev]'
+"$venv/bin/pip" install --quiet --disable-pip-version-check --editable '.[mesh,dev,docs]'
 "$venv/bin/morembs" solvers
 echo "$fingerprint" > "$stamp"

@@ -46,7 +46,7 @@ def _basis(z: Floats, count: int) -> Floats:
 class ChebyshevTable:
     """Polynomial in two parameters through samples at the tensor grid of ``points(reach, count)``.
 
-    ``coefficients`` (count, count, *shape). Outside of the range the table goes on as its Taylor polynomial of the
+    ``coefficients`` (count, count, ...). Outside of the range the table goes on as its Taylor polynomial of the
     nearest point, of first order, or of second where ``curved`` (an energy keeps its curvature).
     """
 
@@ -56,7 +56,7 @@ class ChebyshevTable:
 
     @classmethod
     def through(cls, reach: float, samples: Floats, *, curved: bool = False) -> ChebyshevTable:
-        """From ``samples`` (count, count, *shape) on the grid."""
+        """From ``samples`` (count, count, ...) on the grid."""
         count = samples.shape[0]
         z = points(1.0, count)
         A = np.linalg.inv(_basis(z, count)[:, 0])
@@ -75,7 +75,7 @@ class ChebyshevTable:
         return np.asarray(np.matmul(basis[1], rows))
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Value (*shape), first (2, *shape) and second derivative (2, 2, *shape) at t (2,)."""
+        """Value (...), first (2, ...) and second derivative (2, 2, ...) at t (2,)."""
         inside = np.clip(t, -self.reach, self.reach)
         shape, d = self.coefficients.shape[2:], self.tensor(self.basis(inside))
         value, first = d[0, 0], np.stack((d[1, 0], d[0, 1]))

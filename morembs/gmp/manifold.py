@@ -25,7 +25,7 @@ COARSE = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Manifold:
-    """Equilibria at all points of a Chebyshev grid on |t1|, |t2| <= ``reach``.
+    """Equilibria at all points of a Chebyshev grid on ``-reach <= t1, t2 <= reach``.
 
     ``X`` (c, c, N), ``W`` (c, c), ``moments`` (c, c, 2), ``modes`` (c, c, N, 2); tables of X and of W.
     """

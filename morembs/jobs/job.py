@@ -204,15 +204,15 @@ def _walk(loc: Loc) -> tuple[type[BaseModel], Loc, type[BaseModel]]:
             depth = at + 1  # the number of a table in [[...]]
         elif isinstance(step, str) and step in table.model_fields:
             holder, depth = table, at + 1
-            table = _inner(table.model_fields[step].annotation) or table
+            table = inner_table(table.model_fields[step].annotation) or table
     return holder, loc[:depth], table
 
 
-def _inner(annotation: object) -> type[BaseModel] | None:
+def inner_table(annotation: object) -> type[BaseModel] | None:
     """The table inside an annotation such as ``list[Table] | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((inner for part in get_args(annotation) if (inner := _inner(part))), None)
+    return next((inner for part in get_args(annotation) if (inner := inner_table(part))), None)
 
 
 def _words(loc: Loc) -> str:

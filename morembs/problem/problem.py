@@ -267,9 +267,9 @@ class Problem(Closing):
         return self.rounding(modes.vectors)
 
     def rounding(self, V: Floats) -> Floats:
-        """What round-off in K makes of the energies of the columns of ``V`` (Nc, k) at most: eps |v|' |K| |v|.
+        """What round-off in K makes of the energies of the columns of ``V`` (Nc, k) at most: eps abs(v)' abs(K) abs(v).
 
-        Row sums of |K| stand for its products, so that no copy of K is made.
+        Row sums of abs(K) stand for its products, so that no copy of K is made.
         """
         weights = self.shared("row sums of |K|", lambda: scaled_row_sums(self.K))
         return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V))

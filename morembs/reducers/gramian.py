@@ -59,7 +59,7 @@ GRID = 40
 class Gramian(OfResponses):
     """Principal directions of the responses within a band.
 
-    ``tolerance`` bounds sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2), the part of the
+    ``tolerance`` bounds ``sqrt(1/pi sum w_k |U_k - Pi U_k|_X^2) / sqrt(1/pi sum w_k |U_k|_X^2)``, the part of the
     snapshots that V leaves out.
 
     Args:

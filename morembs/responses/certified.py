@@ -86,8 +86,8 @@ class CertifiedReference:
     ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
-    (nc + 1,) in rad/s and ``off`` (nc,) limits of |H - H_ref| over the envelope. ``proven`` is False where ``off`` is
-    an estimate.
+    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off``
+    is an estimate.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.off.max() < 1e-6)
@@ -168,7 +168,7 @@ class CertifiedReference:
         return standard.H.at(np.asarray(omega, dtype=float)).reshape(len(omega), *self.b.shape[1:] * 2)
 
     def uncertainty(self, omega: Floats) -> Floats:
-        """(nf,) limits of |H - H_ref| at ``omega`` (nf,) of the band, round-off included, in m/N."""
+        """(nf,) limits of ``|H - H_ref|`` at ``omega`` (nf,) of the band, round-off included, in m/N."""
         return self._lost(omega)[0]
 
     def lost(self) -> tuple[float, float]:

@@ -197,7 +197,7 @@ def test_given_order_is_used(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -
 def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: None)
     reason = pardiso_library.mkl_library.__wrapped__()
-    assert "not found" in reason and "pip install 'morembs[mkl]'" in reason
+    assert "not found" in reason and "pip install 'morembs[pardiso]'" in reason
     monkeypatch.setattr(Pardiso, "library", staticmethod(lambda: reason))
     with pytest.raises(InputError, match="cannot run here"):
         Pardiso().factorize(_chain(5))

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info
 
 from morembs.linalg.sparse.foreign import find_library
 
-HINT = "pip install 'morembs[mkl]'"
+HINT = "pip install 'morembs[pardiso]'"
 _LP64, _INTEL_THREADS, _GNU_THREADS = 0, 0, 3
 
 

@@ -98,7 +98,7 @@ class ContactResult(Result):
 
     @cached_property
     def complementarity(self) -> float:
-        """Largest |min(gap, force)| over time and points, in m or N: zero where the law of contact is met."""
+        """Largest ``|min(gap, force)|`` over time and points, in m or N: zero where the law of contact is met."""
         worst = [float(np.abs(np.minimum(s.gap, s.force)).max(initial=0.0)) for s in self.touches]
         return max(worst, default=0.0)
 

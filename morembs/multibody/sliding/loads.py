@@ -42,7 +42,7 @@ def _path(place: MarkerState) -> PathState:
 
 @dataclass(frozen=True, eq=False)
 class MovingLoad(Force, Slider):
-    """Force (3,) N along the inertial axes at ``position``(t) m along a path; it must be zero off the path."""
+    """Force (3,) N along the inertial axes at ``position(t)`` m along a path; it must be zero off the path."""
 
     path: PathMarker
     _: KW_ONLY

@@ -1,0 +1,88 @@
+"""The site of the documents builds without a warning, and what its tutorials print is right."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+from morembs.exporters.exudyn_system import exudyn_missing
+
+ROOT = Path(__file__).parents[1]
+PIPELINES = [path for path in (ROOT / "pipelines").iterdir() if path.suffix in (".py", ".toml")]
+PROGRAMS = {path.stem for path in PIPELINES} - {"common"}
+pytest.importorskip("sphinx_gallery")
+if exudyn_missing():
+    pytest.skip(exudyn_missing(), allow_module_level=True)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built from a copy of the pages beside the rest of the repository; pictures of pipelines are blank."""
+    root = tmp_path_factory.mktemp("repository")
+    for path in ROOT.iterdir():
+        if path.name != "docs" and not path.name.startswith("."):
+            (root / path.name).symlink_to(path)
+    for path in (ROOT / "docs").rglob("*"):
+        here = path.relative_to(ROOT)
+        if path.is_file() and "built" not in here.parts:
+            (root / here).parent.mkdir(parents=True, exist_ok=True)
+            (root / here).write_bytes(path.read_bytes())
+    pictures = root / "docs" / "built" / "pipelines"
+    pictures.mkdir(parents=True)
+    for job in PROGRAMS:
+        plt.imsave(pictures / f"{job}.png", [[[1.0, 1.0, 1.0]]])
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "docs", "html"]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "agg"})
+    assert done.returncode == 0, done.stderr[-5000:]
+    return root
+
+
+def printed(site, tutorial):
+    """What the cells of a tutorial printed, and its notebook."""
+    (page,) = (site / "docs" / "built" / "tutorials").glob(f"*_{tutorial}.rst")
+    notebook = json.loads(page.with_suffix(".ipynb").read_text())
+    assert len([cell for cell in notebook["cells"] if cell["cell_type"] == "code"]) >= 4
+    return "\n".join(re.findall(r"\.\. code-block:: none\n\n(.*?)\n\n\n", page.read_text(), re.DOTALL))
+
+
+def test_pages_link_to_each_other(site):
+    """Everything that is linked within the site is there."""
+    for page in (site / "html").rglob("*.html"):
+        for target in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
+            if ":" not in target:
+                assert (page.parent / target).exists(), (page.name, target)
+
+
+def test_the_gallery_shows_every_pipeline(site):
+    page = (site / "html" / "gallery.html").read_text()
+    assert set(re.findall(r"_images/(\w+)\.png", page)) == PROGRAMS
+
+
+def test_bodies_of_the_mesh_tutorial_are_those_of_the_model(site):
+    above = [float(one) for one in re.findall(r"body: (\S+) above", printed(site, "mesh_to_body"))]
+    # Rayleigh: from above, and the lowest are nearest.
+    assert len(above) >= 10 and all(0 < one < 0.01 for one in above) and max(above[:3]) < 2e-4
+
+
+def test_matrices_of_another_code_give_the_frequency_of_the_beam(site):
+    text = printed(site, "matrices")
+    assert "nothing looks wrong" in text
+    solid, euler = map(float, re.findall(r"([\d.]+) Hz", text))
+    # Shear and rotary inertia take one to two per cent off (Timoshenko 1921, at height/length = 1/15).
+    assert 0.98 < solid / euler < 0.99
+
+
+def test_certificates_of_the_tutorial_hold_the_tolerance(site):
+    found = re.findall(r"between (\S+) and ([\d.e+-]+),", printed(site, "certificate"))
+    limits = [(float(lower), float(upper)) for lower, upper in found]
+    assert len(limits) == 3 and all(lower <= upper <= 1.051 * lower for lower, upper in limits)
+    assert limits[2][1] < 1e-4 < limits[1][0] < limits[0][0]
+
+
+def test_both_simulators_of_the_tutorial_agree(site):
+    assert float(re.search(r"m, (\S+) of the length", printed(site, "exudyn"))[1]) < 2e-6
