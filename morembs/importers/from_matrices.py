@@ -22,14 +22,15 @@ Ints = NDArray[np.int64]
 
 def from_matrices(
     K: Any, M: Any, D: Any = None, B: Any = None, C: Any = None, *, names: Mapping[str, Sequence[str]] | None = None,
-    nodes: Nodes | Any = None, node: Any = None, component: Any = None, name: str = "matrices", units: Units | str | None = None,
+    nodes: Nodes | Any = None, node: Any = None, component: Any = None, name: str = "matrices",
+    units: Units | str | None = None,
 ) -> FEModel:  # fmt: skip
-    """Model M u'' + D u' + K u = B q, y = C u of matrices of SciPy (any format, matrix or array), NumPy or nested lists.
+    """Model M u'' + D u' + K u = B q, y = C u of matrices of SciPy (any format), NumPy or nested lists.
 
     Args:
         K, M, D: (N, N) stiffness, mass and damping, symmetric for reductions; D may be left out.
         B, C: (N, m) input and (p, N) output matrix: columns of B and rows of C are generalised forces and motions that
-            ``matrix_interface`` makes interfaces of. Entries of displacements have no unit, those of rotations are lengths.
+            ``matrix_interface`` makes interfaces of. Entries of displacements have no unit, of rotations lengths.
         names: of the columns of B and the rows of C: {"B": [...], "C": [...]}; "1", "2", ... without.
         nodes: places (n, 3), or ``Nodes`` with labels and sets. Without any, each dof is a node of its own, whose mass
             properties and rigid motion mean nothing.
@@ -41,7 +42,8 @@ def from_matrices(
     Peak memory: copies of the matrices in CSR form.
 
     Raises:
-        InputError: matrices that are not square, of different sizes, or not finite, or B, C, names or dofs that do not fit them.
+        InputError: matrices that are not square, of different sizes, or not finite, or B, C, names or
+            dofs that do not fit them.
 
     >>> from_matrices([[2.0, -1.0], [-1.0, 2.0]], [[1.0, 0.0], [0.0, 1.0]], name="two masses").size
     2

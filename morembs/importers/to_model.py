@@ -171,7 +171,8 @@ def _forces_in_si(
 ) -> NamedColumns | None:  # fmt: skip
     """The columns on the dofs of the model, of which those that elements brought come last.
 
-    Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are lengths.
+    Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are
+    lengths.
     """
     if columns is None:
         return None

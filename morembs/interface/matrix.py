@@ -49,8 +49,8 @@ class Matrix(CouplingKind):
 def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
     """Interface with one generalised force for each column of B, or row of C, that ``matrix`` names.
 
-    A force q_j in N loads the dofs with b_j q_j, and its degree of freedom is the motion b_j' u in m; for a row c_i of C
-    these are c_i' q_i and the output c_i u. With columns of B and rows of C as interfaces of one problem, C G B is a
+    A force q_j in N loads the dofs with b_j q_j, and its degree of freedom is the motion b_j' u in m; for a row c_i of
+    C these are c_i' q_i and the output c_i u. With columns of B and rows of C as interfaces of one problem, C G B is a
     block of its transfer function, which reduction and certificate follow whole.
 
     Args:

@@ -208,9 +208,9 @@ class FEModel:
 
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
     cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
-    own. ``inputs`` are columns of B and ``outputs`` rows of C of M u'' + D u' + K u = B q, y = C u, as columns (N, .), which
-    interfaces can take. ``notes`` say what the import found, ``warnings`` in what the model differs from its source; they
-    go with it into every body.
+    own. ``inputs`` are columns of B and ``outputs`` rows of C of M u'' + D u' + K u = B q, y = C u, as columns (N, .),
+    which interfaces can take. ``notes`` say what the import found, ``warnings`` in what the model differs from its
+    source; they go with it into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
@@ -272,7 +272,8 @@ class FEModel:
             "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
             "matrices": [name for name in ("K", "M", "D") if getattr(self, name) is not None],
             "couplings": list(self.couplings), "inputs": self.inputs and list(self.inputs.names),
-            "outputs": self.outputs and list(self.outputs.names), "source": self.source, "warnings": len(self.warnings) or None,
+            "outputs": self.outputs and list(self.outputs.names), "source": self.source,
+            "warnings": len(self.warnings) or None,
         }  # fmt: skip
 
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class NamedColumns:
     """Loads on the dofs of a model, each under a name.
 
-    Column j of ``matrix`` (N, m), sparse or dense, holds the forces in N, and the moments in Nm on rotations, per unit of
-    the generalised force ``names[j]`` in N. Its transpose gives the motion in m that this force does work on.
+    Column j of ``matrix`` (N, m), sparse or dense, holds the forces in N, and the moments in Nm on rotations, per unit
+    of the generalised force ``names[j]`` in N. Its transpose gives the motion in m that this force does work on.
 
     Raises:
         InputError: names that are not m different texts without commas, or entries that are not real and finite.
@@ -67,7 +67,7 @@ def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
         raise InputError(f"names = {names!r} was given; expected a list of {count} texts, one for each column")
     if len(names) != count:
-        raise InputError(f"{len(names)} names were given for {count} columns ({', '.join(names)}); expected one for each")
+        raise InputError(f"{count} columns have {len(names)} names ({', '.join(names)}); expected one for each")
     for name in names:
         if not name.strip() or name != name.strip() or "," in name or not name.isprintable():
             raise InputError(f"the name {name!r} was given to a column; expected a text without commas, not empty")
