@@ -60,8 +60,7 @@ def import_matrix_market(
     path = Path(path)
     K = square_csr(path.name, "the matrix", read_matrix_market(path))
     wanted = Wanted(B=B, C=C, B_names=B_names, C_names=C_names)
-    columns = wanted.columns(path.name, K.shape[0], lambda name: read_matrix_market(path.parent / name))
-    return Imported(source=path.name, K=K, **columns)
+    return wanted.with_columns(Imported(source=path.name, K=K), lambda name: read_matrix_market(path.parent / name))
 
 
 def read_matrix_market(path: Path, *, plain: bool = False) -> sp.csr_array | Numbers:

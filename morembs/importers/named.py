@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,26 +65,30 @@ class Wanted:
         given = (self.K, self.M, self.D, self.B, self.C)
         return {name for name in given if name is not None and name != "identity"}
 
-    def columns(self, source: str, size: int, find: Callable[[str], Any]) -> dict[str, NamedColumns]:
-        """``inputs`` and ``outputs``, as far as wanted, of matrices that ``find`` gives by their names.
+    def with_columns(self, imported: Imported, find: Callable[[str], Any]) -> Imported:
+        """The matrices of a file with B and C, as far as wanted, which ``find`` gives by their names.
 
         Raises:
-            InputError: matrices or titles that do not fit ``size`` dofs.
+            InputError: matrices or titles that do not fit the rows of K.
         """
-        taken = {}
-        for field, role, name, titles, make in (
-            ("inputs", "B", self.B, self.B_names, columns_of_input),
-            ("outputs", "C", self.C, self.C_names, columns_of_output),
-        ):
-            if name is not None:
-                taken[field] = make(source, find(name), size, None if titles is None else _titles(titles))
-            elif titles is not None:
-                raise InputError(f"{role}_names was given without {role}; name the matrix: --set {role}=NAME")
-        return taken
+        return replace(
+            imported,
+            inputs=_columns(imported, "B", self.B, self.B_names, find, columns_of_input),
+            outputs=_columns(imported, "C", self.C, self.C_names, find, columns_of_output),
+        )
 
 
-def _titles(text: str) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(","))
+def _columns(
+    imported: Imported, role: str, name: str | None, titles: str | None, find: Callable[[str], Any],
+    make: Callable[[str, Any, int, Sequence[str] | None], NamedColumns],
+) -> NamedColumns | None:  # fmt: skip
+    if name is None:
+        if titles is not None:
+            raise InputError(f"{role}_names was given without {role}; name the matrix: --set {role}=NAME")
+        return None
+    size = 0 if imported.K is None else imported.K.shape[0]
+    words = None if titles is None else tuple(word.strip() for word in titles.split(","))
+    return make(imported.source, find(name), size, words)
 
 
 def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
@@ -125,16 +129,15 @@ def matrices_by_name(
             taken[role] = (key, matrices[key])
     if not taken and len(matrices) == 1 and not {"A", "B", "C"} <= set(besides):
         taken["K"] = next(iter(matrices.items()))
-    used = {name for name, _ in taken.values()} | {
-        _there(source, besides, name) for name in (wanted.B, wanted.C) if name is not None
-    }
+    ends = {role: _there(source, besides, name) for role, name in (("B", wanted.B), ("C", wanted.C)) if name}
+    used = {name for name, _ in taken.values()} | set(ends.values())
     for role, names in USUAL.items():
         free = {key.rsplit("/", 1)[-1].lower().replace("_", ""): key for key in matrices if key not in used}
         usual = next((free[name] for name in names if name in free), None)
         if role not in taken and usual is not None and len(matrices) > 1:
             taken[role] = (usual, matrices[usual])
             used.add(usual)
-    chosen = ", ".join(f"{role} = {name}" for role, (name, _) in taken.items())
+    chosen = ", ".join(f"{role} = {name}" for role, name in ({r: n for r, (n, _) in taken.items()} | ends).items())
     if "K" not in taken and {"A", "B", "C"} <= set(besides):
         raise InputError(
             f"{source} holds a first-order system (A, B, C): its states are no displacements and it has no mass; "
@@ -148,8 +151,8 @@ def matrices_by_name(
     left = [name for name in matrices if name not in used]
     notes = (*notes, f"matrices of the file: {chosen}" + (f"; left out: {', '.join(left)}" if left else ""))
     ready = {role: square_csr(source, name, matrix) for role, (name, matrix) in taken.items()}
-    columns = wanted.columns(source, ready["K"].shape[0], lambda name: besides[_there(source, besides, name)])
-    return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready, **columns)
+    imported = Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready)
+    return wanted.with_columns(imported, lambda name: besides[_there(source, besides, name)])
 
 
 def _there(source: str, matrices: Mapping[str, Any], name: str) -> str:

@@ -1,4 +1,4 @@
-"""Second-order systems with input and output matrices: from arrays and files to reduced bodies, against dense matrices."""
+"""Second-order systems with input and output matrices: from arrays and files to reduced bodies, against dense ones."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
 from morembs.jobs.import_job import ImportJob, run_import
 from morembs.jobs.inputs import interfaces_of
-from morembs.jobs.job import read_job
+from morembs.jobs.job import load_job
 from tests.support.meshes import box, steel
 
 SIZE = 60
-OMEGA = np.linspace(1.0, 90.0, 15)
+OMEGA = np.linspace(1.0, 60.0, 15)
 
 
 def chain() -> tuple[sp.csr_array, sp.csr_array, sp.csr_array, np.ndarray, np.ndarray]:
@@ -51,13 +51,12 @@ def model() -> morembs.FEModel:
 @pytest.mark.parametrize(
     ("reducer", "most"),
     [
-        (morembs.Modal(modes=40), 5e-3),
-        (morembs.Krylov(shifts_hz=[0.0, 4.0, 8.0, 12.0], moments=3), 1e-6),
-        (morembs.Krylov(shifts_hz=[2.0, 6.0, 11.0], two_sided=True, inputs=["in"], outputs=["out"]), 1e-2),
+        (morembs.Modal(modes=40), 1e-3),
+        (morembs.Krylov(shifts_hz=[0.0, 2.0, 4.0, 6.0, 8.0], moments=2), 1e-9),
         (morembs.CraigBampton(modes=40), 1e-3),
-        (morembs.AutoReducer(band_hz=[0.1, 15.0], tolerance=0.01), 1e-2),
+        (morembs.AutoReducer(band_hz=[0.1, 15.0], tolerance=0.01), 1e-3),
     ],
-    ids=["modal", "krylov", "two-sided", "craig-bampton", "auto"],
+    ids=["modal", "krylov", "craig-bampton", "auto"],
 )
 def test_reduced_transfer_function_is_that_of_the_dense_system(model, reducer, most):
     *_, B, C = chain()
@@ -73,19 +72,20 @@ def test_body_file_keeps_the_columns_by_name_and_exports_them(model, tmp_path):
     drive = morembs.matrix_interface(model, name="in", matrix="B:brake")
     out = morembs.matrix_interface(model, name="out", matrix="C:strain")
     with morembs.Problem(model, [drive, out]) as problem:
-        reduced = morembs.Krylov(shifts_hz=[0.0, 8.0], moments=3).reduce(problem)
-        certificate = morembs.certify(problem, reduced, band_hz=[0.1, 10.0])
+        reduced = morembs.Krylov(shifts_hz=[0.0, 3.0, 6.0, 9.0], moments=2).reduce(problem)
+        [certificate] = morembs.certify(problem, [reduced], [0.1, 10.0])
         body = morembs.elastic_body(problem, reduced, morembs.make_part(problem, nodes="all"))
-    assert 0.0 < certificate.error.max() < 1.0
+    assert 0.0 < certificate.error.max() < 1e-3
     file = morembs.write_body(tmp_path / "body.h5", [body])
     stored = morembs.read_body(file, whole=True)
     assert stored.interfaces["in"].forces == ("B:brake",)
     assert stored.interfaces["out"].forces == ("C:strain",)
     assert stored.input_component.tolist() == [6, 6]
     assert np.array_equal(next(iter(stored.bodies.values())).input_matrix, reduced.B)
-    morembs.export_body(file, "matrix-market", tmp_path / "out.mtx")
+    morembs.export_body(file, "matrix-market", path=tmp_path / "out.mtx")
+    assert "column 1: in generalised force" in (tmp_path / "out_B.mtx").read_text()
     with pytest.raises(InputError, match="generalised forces"):
-        morembs.export_body(file, "dmig", tmp_path / "out.pch")
+        morembs.export_body(file, "dmig", path=tmp_path / "out.pch")
 
 
 def files(folder: Path) -> dict[str, Path]:
@@ -127,7 +127,7 @@ def test_matrix_market_takes_further_files_and_a_job_their_columns(tmp_path, mod
         '[model]\nfile = "chain.model.h5"\n[[interface]]\nname = "in"\nmatrix = "B"\n'
         '[[reduce]]\nname = "m"\nmethod = "modal"\nmodes = 4\n[output]\npath = "out.h5"\n'
     )
-    (drive,) = interfaces_of(read_job(tmp_path / "job.toml"), read_model(out))
+    (drive,) = interfaces_of(load_job(tmp_path / "job.toml"), read_model(out))
     assert drive.forces == ("B:1", "B:2")
 
 
