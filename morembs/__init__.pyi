@@ -15,9 +15,9 @@ from .floating.stiffening import Envelope
 from .floating.stiffening_terms import geometric_stiffening
 from .importers import read_mesh
 from .importers.from_matrices import from_matrices
-from .interface import Interface, make_interface
+from .interface import Interface, make_interface, matrix_interface
 from .linalg.sparse.select import available_solvers, select_solver
-from .model import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from .model import DofMap, ElementBlock, FEModel, Mesh, NamedColumns, Nodes
 from .model.assembly import assemble
 from .model.material import Material, isotropic, orthotropic
 from .model.selection import select_nodes
@@ -76,6 +76,7 @@ __all__ = [
     "Mesh",
     "Modal",
     "MorembsError",
+    "NamedColumns",
     "Nodes",
     "Problem",
     "ReducedModel",
@@ -101,6 +102,7 @@ __all__ = [
     "isotropic",
     "make_interface",
     "make_part",
+    "matrix_interface",
     "orthotropic",
     "parse_units",
     "ranked_terms",

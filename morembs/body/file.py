@@ -95,7 +95,7 @@ def write_body(
         out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": sentences})
         out.file.create_group("interfaces")
         for interface in part.interfaces:
-            values = vars(interface) | {"node_ids": part.node_ids[interface.nodes]}
+            values = vars(interface) | {"node_ids": part.node_ids[interface.nodes], "forces": interface.forces or None}
             out.rows(f"interfaces/{interface.name}/", tables.INTERFACE, values)
         out.doing("the mesh for ParaView")
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)

@@ -42,7 +42,8 @@ class ByName(dict[str, T], Generic[T]):
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredInterface:
-    """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,)."""
+    """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,); names of
+    generalised ``forces``."""
 
     coupling: str
     components: tuple[int, ...]
@@ -50,6 +51,7 @@ class StoredInterface:
     axes: Floats
     node_ids: Ints
     weights: Floats
+    forces: tuple[str, ...] = ()
 
     @property
     def kind(self) -> CouplingKind:
@@ -153,7 +155,8 @@ class StoredBodies:
 
     ``mass`` kg, ``center_of_mass`` (3,) m, ``inertia`` (3, 3) kg m2 about it; ``node_ids`` (n,),
     ``coordinates`` (n, 3) m; ``input_interface``, ``input_component``, ``input_node_id`` (m,) tell for each
-    column of an input matrix the position of its interface, its motion 0..5 and its node (-1: a frame). ``warnings``
+    column of an input matrix the position of its interface, its motion 0..5 (6: of a generalised force) and
+    its node (-1: a frame, or none). ``warnings``
     are sentences about the model and the bodies.
     """
 

@@ -14,6 +14,7 @@ from morembs.errors import InputError
 from morembs.floating.frame import FRAMES
 from morembs.interface import COUPLINGS
 from morembs.model.elements import FACES, TYPES
+from morembs.model.fe_model import SCALAR
 from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
 
@@ -36,7 +37,7 @@ def check_file(path: Path, file: Any) -> None:
     for name in interfaces:
         check.interface(f"interfaces/{name}/")
     check.within("inputs/interface_index", 0, len(interfaces) - 1, ", places in /interface_names")
-    check.within("inputs/component", 0, 5)
+    check.within("inputs/component", 0, SCALAR)
     check.positive("mass_properties/mass")
     for name in bodies:
         at = f"bodies/{name}/"
@@ -75,7 +76,7 @@ class _Check(TableCheck):
                 f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed with morembs and "
                 "defines it (an entry point morembs.couplings)"
             )
-        self.within(f"{at}components", 0, 5)
+        self.within(f"{at}components", 0, SCALAR)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):
             off = float(np.abs(axes @ axes.T - np.eye(3)).max())

@@ -260,9 +260,14 @@ UNSYMMETRIC = Table(tuple(
 ))  # fmt: skip
 
 INTERFACE = Table((
-    Row("coupling", "text", doc="`rigid`, `average`, `direct`, or a kind that [another package](extending.md) defines"),
+    Row("coupling", "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another "
+        "package](extending.md) defines"),
     Row("components", "few", "any", "exposed degrees of freedom 0..5",
-        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them"),
+        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them; "
+        "6 for each of `forces`"),
+    Row("forces", "text", "forces", "columns of the input matrix B, rows of the output matrix C of the model",
+        doc="`B:NAME`, a column of the input matrix of the model, or `C:NAME`, a row of its output matrix",
+        when="with coupling `matrix`"),
     Row("point", "real", "3", "origin of the frame", "m"),
     Row("axes", "real", "3 3", "axes of the frame as rows", doc="axes of the frame as rows, in the coordinates of the "
         "model"),
@@ -289,7 +294,7 @@ FILE = Table((
     Row("nodes/coordinates", "real", "N 3", units="m", doc="of the nodes"),
     Row("inputs/interface_index", "whole", "m", "per column of input_matrix: place in /interface_names from 0",
         field="input_interface"),
-    Row("inputs/component", "whole", "m", "degree of freedom: 0..2 along x, y, z; 3..5 about them",
+    Row("inputs/component", "whole", "m", "degree of freedom: 0..2 along x, y, z; 3..5 about them; 6 generalised",
         field="input_component"),
     Row("inputs/node_id", "whole", "m", "label of the node of a direct interface, -1 for a frame",
         field="input_node_id"),

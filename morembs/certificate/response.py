@@ -71,7 +71,7 @@ def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interfa
     """A response H (nf, m, m) as an ``xarray.DataArray`` with the dimensions ``frequency_hz``, ``motion`` and ``load``.
 
     Motions and loads are named as ``big_end x``, ``big_end rotation z``, or ``bore 1207 x`` (1207 is a row of the
-    nodes) where an interface exposes its nodes; m or rad per N or Nm.
+    nodes) where an interface exposes its nodes, ``drive B:a`` where it takes a column; m or rad per N or Nm.
 
     Args:
         frequencies_hz: (nf,) of the response, which is computed at 2 pi times these.
@@ -88,7 +88,8 @@ def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interfa
     xarray = optional("xarray", "to_xarray")
     names = []
     for interface in interfaces:
-        for component, node in zip(*interface.kind.columns(interface), strict=True):
+        names += [f"{interface.name} {force}" for force in interface.forces]
+        for component, node in () if interface.forces else zip(*interface.kind.columns(interface), strict=True):
             names.append(" ".join([interface.name, *([str(node)] if node >= 0 else []), MOTIONS[component]]))
     expected = (len(frequencies_hz), len(names), len(names))
     if np.shape(H) != expected:

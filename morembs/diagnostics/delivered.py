@@ -14,6 +14,7 @@ from morembs.diagnostics.findings import MOTIONS
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
+from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
@@ -81,7 +82,9 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         motions, rows = interface.kind.columns(interface)
         points = np.tile(interface.point, (len(motions), 1))
         points[rows >= 0] = _points(part.node_ids[rows[rows >= 0]], place, part.nodes.xyz)
-        frame[columns] = rigid_motion(points, motions)
+        # Generalised forces do work on motions that the points do not tell: their rows stay unknown.
+        told = motions < SCALAR
+        frame[columns[told]] = rigid_motion(points[told], motions[told])
         for column, motion in zip(columns.tolist(), motions.tolist(), strict=True):
             names[column] = f"{interface.name} {MOTIONS[motion]}"
     return Delivered(
@@ -108,6 +111,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         points.append(at)
         names.append(f"{name} {MOTIONS[motion]}")
     frame = rigid_motion(np.array(points).reshape(-1, 3), file.input_component)
+    frame[file.input_component == SCALAR] = np.nan
     M, K, B, C = body.mass_matrix, body.stiffness_matrix, body.input_matrix, body.output_matrix
     return Delivered(
         M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,

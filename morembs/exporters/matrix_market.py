@@ -11,6 +11,7 @@ from scipy.io import mmwrite
 
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.reduced import reduced_matrices
+from morembs.model.fe_model import SCALAR
 from morembs.storage.safefile import replacing_all
 
 _DIGITS = 17
@@ -56,5 +57,6 @@ class MatrixMarketExporter(Exporter):
         ):
             where = "" if node < 0 else f" node {node}"
             name = names[index].encode("ascii", "replace").decode().replace("\n", " ")
-            lines.append(f"\n column {len(lines) + 1}: {name}{where} component {component + 1}")
+            motion = "generalised force" if component == SCALAR else f"component {component + 1}"
+            lines.append(f"\n column {len(lines) + 1}: {name}{where} {motion}")
         return "".join(lines)

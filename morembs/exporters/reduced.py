@@ -12,6 +12,7 @@ from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
 from morembs.linalg.columns import symmetric
+from morembs.model.fe_model import SCALAR
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -57,7 +58,7 @@ def on_interfaces(
 
     Raises:
         InputError: the body is not symmetric or has no stiffness, its interface degrees of freedom depend on each
-            other, or there are no labels for its points.
+            other or are generalised forces, or there are no labels for its points.
     """
     body, source = context.body, context.source
     for name in ("mass_matrix", "stiffness_matrix"):
@@ -70,6 +71,12 @@ def on_interfaces(
         raise InputError(
             f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
             'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
+        )
+    if (source.input_component == SCALAR).any():
+        name = list(source.interfaces)[source.input_interface[np.flatnonzero(source.input_component == SCALAR)[0]]]
+        raise InputError(
+            f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
+            'export to "op4" or "matrix-market"'
         )
     T, notes = _to_interfaces(body)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}

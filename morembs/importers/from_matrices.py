@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,24 @@ from morembs.importers.named import square_csr
 from morembs.importers.to_model import model_of
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.fe_model import SCALAR
+from morembs.model.named_columns import columns_of_input, columns_of_output
 from morembs.units import Units, parse_units
 
 Ints = NDArray[np.int64]
 
 
 def from_matrices(
-    K: Any, M: Any, D: Any = None, *, nodes: Nodes | Any = None, node: Any = None, component: Any = None,
-    name: str = "matrices", units: Units | str | None = None,
+    K: Any, M: Any, D: Any = None, B: Any = None, C: Any = None, *, names: Mapping[str, Sequence[str]] | None = None,
+    nodes: Nodes | Any = None, node: Any = None, component: Any = None, name: str = "matrices",
+    units: Units | str | None = None,
 ) -> FEModel:  # fmt: skip
-    """Model M u'' + D u' + K u = f of matrices of SciPy (any format, matrix or array), NumPy or nested lists.
+    """Model M u'' + D u' + K u = B q, y = C u of matrices of SciPy (any format), NumPy or nested lists.
 
     Args:
         K, M, D: (N, N) stiffness, mass and damping, symmetric for reductions; D may be left out.
+        B, C: (N, m) input and (p, N) output matrix: columns of B and rows of C are generalised forces and motions that
+            ``matrix_interface`` makes interfaces of. Entries of displacements have no unit, of rotations lengths.
+        names: of the columns of B and the rows of C: {"B": [...], "C": [...]}; "1", "2", ... without.
         nodes: places (n, 3), or ``Nodes`` with labels and sets. Without any, each dof is a node of its own, whose mass
             properties and rigid motion mean nothing.
         node, component: (N,) row of ``nodes`` of each dof and its component: 0..2 displacements along x, y, z, 3..5
@@ -36,10 +42,13 @@ def from_matrices(
     Peak memory: copies of the matrices in CSR form.
 
     Raises:
-        InputError: matrices that are not square, of different sizes, or not finite, or dofs that do not fit them.
+        InputError: matrices that are not square, of different sizes, or not finite, or B, C, names or
+            dofs that do not fit them.
 
     >>> from_matrices([[2.0, -1.0], [-1.0, 2.0]], [[1.0, 0.0], [0.0, 1.0]], name="two masses").size
     2
+    >>> from_matrices([[2.0, -1.0], [-1.0, 2.0]], [[1.0, 0.0], [0.0, 1.0]], B=[1.0, 0.0], name="driven").inputs.names
+    ('1',)
     >>> from_matrices(model.K, model.M, nodes=nodes, name="bar again")
     FEModel: dofs 60; nodes 20; matrices K, M; source bar again
     """
@@ -50,6 +59,12 @@ def from_matrices(
     if (node is None) != (component is None) or (node is not None and nodes is None):
         raise InputError(f"{name}: nodes, node and component belong together; expected all three, or nodes alone")
     ready = {role: square_csr(name, role, value) for role, value in given.items() if value is not None}
+    size, titles = ready["K"].shape[0], dict(names or {})
+    for role in titles:
+        if role not in ("B", "C") or {"B": B, "C": C}[role] is None:
+            raise InputError(f"{name}: names has {role!r}, and there is no such matrix; expected names of B or C")
+    inputs = None if B is None else columns_of_input(name, B, size, titles.get("B"))
+    outputs = None if C is None else columns_of_output(name, C, size, titles.get("C"))
     placed = nodes if nodes is None or isinstance(nodes, Nodes) else _nodes_at(nodes, name)
     dofs = None
     if node is not None:
@@ -57,7 +72,7 @@ def from_matrices(
         if len(dofs) and dofs.component.max() > SCALAR:
             raise InputError(f"{name}: component runs to {dofs.component.max()}; expected 0 to {SCALAR}")
     system = parse_units(units) if isinstance(units, str) else units
-    return model_of(Imported(source=name, nodes=placed, dofs=dofs, **ready), system)
+    return model_of(Imported(source=name, nodes=placed, dofs=dofs, inputs=inputs, outputs=outputs, **ready), system)
 
 
 def _nodes_at(xyz: Any, name: str) -> Nodes:

@@ -12,29 +12,34 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
-from morembs.importers.named import Matrices, matrices_by_name
+from morembs.importers.named import Matrices, Wanted, matrices_by_name
 from morembs.importers.triplets import Place, refuse_twice, row_and_column
 from morembs.storage.hdf5 import read_dataset, reading
 
 Array = NDArray[Any]
 
 
-def import_hdf5(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+def import_hdf5(
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
+    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+) -> Imported:  # fmt: skip
     """Matrices of an HDF5 file, found in its groups by name ("stiffness/K"); MATLAB files of version 7.3 too.
 
     A sparse matrix is a group {data, indices, indptr[, shape]} (CSR, or CSC where an attribute ``format`` or
     ``h5sparse_format`` says so), {data, ir, jc} (MATLAB), or {data, ridx, cidx, nr, nc} (Octave, also under "value").
+    B and C are inputs and outputs.
 
     Raises:
         InputError: not an HDF5 file, no such matrix, or one that is damaged.
     """
-    path = Path(path)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    other: Matrices = {}
     with reading(path, "an HDF5 file with matrices", "check the file") as file:
         if K is None:
             _refuse_body(path.name, file)
         matrices: Matrices = {}
-        _collect(path.name, file, "", matrices, {K, M, D} - {None})
-    return matrices_by_name(path.name, matrices, K=K, M=M, D=D)
+        _collect(path.name, file, "", matrices, other, {name.lower() for name in (B, C) if name is not None})
+    return matrices_by_name(path.name, matrices, wanted, besides=other)
 
 
 def _refuse_body(source: str, file: Any) -> None:
@@ -49,8 +54,8 @@ def _refuse_body(source: str, file: Any) -> None:
             )
 
 
-def _collect(source: str, group: Any, at: str, matrices: Matrices, wanted: set[str | None]) -> None:
-    """All matrices below ``group`` by their path."""
+def _collect(source: str, group: Any, at: str, matrices: Matrices, other: Matrices, wanted: set[str]) -> None:
+    """All matrices below ``group`` by their path; those that are not square are ``other``, if they are ``wanted``."""
     for name, item in group.items():
         here = f"{at}{name}"
         if here.startswith("#refs#") or item is None:
@@ -59,20 +64,26 @@ def _collect(source: str, group: Any, at: str, matrices: Matrices, wanted: set[s
             inner = item["value"] if isinstance(item.get("value"), h5py.Group) else item
             matrix = sparse_group(f"{source}: {here}", inner)
             if matrix is None and isinstance(item.get("value"), h5py.Dataset):
-                matrix = _dense(item["value"], "MATLAB_class" in item.attrs or "OCTAVE_NEW_FORMAT" in item.attrs)
+                turned = "MATLAB_class" in item.attrs or "OCTAVE_NEW_FORMAT" in item.attrs
+                matrix = _dense(item["value"], turned, here.lower() in wanted)
             if matrix is not None:
-                matrices[here] = matrix
+                _put(here, matrix, matrices, other, wanted)
             elif not isinstance(group.get(name, getlink=True), h5py.SoftLink):  # which may lead back to here
-                _collect(source, item, f"{here}/", matrices, wanted)
+                _collect(source, item, f"{here}/", matrices, other, wanted)
         elif isinstance(item, h5py.Dataset):
-            matrix = _dense(item, "MATLAB_class" in item.attrs)
+            matrix = _dense(item, "MATLAB_class" in item.attrs, here.lower() in wanted)
             if matrix is not None:
-                matrices[here] = matrix
+                _put(here, matrix, matrices, other, wanted)
 
 
-def _dense(item: Any, transposed: bool) -> sp.csr_array | None:
-    """A square dense dataset; MATLAB and Octave show their arrays transposed here."""
-    if item.ndim != 2 or item.shape[0] != item.shape[1] or item.dtype.kind not in "fiuV":
+def _put(name: str, matrix: sp.csr_array, matrices: Matrices, other: Matrices, wanted: set[str]) -> None:
+    beside = name.lower() in wanted and matrix.shape[0] != matrix.shape[1]
+    (other if beside else matrices)[name] = matrix
+
+
+def _dense(item: Any, transposed: bool, wanted: bool) -> sp.csr_array | None:
+    """A dense dataset that is square or ``wanted``; MATLAB and Octave show their arrays transposed here."""
+    if item.ndim != 2 or (item.shape[0] != item.shape[1] and not wanted) or item.dtype.kind not in "fiuV":
         return None
     values = _complex(read_dataset(item))
     if values.dtype.kind not in "fiuc":

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.model import DofMap, Mesh, Nodes, frozen
+from morembs.model import DofMap, Mesh, NamedColumns, Nodes, frozen
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.material import Material
 
@@ -107,7 +107,8 @@ class Imported:
     """All that a file holds, in the units of the file.
 
     Matrices ``K``, ``M``, ``D`` (N, N) as they are there (whole, not half; real or complex, symmetric or not) with
-    ``dofs``; or a ``mesh`` with ``materials``; or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
+    ``dofs``, and ``inputs`` and ``outputs`` (columns of B, rows of C) on them; or a ``mesh`` with ``materials``;
+    or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
     ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry; ``warnings``
     what makes the model another one than that of the file, beside what ``mesh`` warns of. ``incomplete`` maps an
     element set to what its material lacks: such a model is refused until the set has one.
@@ -126,6 +127,8 @@ class Imported:
     equations: tuple[Equations, ...] = ()
     masses: tuple[PointMass, ...] = ()
     discrete: tuple[DiscreteElement, ...] = ()
+    inputs: NamedColumns | None = None
+    outputs: NamedColumns | None = None
     surfaces: Mapping[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -14,18 +14,22 @@ from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr, import_hdf5
 from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5
-from morembs.importers.named import matrices_by_name
+from morembs.importers.named import Wanted, matrices_by_name
 
 
-def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
-    """Matrices of a .mat file by their names; by default K, M and D (or C).
+def import_matlab(
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
+    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+) -> Imported:  # fmt: skip
+    """Matrices of a .mat file by their names; by default K, M and D (or C, where it is square). B and C
+    are inputs and outputs.
 
     Raises:
         InputError: not a MATLAB file, or no matrix of a name.
     """
-    path = Path(path)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
     if path.is_file() and h5py.is_hdf5(path):
-        return import_hdf5(path, K=K, M=M, D=D)
+        return import_hdf5(path, **vars(wanted))
     other: dict[str, str] = {}
     try:
         with path.open("rb") as file:
@@ -44,7 +48,7 @@ def import_matlab(path: Path, *, K: str | None = None, M: str | None = None, D: 
         raise InputError(f"{path.name} cannot be read as a MATLAB file ({reason}); save it again") from error
     left = [f"{name} ({kind})" for name, kind in other.items()]
     notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()
-    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes, besides=held)
+    return matrices_by_name(path.name, square, wanted, notes=notes, besides=held)
 
 
 def _once(source: str, value: Any) -> sp.csr_array:

@@ -15,7 +15,7 @@ from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus
 from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.imported import Imported
-from morembs.importers.named import matrices_by_name, square_csr
+from morembs.importers.named import Wanted, matrices_by_name, square_csr
 from morembs.importers.nastran_cards import Cards
 from morembs.importers.nastran_geometry import Grids
 from morembs.importers.nastran_text import BulkText
@@ -33,19 +33,23 @@ _USUAL = {
 }  # fmt: skip
 
 
-def import_op4(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
+def import_op4(
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
+    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+) -> Imported:  # fmt: skip
     """Matrices of a Nastran OP4 file by their names; the file does not say which dofs its rows are.
 
     Raises:
         InputError: not such a file, or no matrix of a name.
     """
     path = Path(path)
-    asked = {name for name in (K, M, D) if name is not None and name != "identity"}
-    names = asked if K is not None and M is not None else None
+    wanted = Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    names = wanted.names if K is not None and M is not None else None
     matrices = {name: read.matrix for name, read in read_op4(path, names).items()}
     square = {name: A for name, A in matrices.items() if A.shape[0] == A.shape[1]}
-    notes = tuple(f"{name} is not square and was left out" for name in matrices if name not in square)
-    return matrices_by_name(path.name, square, K=K, M=M, D=D, notes=notes)
+    taken = {*square, *(name.upper() for name in wanted.names)}
+    notes = tuple(f"{name} is not square and was left out" for name in matrices if name not in taken)
+    return matrices_by_name(path.name, square, wanted, notes=notes, besides=matrices)
 
 
 def import_dmig(
@@ -71,7 +75,7 @@ def import_dmig(
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
-    whole = matrices_by_name(path.name, grown, K=given["K"], M=given["M"], D=given["D"], nodes=nodes, dofs=dofs)
+    whole = matrices_by_name(path.name, grown, Wanted(**given), nodes=nodes, dofs=dofs)
     return replace(whole, warnings=text.warnings)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
-from morembs.importers.named import square_csr
+from morembs.importers.named import Wanted, square_csr
 from morembs.importers.text_matrices import integers, numbers, parallel_map, table, text_blocks
 from morembs.importers.triplets import TripletStore, assembled, refuse_outside
 
@@ -45,8 +45,12 @@ class _Head:
         return self.size[0], self.size[1]
 
 
-def import_matrix_market(path: Path) -> Imported:
+def import_matrix_market(
+    path: Path, *, B: str | None = None, C: str | None = None, B_names: str | None = None, C_names: str | None = None
+) -> Imported:  # fmt: skip
     """The matrix of the file, as K: sparse or dense, real or complex, general, symmetric, skew or Hermitian.
+
+    ``B`` and ``C`` are further files in its folder, inputs and outputs.
 
     Memory is that of the matrix (CSR) and blocks of text.
 
@@ -54,7 +58,9 @@ def import_matrix_market(path: Path) -> Imported:
         InputError: as ``read_matrix_market``, or a matrix that is not square.
     """
     path = Path(path)
-    return Imported(source=path.name, K=square_csr(path.name, "the matrix", read_matrix_market(path)))
+    K = square_csr(path.name, "the matrix", read_matrix_market(path))
+    wanted = Wanted(B=B, C=C, B_names=B_names, C_names=C_names)
+    return wanted.with_columns(Imported(source=path.name, K=K), lambda name: read_matrix_market(path.parent / name))
 
 
 def read_matrix_market(path: Path, *, plain: bool = False) -> sp.csr_array | Numbers:

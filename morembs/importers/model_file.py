@@ -58,6 +58,7 @@ def write_model(
             "elements": model.mesh and _elements(model.mesh), "element_sets": model.mesh and _element_sets(model.mesh),
             "materials": model.materials or None, "couplings": _couplings(model) if model.couplings else None,
             "equations": _equations(model) if model.equations else None,
+            "inputs": model.inputs, "outputs": model.outputs,
         })  # fmt: skip
         for matrix in out.file.get("matrices", {}).values():
             matrix.attrs["format"] = np.bytes_("csr")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from morembs.errors import InputError, nearest
 from morembs.importers.imported import Imported
 from morembs.model import DofMap, Nodes
 from morembs.model.fe_model import LARGEST
+from morembs.model.named_columns import NamedColumns, columns_of_input, columns_of_output
 
 Matrices = dict[str, sp.csr_array]
 # Names by which matrices go, in small letters; the first that is there is taken.
@@ -44,6 +46,51 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
     return A
 
 
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """Names of the matrices of a file that are K, M and D, or None; ``B`` and ``C`` those of inputs and outputs, which
+    are taken only by name, ``B_names`` and ``C_names`` titles of the columns and rows of these, apart by commas."""
+
+    K: str | None = None
+    M: str | None = None
+    D: str | None = None
+    B: str | None = None
+    C: str | None = None
+    B_names: str | None = None
+    C_names: str | None = None
+
+    @property
+    def names(self) -> set[str]:
+        """All names of matrices that were given."""
+        given = (self.K, self.M, self.D, self.B, self.C)
+        return {name for name in given if name is not None and name != "identity"}
+
+    def with_columns(self, imported: Imported, find: Callable[[str], Any]) -> Imported:
+        """The matrices of a file with B and C, as far as wanted, which ``find`` gives by their names.
+
+        Raises:
+            InputError: matrices or titles that do not fit the rows of K.
+        """
+        return replace(
+            imported,
+            inputs=_columns(imported, "B", self.B, self.B_names, find, columns_of_input),
+            outputs=_columns(imported, "C", self.C, self.C_names, find, columns_of_output),
+        )
+
+
+def _columns(
+    imported: Imported, role: str, name: str | None, titles: str | None, find: Callable[[str], Any],
+    make: Callable[[str, Any, int, Sequence[str] | None], NamedColumns],
+) -> NamedColumns | None:  # fmt: skip
+    if name is None:
+        if titles is not None:
+            raise InputError(f"{role}_names was given without {role}; name the matrix: --set {role}=NAME")
+        return None
+    size = 0 if imported.K is None else imported.K.shape[0]
+    words = None if titles is None else tuple(word.strip() for word in titles.split(","))
+    return make(imported.source, find(name), size, words)
+
+
 def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
     """Refuse a matrix with entries that nothing can be computed with.
 
@@ -58,20 +105,21 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
 
 
 def matrices_by_name(
-    source: str, matrices: Mapping[str, Any], *, K: str | None = None, M: str | None = None, D: str | None = None,
-    nodes: Nodes | None = None, dofs: DofMap | None = None, notes: tuple[str, ...] = (), besides: Iterable[str] = (),
+    source: str, matrices: Mapping[str, Any], wanted: Wanted, *, nodes: Nodes | None = None, dofs: DofMap | None = None,
+    notes: tuple[str, ...] = (), besides: Mapping[str, Any] | None = None,
 ) -> Imported:  # fmt: skip
     """The matrices that are named, else those with usual names; what is left over is noted.
 
     ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name. ``besides`` are
-    names of what is no square matrix.
+    what else the file holds, of which B and C may be some.
 
     Raises:
         InputError: no matrices, or none of a given name.
     """
     if not matrices:
         raise InputError(f"{source} has no square matrix; expected K and M")
-    asked, taken = {"K": K, "M": M, "D": D}, {}
+    K, besides = wanted.K, {**(besides or {}), **matrices}
+    asked, taken = {"K": K, "M": wanted.M, "D": wanted.D}, {}
     for role, name in asked.items():
         if name == "identity" and name not in matrices:
             size = (next(iter(matrices.values())) if K is None else matrices[_there(source, matrices, K)]).shape[0]
@@ -79,17 +127,18 @@ def matrices_by_name(
         elif name is not None:
             key = _there(source, matrices, name)
             taken[role] = (key, matrices[key])
-    if not taken and len(matrices) == 1 and not {"A", "B", "C"} <= {*matrices, *besides}:
+    if not taken and len(matrices) == 1 and not {"A", "B", "C"} <= set(besides):
         taken["K"] = next(iter(matrices.items()))
-    used = {name for name, _ in taken.values()}
+    ends = {role: _there(source, besides, name) for role, name in (("B", wanted.B), ("C", wanted.C)) if name}
+    used = {name for name, _ in taken.values()} | set(ends.values())
     for role, names in USUAL.items():
         free = {key.rsplit("/", 1)[-1].lower().replace("_", ""): key for key in matrices if key not in used}
         usual = next((free[name] for name in names if name in free), None)
         if role not in taken and usual is not None and len(matrices) > 1:
             taken[role] = (usual, matrices[usual])
             used.add(usual)
-    chosen = ", ".join(f"{role} = {name}" for role, (name, _) in taken.items())
-    if "K" not in taken and {"A", "B", "C"} <= {*matrices, *besides}:
+    chosen = ", ".join(f"{role} = {name}" for role, name in ({r: n for r, (n, _) in taken.items()} | ends).items())
+    if "K" not in taken and {"A", "B", "C"} <= set(besides):
         raise InputError(
             f"{source} holds a first-order system (A, B, C): its states are no displacements and it has no mass; "
             "expected a second-order one, M u'' + D u' + K u = B f"
@@ -102,7 +151,8 @@ def matrices_by_name(
     left = [name for name in matrices if name not in used]
     notes = (*notes, f"matrices of the file: {chosen}" + (f"; left out: {', '.join(left)}" if left else ""))
     ready = {role: square_csr(source, name, matrix) for role, (name, matrix) in taken.items()}
-    return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready)
+    imported = Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready)
+    return wanted.with_columns(imported, lambda name: besides[_there(source, besides, name)])
 
 
 def _there(source: str, matrices: Mapping[str, Any], name: str) -> str:

@@ -14,7 +14,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import Imported
-from morembs.model import DofMap, ElementBlock, Mesh, Nodes
+from morembs.model import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import SCALAR
@@ -75,6 +75,11 @@ def _materials_parts(materials: Iterable[Material]) -> Mapping[str, object]:
     return {"sets": sets, "stiffness": np.stack(stiffness), "density": density}
 
 
+def _columns_parts(columns: NamedColumns) -> Mapping[str, object]:
+    matrix = columns.matrix
+    return {"names": columns.names, "offsets": matrix.indptr, "rows": matrix.indices, "data": matrix.data}
+
+
 _SOURCE = Table((
     Row("name", "words", doc="of the model"),
     Row("files", "words", "files", "names of the files, in the order of sha256"),
@@ -115,6 +120,12 @@ _COUPLING = Table((
     Row("point", "real", "3", units="m", doc="where the reference is", read=False),
     Row("weights", "real", "followers", when="of average ones", doc="of the nodes"),
 ))  # fmt: skip
+_NAMED_COLUMNS = Table((
+    Row("names", "words", "columns", "of the columns"),
+    Row("offsets", "whole", "any", "column j holds `data[offsets[j]:offsets[j+1]]`"),
+    Row("rows", "whole", "entries", "rows of the matrices, from 0, of the entries"),
+    Row("data", "real", "entries", units="1 or m", doc="entries: of displacements without unit, of rotations lengths"),
+), parts=_columns_parts)  # fmt: skip
 _EQUATIONS_OF_ONE = Table((
     Row("nodes", "whole", "equations", "rows of /nodes: the dofs that depend on others"),
     Row("components", "whole", "equations", "of these dofs, as in dofs/component"),
@@ -149,6 +160,8 @@ MODEL = Table((
     Row("materials", _MATERIALS, when="if"),
     Row("couplings", _COUPLINGS, when="if"),
     Row("equations", _EQUATIONS, when="if"),
+    Row("inputs", _NAMED_COLUMNS, when="if"),
+    Row("outputs", _NAMED_COLUMNS, when="if", doc="as `inputs`, which are columns of B; rows of C"),
 ))  # fmt: skip
 
 
@@ -169,13 +182,28 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
         rigid, average = _couplings(path, values.get("couplings", {"names": (), "couplings": ()}), len(nodes))
         equations = _equations(path, values.get("equations", {"names": (), "equations": ()}), len(nodes))
+        inputs, outputs = (_named_columns(path, values.get(key), key, len(dofs)) for key in ("inputs", "outputs"))
         mesh = _mesh(path, values["elements"], values["element_sets"], nodes) if "elements" in values else None
         Checksums(path, file).verify()
     return Imported(
         source=source["name"], K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh,
         materials=values.get("materials", ()), rigid=rigid, average=average, equations=equations,
-        notes=source["notes"], warnings=source.get("warnings", ()),
+        inputs=inputs, outputs=outputs, notes=source["notes"], warnings=source.get("warnings", ()),
     )  # fmt: skip
+
+
+def _named_columns(path: Path, values: Mapping[str, Any] | None, key: str, size: int) -> NamedColumns | None:
+    if values is None:
+        return None
+    offsets, rows, count = values["offsets"], values["rows"], len(values["names"])
+    if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != len(rows) or (np.diff(offsets) < 0).any():
+        raise InputError(f"{path}: {key} does not fit its names; {CURE}")
+    _refuse_outside(path, rows, size, key)
+    matrix = sp.csc_array((values["data"], rows, offsets), shape=(size, count))
+    try:
+        return NamedColumns(names=values["names"], matrix=matrix)
+    except InputError as error:
+        raise InputError(f"{path}: {key}: {error}; {CURE}") from error
 
 
 def _read_matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:

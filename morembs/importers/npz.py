@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
-from morembs.importers.named import Matrices, matrices_by_name
+from morembs.importers.named import Matrices, Wanted, matrices_by_name
 from morembs.memory import refuse_too_large, unpacked_bytes
 
 Array = NDArray[Any]
@@ -22,15 +22,19 @@ _PARTS = ("data", "indices", "indptr", "shape")
 _SPARSEST = 1000
 
 
-def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None) -> Imported:
-    """Matrices of an .npz file: that of ``save_npz``, dense square arrays, or arrays NAME_data, NAME_indices,
-    NAME_indptr and NAME_shape (CSR) for each.
+def import_npz(
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
+    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+) -> Imported:  # fmt: skip
+    """Matrices of an .npz file: that of ``save_npz``, dense arrays, or arrays NAME_data, NAME_indices, NAME_indptr and
+    NAME_shape (CSR) for each. B and C are inputs and outputs.
 
     Raises:
         InputError: not such a file, damaged, or no matrix of a name.
     """
-    path = Path(path)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
     notes: tuple[str, ...] = ()
+    other: Matrices = {}
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             if not isinstance(held, np.lib.npyio.NpzFile):
@@ -41,24 +45,26 @@ def import_npz(path: Path, *, K: str | None = None, M: str | None = None, D: str
                 matrix, notes = _saved(path.name, held)
                 matrices: Matrices = {"the matrix": matrix}
             else:
-                matrices = _by_name(path.name, held, names)
+                matrices, other = _by_name(path.name, held, names)
     except MorembsError:
         raise
     except Exception as error:  # zipfile, zlib and numpy's own reader of headers raise many kinds
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
-    return matrices_by_name(path.name, matrices, K=K, M=M, D=D, notes=notes)
+    return matrices_by_name(path.name, matrices, wanted, notes=notes, besides=other)
 
 
-def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> Matrices:
+def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> tuple[Matrices, Matrices]:
+    """Matrices that may be K, M or D, and dense ones that are not square."""
     matrices: Matrices = {}
+    other: Matrices = {}
     for name in sorted(names):
         if name.endswith("_indptr") and all(f"{name[:-6]}{part}" in names for part in _PARTS):
             data, indices, indptr, shape = (held[f"{name[:-6]}{part}"] for part in _PARTS)
             matrices[name[:-7]] = checked_csr(f"{source}: {name[:-7]}", data, indices, indptr, _sizes(source, shape))
-        elif held[name].ndim == 2 and held[name].shape[0] == held[name].shape[1] and held[name].dtype.kind in "fiuc":
-            matrices[name] = sp.csr_array(held[name])
-    return matrices
+        elif (array := held[name]).ndim == 2 and array.dtype.kind in "fiuc":
+            (matrices if array.shape[0] == array.shape[1] else other)[name] = sp.csr_array(array)
+    return matrices, other
 
 
 def _sizes(source: str, shape: Array) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
-from morembs.model import DofMap, FEModel, Mesh, Nodes
+from morembs.model import DofMap, FEModel, Mesh, NamedColumns, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR, refuse_far
@@ -74,6 +74,8 @@ def model_of(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
         equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
+        inputs=_forces_in_si("B", imported.inputs, imported, model.dofs, units),
+        outputs=_forces_in_si("C", imported.outputs, imported, model.dofs, units),
         notes=(*imported.notes, *base.notes, *said),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
@@ -162,6 +164,28 @@ def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.cs
             data *= weight[matrix.indices]
         scaled.append(sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape))
     return scaled
+
+
+def _forces_in_si(
+    role: str, columns: NamedColumns | None, imported: Imported, dofs: DofMap, units: Units
+) -> NamedColumns | None:  # fmt: skip
+    """The columns on the dofs of the model, of which those that elements brought come last.
+
+    Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are
+    lengths.
+    """
+    if columns is None:
+        return None
+    own = 0 if imported.K is None else imported.K.shape[0]
+    if columns.matrix.shape[0] != own:
+        raise InputError(
+            f"{imported.source}: {role} is for {columns.matrix.shape[0]} dofs; expected {own}, as many as rows of K"
+        )
+    matrix = columns.matrix.copy()
+    matrix.resize((len(dofs), len(columns.names)))
+    if units.length != 1.0 and dofs.turning.any():
+        matrix = sp.csc_array(sp.diags_array(np.where(dofs.turning, units.length, 1.0)) @ matrix)
+    return replace(columns, matrix=matrix)
 
 
 def _from_matrices(imported: Imported, units: Units) -> _Base:

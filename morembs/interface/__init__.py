@@ -7,6 +7,7 @@ from morembs.interface.base import COUPLINGS, CouplingKind, Elimination, Interfa
 from morembs.interface.couple import Coupling, couple
 from morembs.interface.direct import Direct
 from morembs.interface.make import make_interface
+from morembs.interface.matrix import Matrix, matrix_interface
 from morembs.interface.rigid import Rigid
 
 # One line for each kind.
@@ -14,6 +15,7 @@ _ALL: tuple[type[CouplingKind], ...] = (
     Rigid,
     Average,
     Direct,
+    Matrix,
 )
 COUPLINGS.take({kind.name: kind() for kind in _ALL})
 
@@ -25,9 +27,11 @@ __all__ = [
     "Direct",
     "Elimination",
     "Interface",
+    "Matrix",
     "Rigid",
     "averaging",
     "couple",
     "coupling_kind",
     "make_interface",
+    "matrix_interface",
 ]

@@ -29,7 +29,8 @@ class Interface:
 
     ``nodes`` (ns,) rows of ``Nodes.xyz``; ``point`` (3,) origin of the frame in m; ``axes`` (3, 3) its
     axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
-    else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed.
+    else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed, 6 for each of the
+    generalised ``forces`` ("B:NAME", "C:NAME") of ``matrix_interface``.
 
     >>> interfaces[0]
     Interface: name LEFT; coupling rigid; nodes 4; point [0.0, 0.025, 0.025]; components 0, 1, 2, 3, 4, 5
@@ -42,6 +43,7 @@ class Interface:
     weights: Floats
     axes: Floats = field(default_factory=lambda: np.eye(3))
     components: tuple[int, ...] = SIX
+    forces: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("nodes", "point", "weights", "axes"):
@@ -122,7 +124,8 @@ class CouplingKind(ABC):
         """
 
     def columns(self, interface: Interface) -> tuple[Ints, Ints]:
-        """Component 0..5 (m,) and node (m,) of each column of B, -1 for the point of the interface."""
+        """Component 0..5 (m,), 6 of generalised forces, and node (m,) of each column of B, -1 for the point of the
+        interface."""
         return np.array(interface.components), np.full(len(interface.components), -1)
 
     def scale(self, interface: Interface, length: float) -> Floats:

@@ -30,6 +30,8 @@ from morembs.storage.safefile import check_writable
 from morembs.units import Units
 
 ROLES = {"K": "--stiffness", "M": "--mass", "D": "--damping"}
+# Options that name inputs and outputs.
+INPUTS = ("B", "C", "B_names", "C_names")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +218,9 @@ def _combined(job: ImportJob) -> tuple[Imported, str]:
         return abaqus_matrices(dict(job.matrices)), "abaqus-matrix"
     by_role: dict[str, Imported] = {}
     for role, path in job.matrices.items():
-        own = {key: value for key, value in job.options.items() if key == role or key not in ROLES}
+        # Inputs and outputs belong to the model: one of its files names them.
+        apart = set(ROLES) if not by_role else {*ROLES, *INPUTS}
+        own = {key: value for key, value in job.options.items() if key == role or key not in apart}
         if role in own:  # the name of the one matrix that is wanted of this file
             own = {**{key: value for key, value in own.items() if key != role}, "K": own[role]}
         by_role[role] = import_file(path, formats[role], own)

@@ -15,7 +15,7 @@ from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
-from morembs.interface import Interface, make_interface
+from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable
 from morembs.linalg.sparse.select import SOLVERS, select_solver
@@ -72,16 +72,21 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
     interfaces = []
     for table in job.tables.interface:
         point = None if table.point is None else [length * value for value in table.point]
-        if table.nodes.startswith("coupling:"):
+        if table.matrix is not None:
+            interfaces.append(matrix_interface(model, name=table.name, matrix=table.matrix))
+            continue
+        # Without a matrix there are nodes: the schema sees to it.
+        nodes = table.nodes or ""
+        if nodes.startswith("coupling:"):
             coupling = table.coupling if "coupling" in table.model_fields_set else None
             interfaces.append(
                 interface_of_coupling(
-                    model, table.nodes, name=table.name, coupling=coupling, point=point, components=table.components
+                    model, nodes, name=table.name, coupling=coupling, point=point, components=table.components
                 )
             )
             continue
         try:
-            rows = select_nodes(model, table.nodes, length=length)
+            rows = select_nodes(model, nodes, length=length)
         except InputError as error:
             raise InputError(f"interface {table.name!r}: {error}") from error
         interfaces.append(

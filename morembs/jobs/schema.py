@@ -93,10 +93,23 @@ class InterfaceTable(Table):
     """``[[interface]]``: where other bodies touch the part."""
 
     name: str = Field(max_length=100, pattern=r"^[^/\s.\x00-\x1f][^/\x00-\x1f]*$", description="a name without slashes")
-    nodes: str = Field(description='a selection of nodes such as "set:BIGEND"')
-    coupling: str = Field(default="rigid", description="one of " + ", ".join(map(repr, COUPLINGS.own)))
+    nodes: str | None = Field(default=None, description='a selection of nodes such as "set:BIGEND"')
+    matrix: str | None = Field(
+        default=None, description='in place of nodes, columns of B or rows of C such as "B:drive", "C:tip,base" or "B"'
+    )
+    coupling: str = Field(default="rigid", description="one of " + ", ".join(repr(name) for name in COUPLINGS.own if name != "matrix"))
     point: Three | None = Field(default=None, description="the origin of the interface, [x, y, z]")
     components: list[int] | None = Field(default=None, description="some of [0, 1, 2, 3, 4, 5]")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.nodes is None and self.matrix is None:
+            raise ValueError('nodes is missing; expected a selection of nodes such as "set:BIGEND"')
+        if self.matrix is not None:
+            beside = {"nodes", "coupling", "point", "components"} & self.model_fields_set
+            if beside:
+                raise ValueError(f"matrix and {min(beside)} were both given; columns of a matrix say all, leave it out")
+        return self
 
 
 class RayleighTable(Table):

@@ -2,5 +2,6 @@
 
 from morembs.model.arrays import frozen
 from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, rigid_motion, skew
+from morembs.model.named_columns import NamedColumns
 
-__all__ = ["DofMap", "ElementBlock", "FEModel", "Mesh", "Nodes", "frozen", "rigid_motion", "skew"]
+__all__ = ["DofMap", "ElementBlock", "FEModel", "Mesh", "NamedColumns", "Nodes", "frozen", "rigid_motion", "skew"]

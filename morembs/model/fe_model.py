@@ -15,6 +15,7 @@ from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.model.material import Material
+from morembs.model.named_columns import NamedColumns
 from morembs.summary import summarised
 
 if TYPE_CHECKING:
@@ -207,8 +208,9 @@ class FEModel:
 
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
     cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
-    own. ``notes`` say what the import found, ``warnings`` in what the model differs from its source; they go with it
-    into every body.
+    own. ``inputs`` are columns of B and ``outputs`` rows of C of M u'' + D u' + K u = B q, y = C u, as columns (N, .),
+    which interfaces can take. ``notes`` say what the import found, ``warnings`` in what the model differs from its
+    source; they go with it into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
@@ -235,6 +237,8 @@ class FEModel:
     average: tuple[AverageElement, ...] = ()
     equations: tuple[Equations, ...] = ()
     dependent: DependentDofs | None = None
+    inputs: NamedColumns | None = None
+    outputs: NamedColumns | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -247,6 +251,9 @@ class FEModel:
             if matrix.shape != (n, n):
                 raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
             object.__setattr__(self, name, matrix)
+        for name, columns in (("inputs", self.inputs), ("outputs", self.outputs)):
+            if columns is not None and columns.matrix.shape[0] != n:
+                raise InputError(f"{name} has columns of {columns.matrix.shape[0]} rows; expected {n}, one per dof")
         refuse_far(self.nodes, self.source or "the model")
 
     @property
@@ -264,7 +271,9 @@ class FEModel:
         return {
             "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
             "matrices": [name for name in ("K", "M", "D") if getattr(self, name) is not None],
-            "couplings": list(self.couplings), "source": self.source, "warnings": len(self.warnings) or None,
+            "couplings": list(self.couplings), "inputs": self.inputs and list(self.inputs.names),
+            "outputs": self.outputs and list(self.outputs.names), "source": self.source,
+            "warnings": len(self.warnings) or None,
         }  # fmt: skip
 
 
