@@ -82,8 +82,8 @@ def batch(
         changes: keys that all jobs get with another value, such as ``"reduce.modes=40"``.
         workers: how many run at once at most; None: one for each processor. Fewer run where their forecasts
             exceed the free memory together.
-        manifest: the file in which is remembered what was done; None: the nearest ``batch.manifest`` in the
-            folder that holds all jobs or above it, a new one in that folder where there is none.
+        manifest: the file in which is remembered what was done; None: ``batch.manifest`` in the folder that
+            holds all jobs, or the nearest above it within the working directory.
         fresh: run all, whatever is remembered.
         check_only: check those that are due, and run none.
 
@@ -104,6 +104,9 @@ def batch(
     if workers is not None and workers < 1:
         raise InputError(f"--jobs {workers} was given; expected a positive count of jobs to run at once")
     parts = parts_of(jobs, changes)
+    if manifest is None and all(part.fault for part in parts):
+        # Nothing to remember, and no folder to remember it in.
+        return _Batch(parts, changes, workers, None, listener or Nobody()).run(fresh, check_only)
     place = Path(manifest) if manifest is not None else _nearest_manifest(parts)
     with Manifest(place) as remembered:
         return _Batch(parts, changes, workers, remembered, listener or Nobody()).run(fresh, check_only)
@@ -113,7 +116,7 @@ class _Batch:
     """A batch while it runs."""
 
     def __init__(
-        self, parts: Sequence[Part], changes: Sequence[str], workers: int | None, manifest: Manifest,
+        self, parts: Sequence[Part], changes: Sequence[str], workers: int | None, manifest: Manifest | None,
         listener: Listener,
     ) -> None:  # fmt: skip
         self._parts, self._manifest, self._listener = parts, manifest, listener
@@ -126,7 +129,7 @@ class _Batch:
         due = []
         for part in self._parts:
             stopping.check()
-            last = None if part.fault or fresh else unchanged(part, self._manifest)
+            last = None if part.fault or fresh or not self._manifest else unchanged(part, self._manifest)
             if part.fault:
                 self._fail(part, part.fault)
             elif last is not None:
@@ -208,11 +211,12 @@ class _Batch:
         except OSError as error:
             self._fail(part, f"{error.filename} is not there although the job ended well ({error.strerror})", 1)
             return
-        self._manifest.ended(part.loaded.output, Ended(key=part.key, inputs=inputs, outputs=outputs, facts=facts))
+        if self._manifest:
+            self._manifest.ended(part.loaded.output, Ended(key=part.key, inputs=inputs, outputs=outputs, facts=facts))
         self._end(part, state="done", facts=facts, seconds=end.seconds)
 
     def _fail(self, part: Part, message: str, code: int = 2, seconds: float = 0.0) -> None:
-        if part.job is not None:
+        if part.job is not None and self._manifest:
             self._manifest.failed(part.job.output, message)
         self._end(part, state="failed", facts={}, message=message, code=code if code in _TOLD else 2, seconds=seconds)
 
@@ -242,7 +246,14 @@ def _seconds(forecast: Mapping[str, Any]) -> float:
 
 
 def _nearest_manifest(parts: Sequence[Part]) -> Path:
-    """One job of a folder is remembered with the others, whether it is run with them or alone."""
-    folder = Path(os.path.commonpath([part.path.resolve().parent for part in parts]))
-    there = (place for above in (folder, *folder.parents) if (place := above / MANIFEST).is_file())
+    """One job of a folder is remembered with the others, whether it is run with them or alone.
+
+    Above the folder of the jobs only the folders within the working directory are looked into: a manifest elsewhere
+    belongs to others.
+    """
+    sound = [part for part in parts if not part.fault] or parts
+    folder = Path(os.path.commonpath([part.path.resolve().parent for part in sound]))
+    here = Path.cwd().resolve()
+    above = [folder, *(each for each in folder.parents if each.is_relative_to(here))]
+    there = (place for each in above if (place := each / MANIFEST).is_file())
     return next(there, folder / MANIFEST)

@@ -127,6 +127,8 @@ class ElasticBody:
 
     def modes(self, count: int) -> Floats:
         """Shapes (k, n, 3) of the first elastic modes at the chosen nodes, at most ``count``, of unit modal mass."""
+        if count < 1:
+            raise InputError(f"modes = {count} was given; expected a positive count of elastic modes")
         first = self.reduced.rigid_count
         Y = self.reduced.modes()[1][:, first : first + count]
         shapes = self.part.transformation @ (self.reduced.V @ Y)

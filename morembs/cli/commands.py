@@ -151,6 +151,8 @@ def init(
     from morembs.units import parse_units
 
     with messages():
+        if file.is_dir():
+            raise InputError(f"{file} is a folder; expected a mesh or a model file")
         job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
         if job.suffix != ".toml":
             raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")

@@ -225,7 +225,8 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
             if elastic is not None:
                 # Modes beyond those kept are not approximations of anything; held bodies have other modes.
                 kinds = body.reduced.mode_kind
-                kept = kinds.count("elastic") if "rigid" in kinds else len(own)
+                by_modes = "rigid" in kinds and not RESPONSES.intersection(kinds)
+                kept = kinds.count("elastic") if by_modes else len(own)
                 fits = known and number < kept and body.reduced.rigid_count == rigid
                 row.append(percent(own[number] / elastic[number] - 1) if fits else "-")
         table.add_row(*row)

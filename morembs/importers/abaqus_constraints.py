@@ -216,12 +216,15 @@ class Constraints:
                 f"The rigid body {title} names no reference node; node {self.assembly.ids[reference]} was put at its "
                 "mean place."
             )
-        if options.get("ROT NODE"):
-            self.found.notes.append(
-                f"A rigid body has its rotations at the node {options['ROT NODE']}; here they are those of its "
-                "reference node."
-            )
         self._rigid(title, reference, slaves, _ALL, card)
+        if options.get("ROT NODE"):
+            # What acts on its three translations acts on the rotations of the body.
+            turning = self.assembly.one_node(placed, options["ROT NODE"])
+            self._sums["*MPC"] += [
+                (f"{card} ({title}), whose rotations are those of node {self.assembly.ids[turning]},",
+                 [(turning, c, 1.0), (reference, 3 + c, -1.0)])
+                for c in range(3)
+            ]  # fmt: skip
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
         for row in rows:
@@ -301,9 +304,9 @@ class Constraints:
             spin = PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value)
             self.found.masses.append(mass if element.code == "MASS" else spin)
         else:
-            self.found.discrete.append(
-                spring_of(self.assembly, self.axes, element, card, rows, self.found.warnings)
-            )
+            # Springs of CalculiX act along global directions whatever axes their nodes have.
+            axes = Axes(self.assembly) if self.dialect == "calculix" else self.axes
+            self.found.discrete.append(spring_of(self.assembly, axes, element, card, rows, self.found.warnings))
 
 
 def _components(rows: Rows, card: Card) -> tuple[int, ...]:

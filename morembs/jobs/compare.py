@@ -27,8 +27,8 @@ class FrequencyResponse:
 
     ``full`` (nf,) Frobenius norm of H in m/N at ``frequencies_hz`` (nf,); for each body ``reduced`` (nf,)
     its own norm and ``error`` (nf,) the norm of the difference over that of the full model, ``bound`` (2, n) steps of
-    frequencies in Hz and of the upper limit of the error between them by ``measure``, where there is one, ``tolerance``
-    the limit that was asked for. Rotations and moments are scaled with the radius of gyration ``length`` in m, so that
+    frequencies in Hz and of the upper limit of that error between them, where there is one, ``tolerance`` the limit of
+    it that was asked for. Rotations and moments are scaled with the radius of gyration ``length`` in m, so that
     all entries have one unit.
     """
 
@@ -37,7 +37,6 @@ class FrequencyResponse:
     reduced: Mapping[str, Floats]
     error: Mapping[str, Floats]
     bound: Mapping[str, Floats] = field(default_factory=dict)
-    measure: str = "pointwise"
     tolerance: Mapping[str, float] = field(default_factory=dict)
     length: float
 
@@ -77,21 +76,20 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
         bound={
-            name: _steps(certificate.cells_hz, certificate.cell_limit, certificate.measure)
+            name: _steps(certificate.cells_hz, certificate.cell_limit)
             for name, certificate in known.items() if len(certificate.cells_hz)
         },
-        measure=first.measure,
         # Of a tolerance in another measure a line would tell nothing.
         tolerance={
             body.name: float(str(body.recipe["tolerance"])) for body in bodies
-            if body.name in known and body.recipe.get("measure") == first.measure and "tolerance" in body.recipe
+            if body.name in known and body.recipe.get("measure") == "pointwise" and "tolerance" in body.recipe
         },
     )  # fmt: skip
 
 
-def _steps(cells_hz: Floats, limit: Floats, measure: str) -> Floats:
-    """(2, 2 nc) ends of the cells and their limits by the measure of the certificate."""
-    return np.stack([cells_hz.ravel(), np.repeat(limit[:, MEASURES.index(measure)], 2)])
+def _steps(cells_hz: Floats, limit: Floats) -> Floats:
+    """(2, 2 nc) ends of the cells and their pointwise limits, as the error that is drawn beside them."""
+    return np.stack([cells_hz.ravel(), np.repeat(limit[:, MEASURES.index("pointwise")], 2)])
 
 
 def stored_response(stored: StoredBodies) -> FrequencyResponse | None:
@@ -105,8 +103,7 @@ def stored_response(stored: StoredBodies) -> FrequencyResponse | None:
         reduced={name: values["reduced"] for name, values in known.items()},
         error={name: values["error"] for name, values in known.items()},
         bound={
-            name: _steps(values["cells_hz"], values["cell_limit"], str(values["measure"]))
+            name: _steps(values["cells_hz"], values["cell_limit"])
             for name, values in known.items() if "cell_limit" in values
         },
-        measure=str(first.get("measure", "pointwise")),
     )  # fmt: skip

@@ -84,8 +84,8 @@ def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> No
     upper.set_ylabel("‖H‖ in m/N")
     lower.set_ylabel("error")
     meanings = ["solid: pointwise, |E| / |H|"]
-    meanings += [f"dotted: limit, {response.measure}"] if response.bound else []
-    meanings += [f"dashed: tolerance, {response.measure}"] if response.tolerance else []
+    meanings += ["dotted: limit of it"] if response.bound else []
+    meanings += ["dashed: tolerance"] if response.tolerance else []
     lower.set_title("    ".join(meanings), loc="left", fontsize="small")
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")

@@ -23,10 +23,14 @@ _hooked: list[bool] = []
 
 @dataclass(frozen=True)
 class Content:
-    """A file when it was looked at: size in bytes, time of its last change and of the look in ns, SHA-256."""
+    """A file when it was looked at: size in bytes, times of its last change and of the look in ns, SHA-256.
+
+    ``changed_ns`` is the time that the system keeps for itself, which copies and archives cannot give another value.
+    """
 
     bytes: int
     modified_ns: int
+    changed_ns: int
     looked_ns: int
     sha256: str
 
@@ -41,7 +45,7 @@ class Content:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return cls(status.st_size, status.st_mtime_ns, looked, digest)
+        return cls(status.st_size, status.st_mtime_ns, status.st_ctime_ns, looked, digest)
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Content:
@@ -51,7 +55,7 @@ class Content:
             KeyError, TypeError, ValueError: other values.
         """
         return cls(
-            int(values["bytes"]), int(values["modified_ns"]), int(values["looked_ns"]), str(values["sha256"])
+            *(int(values[key]) for key in ("bytes", "modified_ns", "changed_ns", "looked_ns")), str(values["sha256"])
         )
 
     def still_in(self, path: str | Path) -> bool:
@@ -60,8 +64,9 @@ class Content:
             status = os.stat(path)
             if status.st_size != self.bytes:
                 return False
-            settled = self.looked_ns - self.modified_ns > _COARSE
-            return (settled and status.st_mtime_ns == self.modified_ns) or Content.of(path).sha256 == self.sha256
+            settled = self.looked_ns - max(self.modified_ns, self.changed_ns) > _COARSE
+            same = (status.st_mtime_ns, status.st_ctime_ns) == (self.modified_ns, self.changed_ns)
+            return (settled and same) or Content.of(path).sha256 == self.sha256
         except OSError:
             return False
 
