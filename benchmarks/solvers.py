@@ -127,6 +127,7 @@ def large(settings: Settings) -> None:
     dofs = 15_000 if settings.quick else 305_000
     specs: dict[str, Spec] = {
         "cholmod": {"solver": "cholmod", "columns": [30, 100]},
+        "pardiso": {"solver": "pardiso", "columns": [30, 100]},
         "mumps": {"solver": "mumps", "columns": [30, 100], "out_of_core": False},
         "mumps on disk": {"solver": "mumps", "columns": [100], "out_of_core": True, "cold": True},
         "mumps-mixed": {"solver": "mumps-mixed", "columns": [30], "out_of_core": False},
