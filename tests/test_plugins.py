@@ -139,7 +139,7 @@ def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
     look_again()
     done = CliRunner().invoke(app, ["info", str(path)])
     assert done.exit_code == 2 and "interface left has the coupling 'centre'" in done.output
-    assert "rigid, average, direct, or a package" in done.output and "damaged" not in done.output
+    assert "rigid, average, direct, matrix, or a package" in done.output and "damaged" not in done.output
 
 
 def test_assigned_from_python(tmp_path: Path) -> None:

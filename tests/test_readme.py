@@ -137,7 +137,7 @@ RUN = {
     "README.md": {"python": 1},
     "contact.md": {"python": 2},
     "extending.md": {"toml": 1, "python": 2},
-    "formats.md": {"": 2, "toml": 1, "python": 1},
+    "formats.md": {"": 3, "toml": 2, "python": 1},
     "gmp.md": {"python": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 2, "python": 1},
     "multibody.md": {"python": 3},

@@ -37,7 +37,10 @@ def check_file(path: Path, file: Any) -> None:
     for name in interfaces:
         check.interface(f"interfaces/{name}/")
     check.within("inputs/interface_index", 0, len(interfaces) - 1, ", places in /interface_names")
-    check.within("inputs/component", 0, SCALAR)
+    generalised = np.array([f"interfaces/{name}/forces" in file for name in interfaces], dtype=bool)
+    forces = generalised[np.asarray(file["inputs/interface_index"][()], dtype=np.int64)]
+    check.within("inputs/component", 0, SCALAR - 1, where=~forces)
+    check.within("inputs/component", SCALAR, SCALAR, ", of generalised forces", where=forces)
     check.positive("mass_properties/mass")
     for name in bodies:
         at = f"bodies/{name}/"
@@ -49,9 +52,9 @@ def check_file(path: Path, file: Any) -> None:
 
 
 class _Check(TableCheck):
-    def within(self, name: str, least: int, most: int, why: str = "") -> None:
-        """Integers from ``least`` to ``most``."""
-        values = np.ravel(self.file[name][()])
+    def within(self, name: str, least: int, most: int, why: str = "", where: Any = slice(None)) -> None:
+        """Integers from ``least`` to ``most``, those that ``where`` picks."""
+        values = np.ravel(self.file[name][()])[where]
         bad = np.flatnonzero((values < least) | (values > most))
         if len(bad):
             raise self.refuse(name, f"holds {values[bad[0]]}", f"{least} to {most}{why}")
@@ -76,7 +79,8 @@ class _Check(TableCheck):
                 f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed with morembs and "
                 "defines it (an entry point morembs.couplings)"
             )
-        self.within(f"{at}components", 0, SCALAR)
+        forces = f"{at}forces" in self.file
+        self.within(f"{at}components", SCALAR if forces else 0, SCALAR if forces else SCALAR - 1)
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):
             off = float(np.abs(axes @ axes.T - np.eye(3)).max())

@@ -97,7 +97,9 @@ class InterfaceTable(Table):
     matrix: str | None = Field(
         default=None, description='in place of nodes, columns of B or rows of C such as "B:drive", "C:tip,base" or "B"'
     )
-    coupling: str = Field(default="rigid", description="one of " + ", ".join(repr(name) for name in COUPLINGS.own if name != "matrix"))
+    coupling: str = Field(
+        default="rigid", description="one of " + ", ".join(repr(name) for name in COUPLINGS.own if name != "matrix")
+    )
     point: Three | None = Field(default=None, description="the origin of the interface, [x, y, z]")
     components: list[int] | None = Field(default=None, description="some of [0, 1, 2, 3, 4, 5]")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import h5py
@@ -20,7 +21,9 @@ from morembs.jobs.import_job import ImportJob, run_import
 from morembs.jobs.inputs import interfaces_of
 from morembs.jobs.job import load_job
 from tests.support.meshes import box, steel
+from tests.support.processes import morembs as cli
 
+ROOT = Path(__file__).parents[2]
 SIZE = 60
 OMEGA = np.linspace(1.0, 60.0, 15)
 
@@ -131,6 +134,22 @@ def test_matrix_market_takes_further_files_and_a_job_their_columns(tmp_path, mod
     assert drive.forces == ("B:1", "B:2")
 
 
+def test_the_commands_of_the_page_run(tmp_path):
+    K, M, D, B, C = chain()
+    scipy.io.savemat(tmp_path / "MODEL.mat", {"K": K, "M": M, "E": D, "B": B, "C": C})
+    for name, A in (("K", K), ("M", M), ("B", sp.coo_array(B))):
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", A)
+    page = (ROOT / "docs" / "formats.md").read_text().partition("## Input and output matrices")[2]
+    commands = re.search(r"```\n(.*?)```", page, re.DOTALL).group(1).splitlines()
+    read = []
+    for command in commands:
+        name, *arguments = command.split()
+        assert name == "morembs" and cli(*arguments, folder=tmp_path).code == 0
+        read.append(read_model(tmp_path / "part.model.h5"))
+    assert [each.inputs.names for each in read] == [("drive", "brake"), ("1", "2")]
+    assert [each.outputs is None for each in read] == [False, True]
+
+
 def test_rotations_in_millimetres_give_the_same_work():
     """A moment arm in mm: q in N, and motions in m."""
     values = {"node": [0, 0], "component": [1, 5], "nodes": [[0.0, 0, 0]]}
@@ -186,5 +205,5 @@ def test_damaged_columns_of_a_model_file_are_refused(tmp_path, model):
     path = write_model(tmp_path / "a.model.h5", model)
     with h5py.File(path, "a") as file:
         file["inputs/rows"][0] = SIZE
-    with pytest.raises(InputError, match="inputs"):
+    with pytest.raises(InputError, match="inputs names rows that do not exist"):
         read_model(path)
