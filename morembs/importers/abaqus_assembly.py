@@ -23,11 +23,15 @@ _NONE = np.empty(0, dtype=np.int64)
 
 @dataclass(eq=False)
 class Placed:
-    """A scope in its place. ``labels`` (n,) sorted, as in the deck; node i of them is row ``rows[i]`` of all."""
+    """A scope in its place, where x is ``rotation`` x + ``offset``.
+
+    ``labels`` (n,) are sorted, as in the deck; node i of them is row ``rows[i]`` of all.
+    """
 
     name: str
     contents: list[Scope]
     rotation: Floats
+    offset: Floats = field(default_factory=lambda: np.zeros(3))
     labels: Ints = field(default_factory=lambda: _NONE)
     rows: Ints = field(default_factory=lambda: _NONE)
     element_labels: Ints = field(default_factory=lambda: _NONE)
@@ -72,7 +76,9 @@ class Assembly:
         for key, instance in deck.instances.items():
             contents = [deck.parts[instance.part]] if instance.part else []
             R, shift, point = _motion(instance)
-            placed = self.placed[key] = Placed(instance.scope.name, [*contents, instance.scope], R)
+            placed = self.placed[key] = Placed(
+                instance.scope.name, [*contents, instance.scope], R, R @ (shift - point) + point
+            )  # fmt: skip
             ids, xyz = _gathered(placed, deck.name)
             moved = xyz if not instance.moves else (xyz + shift - point) @ R.T + point
             node_parts.append((placed, ids, moved))

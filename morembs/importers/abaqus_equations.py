@@ -41,8 +41,10 @@ class Axes:
         kind, data = card.options.get("TYPE", "R").upper()[:1], values(rows[0], card) if rows else []
         data += [0.0] * (6 - len(data))
         a, b = np.array(data[:3]), np.array(data[3:6])
-        if kind == "R":
-            a, b = placed.rotation @ a, placed.rotation @ b
+        # Two directions, or two points of an axis; those of a part move with its instance.
+        a, b = placed.rotation @ a, placed.rotation @ b
+        if kind != "R":
+            a, b = a + placed.offset, b + placed.offset
         for node in self.assembly.nodes_of(placed, card.need("NSET")).tolist():
             self._of[node] = card, kind, a, b
 

@@ -15,6 +15,7 @@ from typing import Any
 
 # Times of files are as coarse as this on some disks, in ns: a younger file may have changed without a new time.
 _COARSE = 2_000_000_000
+_NUMBERS = ("bytes", "modified_ns", "changed_ns", "looked_ns")
 _SYSTEM = ("/proc", "/sys", "/dev")
 _CODE = (".py", ".pyc", ".so", ".pyd", ".pyi")
 _readings: list[set[str]] = []
@@ -54,9 +55,8 @@ class Content:
         Raises:
             KeyError, TypeError, ValueError: other values.
         """
-        return cls(
-            *(int(values[key]) for key in ("bytes", "modified_ns", "changed_ns", "looked_ns")), str(values["sha256"])
-        )
+        size, modified, changed, looked = (int(values[key]) for key in _NUMBERS)
+        return cls(size, modified, changed, looked, str(values["sha256"]))
 
     def still_in(self, path: str | Path) -> bool:
         """Whether the file holds the same now: by size and time where they tell it, else by its bytes."""

@@ -122,12 +122,33 @@ def test_a_job_is_due_when_its_inputs_or_results_change(
         assert not any(unchanged(part, manifest) for part in changed)
 
 
-def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path) -> None:
+def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within the working directory; a manifest above that belongs to others."""
     folder = jobs(tmp_path, {"a": {}, "b": {}})
     with Manifest(folder / "batch.manifest") as manifest:
         remember(folder, manifest)
+    monkeypatch.chdir(folder)
     assert states(batch([folder / "a"])) == {"a": "unchanged"}
     assert not (folder / "a" / "batch.manifest").exists()
+    monkeypatch.chdir(folder / "b")
+    assert states(batch([folder / "a"], check_only=True)) == {"a": "sound"}
+    assert (folder / "a" / "batch.manifest").exists()
+
+
+def test_a_batch_of_faults_leaves_no_manifest(tmp_path: Path) -> None:
+    assert states(batch([tmp_path / "nothing.toml"])) == {"nothing": "failed"}
+    assert not list(tmp_path.iterdir())
+
+
+def test_bytes_that_change_with_their_time_kept_are_seen(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"one")
+    old = path.stat().st_mtime_ns - 10**12
+    os.utime(path, ns=(old, old))
+    content = Content.of(path)
+    path.write_bytes(b"two")
+    os.utime(path, ns=(old, old))
+    assert not content.still_in(path)
 
 
 def test_a_folder_that_moves_is_still_up_to_date(tmp_path: Path) -> None:

@@ -162,6 +162,37 @@ def test_multipoint_constraints_of_two_and_three_nodes(read):
     assert not read(text + "*MPC\nSTRAIGHT, 1, 2, 3\n", skip="MPC").equations
 
 
+def test_nodes_of_sets_are_paired_by_their_labels_not_by_the_order_of_lines(read):
+    loose = "*NODE\n92, 5., 0., 0.\n91, 5., 1., 0.\n*NSET, NSET=A\n91, 92\n*NSET, NSET=B\n1, 2\n"
+    found = read(cube(1) + loose + "*EQUATION\n2\nA, 1, 1., B, 1, -1.\n" + SECTION)
+    (equations,) = found.equations
+    labels = found.nodes.ids
+    pairs = {int(labels[a]): int(labels[next(iter(terms(equations, i)))[0]]) for i, a in enumerate(equations.nodes)}
+    assert pairs == {91: 1, 92: 2}
+
+
+@pytest.mark.parametrize(("dialect", "axis"), [("calculix", 1), ("abaqus", 0)])
+def test_springs_of_calculix_act_along_global_directions(dialect, axis, read):
+    """Whatever axes their nodes have, as ccx 2.20 does: frequencies within 4e-7 of its own."""
+    turned = "*NSET, NSET=T\n1\n*TRANSFORM, NSET=T, TYPE=R\n0., 1., 0., -1., 0., 0.\n"
+    spring = "*ELEMENT, TYPE=SPRING1, ELSET=G\n51, 1\n*SPRING, ELSET=G\n2\n70.\n"
+    found = read(cube(1) + turned + spring + SECTION, dialect=dialect)
+    model, plain = model_of(found), model_of(replace(found, discrete=()))
+    assert (model.K - plain.K).toarray().diagonal()[:3] == pytest.approx(np.eye(3)[axis] * 70.0, abs=1e-4)
+
+
+def test_a_shifted_instance_takes_the_axis_of_its_coordinates_along(read):
+    part = "*PART, NAME=P\n" + cube(1) + SECTION.partition("*MATERIAL")[0]
+    axes = "*NSET, NSET=T\n3\n*TRANSFORM, NSET=T, TYPE=C\n0., 0., 0., 0., 0., 1.\n"
+    equation = "*EQUATION\n2\n3, 1, 1., 1, 1, -1.\n"
+    coefficients = []
+    for shift in ("", "100., 0., 0.\n"):
+        deck = part + axes + equation + "*END PART\n*ASSEMBLY, NAME=A\n*INSTANCE, NAME=I, PART=P\n" + shift
+        found = read(deck + "*END INSTANCE\n*END ASSEMBLY\n" + STEEL_LINES, dialect="abaqus")
+        coefficients.append(sorted(terms(found.equations[0], 0).values()))
+    assert coefficients[0] == pytest.approx(coefficients[1], rel=1e-12)
+
+
 SPRINGS = (
     cube(1) + "*NODE\n90, 1., 1., 4.\n*ELEMENT, TYPE=SPRINGA, ELSET=AX\n50, 7, 90\n*SPRING, ELSET=AX\n\n500.\n"
     "*ELEMENT, TYPE=SPRING1, ELSET=G\n51, 1,\n52, 2,\n*SPRING, ELSET=G\n2\n70.\n"
