@@ -21,6 +21,7 @@ import tempfile
 import weakref
 from pathlib import Path
 
+from morembs import stopping
 from morembs.errors import InputError
 
 try:
@@ -53,6 +54,11 @@ class PrivateFolder:
 
     def __init__(self, parent: Path | None, prefix: str = _PREFIX) -> None:
         remove_abandoned(parent, prefix)
+        # A signal between its making and the promise to remove it would leave the folder behind.
+        with stopping.whole_step():
+            self._make(parent, prefix)
+
+    def _make(self, parent: Path | None, prefix: str) -> None:
         handle, locked = None, False
         while not locked:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent)).resolve()

@@ -29,6 +29,7 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _HAS_TIMER = hasattr(signal, "setitimer")
 
 _asked: list[tuple[int, float]] = []
+_waiting: list[bool] = []
 
 
 def asked() -> int | None:
@@ -41,6 +42,19 @@ def check() -> None:
     if _asked:
         _set_timer(0.0)
         _stop()
+
+
+@contextmanager
+def whole_step() -> Iterator[None]:
+    """A step of an instant that is done whole: what a signal asks for within it is heeded at its end."""
+    before = asked()
+    _waiting.append(True)
+    try:
+        yield
+    finally:
+        _waiting.pop()
+    if not _waiting and before is None:
+        check()
 
 
 @contextmanager
@@ -63,7 +77,8 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
             os._exit(128 + _asked[0][0])
         else:
             return
-        _stop()
+        if not _waiting:
+            _stop()
 
     def dropped(what: Any) -> None:
         # A library may have made an error of its own of the exception.

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from morembs import stopping
+from morembs import scratch, stopping
 from morembs.cli import commands as cli
 from morembs.cli import entry
 from morembs.jobs import run
@@ -369,3 +369,20 @@ def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest
     assert "is the job file of job.toml too" in results[1]["error"]
     result = RUNNER.invoke(cli.app, [verb, "job.toml", "job.toml"])
     assert result.exit_code == 2 and result.stderr.count("of job.toml too") == 2
+
+
+def test_a_signal_while_a_private_folder_is_made_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between its making and the promise to remove it: heeded a moment later, when it is known to whom it belongs."""
+    made = tempfile.mkdtemp
+
+    def interrupted(*arguments: str, **options: str) -> str:
+        path = made(*arguments, **options)
+        os.kill(os.getpid(), signal.SIGTERM)
+        return path
+
+    monkeypatch.setattr(scratch.tempfile, "mkdtemp", interrupted)
+    with pytest.raises(SystemExit), stopping.heeded():
+        scratch.PrivateFolder(tmp_path)
+    with stopping.heeded():
+        pass  # forgets the signal
+    assert not list(tmp_path.iterdir())
