@@ -21,7 +21,7 @@ from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
 from morembs.diagnostics.readings import MANY, fitting_order, rotation_factor, rotation_finding
-from morembs.diagnostics.rigid import MOST, free_motions, mounted, residual, rigid_findings
+from morembs.diagnostics.rigid import free_motions, rigid_findings
 from morembs.diagnostics.units import estimate, unit_findings
 from morembs.errors import InputError
 from morembs.linalg.congruence import magnitudes
@@ -29,6 +29,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material
+from morembs.model.rigid_residual import MOST, mounted, residual
 from morembs.units import Units
 
 Floats = NDArray[np.float64]

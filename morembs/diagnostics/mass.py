@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from morembs.diagnostics.findings import Finding, Names
 from morembs.diagnostics.readings import orders
-from morembs.diagnostics.rigid import motion
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.assembly import chunks, material_of_elements
 from morembs.model.elements import TYPES
 from morembs.model.formulations import geometry
 from morembs.model.mass import mass_properties
 from morembs.model.material import Material
+from morembs.model.rigid_residual import motion
 
 Floats = NDArray[np.float64]
 # Difference of the masses along x, y, z and of mass between them; of M against the mesh; of its centre.

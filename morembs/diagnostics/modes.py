@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.diagnostics.matrices import WORDS
-from morembs.diagnostics.rigid import motion
 from morembs.errors import MorembsError
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, Nodes, rigid_motion
+from morembs.model.rigid_residual import motion
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.diagnostics.findings import Finding
-from morembs.diagnostics.rigid import STRAINED, Residual, motion
 from morembs.linalg.congruence import magnitudes
 from morembs.model import DofMap, Nodes
+from morembs.model.rigid_residual import STRAINED, Residual, motion
 
 # Part of the dofs with a residual above which other orders of the dofs are tried, on so many rows.
 MANY, SAMPLE = 0.05, 3000

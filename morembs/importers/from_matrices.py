@@ -39,6 +39,8 @@ def from_matrices(
         name: what messages call the model.
         units: of all numbers, as ``parse_units`` takes them ("mm-t-s"); SI unless given.
 
+    Whether places, dofs and units fit the matrices is not looked at here: ``morembs.diagnostics.examined(model)`` says.
+
     Peak memory: copies of the matrices in CSR form.
 
     Raises:

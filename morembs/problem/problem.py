@@ -27,6 +27,7 @@ from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_
 from morembs.model import FEModel
 from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
+from morembs.model.rigid_residual import refuse_other_geometry
 from morembs.problem.damping import Damping as Damping
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
@@ -56,8 +57,8 @@ class Problem(Closing):
     analytic, never from an eigensolver.
 
     Raises:
-        InputError: interfaces that do not fit together, unconnected parts, or structural damping of a model that has
-            a damping matrix.
+        InputError: interfaces that do not fit together, unconnected parts, coordinates or dofs that are not those of
+            K, or structural damping of a model that has a damping matrix.
 
     >>> with Problem(model, interfaces, damping=Damping(modal=0.02)) as problem:
     ...     problem.K.shape, problem.rigid.shape
@@ -211,7 +212,7 @@ class Problem(Closing):
         """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
 
         Raises:
-            InputError: a support so soft that it cannot be told from round-off.
+            InputError: a support so soft that it cannot be told from round-off, or coordinates that are not those of K.
         """
         M, R = self.M, self.coupling.R
         moves = R[:, :3].any(axis=1)
@@ -226,6 +227,8 @@ class Problem(Closing):
         Phi = R if good.all() else (R / scale) @ U[:, good]
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
         free, held = strain_free(self.K, Phi, self._magnitudes(self.model.K, Phi), self._nodes_of_rows())
+        if held.shape[1] and self.model.dependent is None:
+            refuse_other_geometry(self.model.K, self.model.nodes, self.model.dofs)
         return _orthonormal(free, M), _orthonormal(held, M)
 
     def _magnitudes(self, A: sp.csr_array, Phi: Floats) -> Floats:

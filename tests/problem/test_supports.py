@@ -16,6 +16,7 @@ from morembs.certificate.certify import certify
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
+from morembs.model.geometric_stiffness import geometric_stiffness
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal, automatic
 from morembs.reducers.family_search import apart
@@ -282,3 +283,17 @@ def test_a_support_beside_numbers_of_few_digits_is_not_lost(part: float) -> None
         return
     with Problem(replace(model, K=K)) as problem:
         assert problem.rigid.shape[1] == 3
+
+
+def test_coordinates_of_another_order_are_refused_a_bedding_and_a_preload_are_not() -> None:
+    model = steel(box("hex8", (6, 3, 3), (0.5, 0.07, 0.03)))
+    mesh, n = model.mesh, len(model.nodes)
+    mixed = replace(model.nodes, xyz=model.nodes.xyz[np.random.default_rng(0).permutation(n)])
+    with pytest.raises(InputError, match=r"does not fit the geometry: rigid motion strains it at \d+% of the dofs"):
+        Problem(replace(model, nodes=mixed))
+    pull = np.zeros(3 * n)
+    pull[::3] = 0.005 * model.nodes.xyz[:, 0]
+    stress = geometric_stiffness(mesh, model.materials, pull)
+    for added in (sp.diags_array(np.full(model.size, 1e8)), sp.kron(stress, np.eye(3))):
+        with Problem(replace(model, K=model.K + added)) as problem:
+            assert problem.rigid.shape[1] < 6
