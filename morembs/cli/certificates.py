@@ -15,6 +15,11 @@ from morembs.summary import upwards
 MEASURES = ("envelope", "peak", "pointwise")
 KINDS = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
 MISSING = 0.5
+LEGEND = (
+    "error of the frequency response relative to the sum of its modes (envelope), to its largest value (peak), to "
+    "itself (pointwise); block: of the worst pair of interfaces, by the envelope; static: at 0 Hz; modes, residues, "
+    "MAC: the worst mode in the band"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +52,7 @@ def print_certificates(console: Console, known: Sequence[Certified], interfaces:
         holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in group)
         what = "holds at every frequency" if holds else "errors at samples"
         titled(console, f"certificate: {what} from {low:,.4g} to {high:,.4g} Hz", _table(group))
+        console.print(f"  {LEGEND}", highlight=False, soft_wrap=True)
         if floor:
             console.print(
                 f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "

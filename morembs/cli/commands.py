@@ -74,6 +74,7 @@ def reduce(
 @app.command(epilog=EPILOG)
 def compare(
     jobs: Jobs,
+    changes: Changes = None,
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
     report: Report = None,
     as_json: AsJson = False,
@@ -87,7 +88,6 @@ def compare(
     from morembs.jobs.run import run_job
     from morembs.storage.safefile import check_writable
 
-
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
             if len(jobs) > 1:
@@ -95,7 +95,7 @@ def compare(
             if picture.suffix not in (".png", ".pdf", ".svg"):
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
-        loaded = load_job(path)
+        loaded = load_job(path, changes or ())
         if picture is not None and picture.resolve() in {
             file.resolve() for file in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if file
         }:
@@ -113,9 +113,10 @@ def compare(
             "job_peak_memory_bytes": result.peak_memory_bytes,
             "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
         }
-        return document, lambda: print_contenders(console(), str(path), compared)
+        written = [loaded.output, *(file for file in (loaded.picture, picture) if file is not None)]
+        return document, lambda: print_contenders(console(), str(path), compared, written)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, ()), report)
+    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
 
 
 @app.command(epilog=EPILOG)
@@ -143,7 +144,9 @@ def init(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
     ] = None,
-    units: Annotated[str, typer.Option(help="Length, mass and time of the mesh.")] = "m-kg-s",
+    units: Annotated[
+        str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
+    ] = None,
 ) -> None:
     """Write a first job for a mesh or a model file, with comments."""
     from morembs.jobs.template import job_text, refuse_existing
@@ -157,7 +160,7 @@ def init(
         if job.suffix != ".toml":
             raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
         refuse_existing(job)
-        text = job_text(file, job.parent, parse_units(units))
+        text = job_text(file, job.parent, None if units is None else parse_units(units))
         with replacing(job) as written:
             written.write(text.encode())
         with printing([str(job)]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,13 @@ from morembs.progress import duration_words
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10
 BODIES_PER_TABLE = 2
+# Rows of a forecast that their keys do not explain.
+LABELS = {
+    "stiffness_nonzeros": "nonzeros of K", "mass_nonzeros": "nonzeros of M", "matrices_bytes": "memory of K and M",
+    "factor_entries": "nonzeros of the factor", "factor_flops": "operations of the factorisation",
+    "factor_bytes": "memory of the factor", "scratch_bytes": "scratch files", "columns_bytes": "memory of the bases",
+    "peak_memory_bytes": "peak memory", "factor_seconds": "factorisation in s", "reduction_seconds": "reductions",
+}  # fmt: skip
 # Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
 RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01
 
@@ -137,7 +145,7 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
         if warning not in told or not console.is_terminal:
             console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)
     written = [result.job.output] + ([] if result.job.picture is None else [result.job.picture])
-    console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+    _print_written(console, written)
 
 
 def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None:
@@ -164,13 +172,13 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
             value = f"{known} (within a factor of three)" if known else "not known before the modes are counted"
         elif key == "extent":
             value = " x ".join(f"{length:.4g}" for length in value) + " m"
-        if key.endswith("bytes_words"):
+        if key.endswith("_bytes"):
             shown = bytes_words(value)
         elif isinstance(value, int):
             shown = f"{value:,}"
         else:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-        table.add_row(key.removesuffix("bytes_words").replace("_", " "), escape(shown))
+        table.add_row(LABELS.get(key, key.removesuffix("_bytes").replace("_", " ")), escape(shown))
     count = len(forecast.warnings)
     warned = f" can be run, with {count} warning{'s' if count > 1 else ''} below" if count else " is sound"
     titled(console, job + warned, table)
@@ -180,7 +188,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
         console.print(f"[yellow]warning:[/] {escape(text)}", highlight=False, soft_wrap=True)
 
 
-def print_contenders(console: Console, job: str, compared: Sequence[Contender]) -> None:
+def print_contenders(console: Console, job: str, compared: Sequence[Contender], written: Sequence[Path]) -> None:
     """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
     heads = ("order", "error", "limit", "mean, pointwise", "static", "held, median", "seconds", "peak memory")
     table = plain_table("body", *heads)
@@ -200,6 +208,11 @@ def print_contenders(console: Console, job: str, compared: Sequence[Contender]) 
         "first that needs it; peak memory: of the process during it",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
+    _print_written(console, written)
+
+
+def _print_written(console: Console, files: Sequence[Path]) -> None:
+    console.print("written: " + ", ".join(map(str, files)), highlight=False, soft_wrap=True)
 
 
 def _frequencies(bodies: Sequence[ElasticBody]) -> Table:

@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
 # Narrower for materials, which are exact.
 MATERIAL_SPEED, MATERIAL_DENSITY, MATERIAL_MODULUS = (8.0, 3e4), (0.5, 3e4), (1e4, 1.5e12)
+# Metals, by their density (kg/m3), are stiffer than at this wave speed: the modulus is in GPa beside MPa.
+METAL, SLOWEST_METAL = 2500.0, 300.0
 # A body larger than this is a mistake, one larger than that is worth a note (m).
 TOO_LARGE, LARGE = 2000.0, 100.0
 # A body smaller than this whose coordinates would be usual in metres: most often these were taken for millimetres.
@@ -35,6 +37,7 @@ BENDING = 22.373 / (2 * np.pi)
 # Beyond this length two mistakes are likely, and both are named.
 LONG = 5.0
 METAL_SPEED, METAL_DENSITY = 5000.0, 5000.0
+MODULUS_OF_STEEL, DENSITY_OF_STEEL = 2.1e11, 7850.0
 SAMPLE = 1000
 # Distance to a metal, in powers of ten, within which numbers that were converted twice count as understood.
 NEAR = 1.0
@@ -153,6 +156,7 @@ def unit_findings(
         # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
         light = light or (rho < MATERIAL_DENSITY[0] and size * units.length > LARGE)
         low, high = MATERIAL_MODULUS
+        slow = slow or bool(materials and rho > METAL and c < SLOWEST_METAL)
         if slow or light or (materials and not low <= rho * c**2 <= high):
             return [_wrong(c, rho, size * units.length, units, declared)]
     meters = size * units.length
@@ -205,10 +209,13 @@ def _written(c: float, rho: float, meters: float, units: Units) -> tuple[float, 
 def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str]:
     """What the numbers of an input taken in the units ``taken`` look like, and the cure; empty where not known."""
     speed, density, size = _written(c, rho, meters, taken)
+    alone = _thousandfold(c, rho, meters, taken)
+    if alone:
+        return alone
     name = likely_units(speed, density, size, taken)
     material = (
-        f"give the material in {taken.name} too (steel: modulus {2.1e11 / taken.stress:.3g}, density "
-        f"{7850 / taken.density:.3g})"
+        f"give the material in {taken.name} too (steel: modulus {MODULUS_OF_STEEL / taken.stress:.3g}, density "
+        f"{DENSITY_OF_STEEL / taken.density:.3g})"
     )
     # A modulus in Pa and a density in kg/m3, while the coordinates may well be as they were taken.
     beside = 300 < speed < 3e4 and 100 < density < MATERIAL_DENSITY[1] and 1e-5 < meters < LONG
@@ -230,6 +237,28 @@ def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, 
     return "", ""
 
 
+def _thousandfold(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str] | None:
+    """What is wrong and its cure where modulus or density alone, a thousand times as large or small, is a metal's."""
+    if not SMALL < meters < LONG:
+        return None
+    for factor, words in ((1e3, "large"), (1e-3, "small")):
+        for what, speed, density, steel in (
+            ("density", c * np.sqrt(factor), rho / factor, DENSITY_OF_STEEL / taken.density),
+            ("modulus", c / np.sqrt(factor), rho, MODULUS_OF_STEEL / taken.stress),
+        ):
+            if _from_metal(speed, density) < NEAR:
+                return (
+                    f"it looks like a {what} that is a thousand times too {words}",
+                    f"give it in {taken.name}, as the other numbers (steel {steel:.3g})",
+                )
+    return None
+
+
+def _from_metal(c: float, rho: float) -> float:
+    """Distance in powers of ten to a metal; the speed ``c`` is the better estimate of the two."""
+    return float(2 * abs(np.log10(c / METAL_SPEED)) + abs(np.log10(rho / METAL_DENSITY)))
+
+
 def _mixed(speed: float, density: float) -> bool:
     """Whether a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
     return 100 < density < MATERIAL_DENSITY[1] and 0.3 < speed < 30
@@ -244,8 +273,7 @@ def likely_units(speed: float, density: float, size: float, declared: Units, fur
         same = (there.length, there.mass, there.time) == (declared.length, declared.mass, declared.time)
         if same or not (300 < c < 3e4 and 1.0 < rho < 1e5 and 1e-5 < meters < LARGE):
             continue
-        # The speed is the better estimate of the two.
-        distance = 2 * abs(np.log10(c / METAL_SPEED)) + abs(np.log10(rho / METAL_DENSITY))
+        distance = _from_metal(c, rho)
         if distance < furthest and (best is None or distance < best[0]):
             best = distance, name
     return None if best is None else best[1]

@@ -13,17 +13,21 @@ from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.model import FEModel, Mesh
-from morembs.units import Units
+from morembs.units import Units, parse_units
 
 # Steel in SI units.
 YOUNG, POISSON, DENSITY = 2.1e11, 0.3, 7850.0
+# Meshes without declared units that are longer than this are taken in mm, others in m.
+LONGEST_IN_METRES = 5.0
 # Sets that become interfaces; others are named in a comment.
 INTERFACES = 2
 Selections = tuple[list[str], list[str]]
 
 
-def job_text(file: Path, folder: Path, units: Units) -> str:
+def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
     """A job in ``folder`` that reduces the mesh or model ``file``; numbers of a mesh are in ``units``.
+
+    Without ``units`` they are guessed by the size of the mesh, and the job says so.
 
     Raises:
         InputError: the file cannot be read.
@@ -44,13 +48,16 @@ def job_text(file: Path, folder: Path, units: Units) -> str:
     return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
 
 
-def _mesh(path: str, mesh: Mesh, units: Units) -> list[str]:
-    extent = " x ".join(f"{length:.4g}" for length in np.ptp(mesh.nodes.xyz, axis=0))
+def _mesh(path: str, mesh: Mesh, given: Units | None) -> list[str]:
+    size = np.ptp(mesh.nodes.xyz, axis=0)
+    extent = " x ".join(f"{length:.4g}" for length in size)
+    units = given or parse_units("m-kg-s" if size.max() <= LONGEST_IN_METRES else "mm-t-s")
+    guessed = "" if given else ": guessed from its size"
     sets = ", ".join(mesh.element_sets) or "none"
     return [
         "[model]",
         f"mesh = {_quoted(path)}",
-        f"units = {_quoted(units.name)}        # of all numbers here and in the mesh, which is {extent} in its unit",
+        f"units = {_quoted(units.name)}        # of all numbers here and in the mesh ({extent}){guessed}",
         "",
         f"[[material]]                # steel; one table for each material. Element sets of the mesh: {sets}",
         'set = "all"',

@@ -79,9 +79,11 @@ def test_info_says_what_a_model_file_is_for(made: Path) -> None:
 def test_a_first_job_is_sound_and_reduces(made: Path, tmp_path: Path, source: str) -> None:
     file = shutil.copy(made / source, tmp_path / source)
     job = tmp_path / "part.toml"
-    done = RUNNER.invoke(commands.app, ["init", str(file), "--units", "mm-t-s"])
+    done = RUNNER.invoke(commands.app, ["init", str(file)])
     assert done.exit_code == 0 and f"written: {job}" in done.stdout
     text = job.read_text()
+    # 60 mm long: whoever means metres sees what was guessed.
+    assert source != "part.inp" or ('units = "mm-t-s"' in text and "guessed from its size" in text)
     loaded = load_job(job)
     assert [table.nodes for table in loaded.tables.interface] == ["set:LEFT", "set:RIGHT"]
     # A line of nodes is no rigid interface.

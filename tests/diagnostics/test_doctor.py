@@ -400,6 +400,27 @@ def test_units_that_do_not_fit():
     assert seen.facts["speed_of_sound"] == pytest.approx(5.2e6, rel=2)
 
 
+@pytest.mark.parametrize(
+    ("units", "young", "density", "wrong"),
+    [
+        ("mm-t-s", 210.0, 7.85e-9, "modulus that is a thousand times too small"),
+        ("mm-t-s", 2.1e8, 7.85e-9, "modulus that is a thousand times too large"),
+        ("mm-t-s", 2.1e5, 7.85e-6, "density that is a thousand times too large"),
+        ("m-kg-s", 7e10, 2.7, "density that is a thousand times too small"),
+        ("m-kg-s", 7e7, 2700.0, "modulus that is a thousand times too small"),
+    ],
+)
+def test_one_number_of_a_material_in_another_unit_is_named(units, young, density, wrong):
+    given = parse_units(units)
+    model = bar(size=(0.5, 0.06, 0.04), young=young * given.stress, density=density * given.density)
+    (found,) = [each for each in examine_model(model).findings if each.code == "units"]
+    assert wrong in found.sentence
+    steel_lead_rubber = {7850.0: 2.1e11, 11340.0: 1.6e10, 1200.0: 5e6}
+    for density, young in steel_lead_rubber.items():
+        sound = examine_model(bar(size=(0.5, 0.06, 0.04), young=young, density=density))
+        assert "units" not in sound.codes
+
+
 STEEL_IN = {
     "mm-t-s": (2.1e5, 7.85e-9, 500.0), "mm-kg-ms": (210.0, 7.85e-6, 500.0), "cm-g-s": (2.1e12, 7.85, 50.0),
     "in-slinch-s": (3.05e7, 7.35e-4, 20.0), "mm-g-ms": (2.1e5, 7.85e-3, 500.0),

@@ -82,8 +82,8 @@ def test_comparison_marks_the_front_and_draws_it(compare, tmp_path):
 
 
 def test_comparison_prints_a_table(compare):
-    done = compare("band_hz = [0, 8000]\npoints = 6\nbound = false")
-    assert done.exit_code == 0
+    done = compare("band_hz = [0, 8000]\npoints = 6\nbound = false", "--set", "output.path=other.h5")
+    assert done.exit_code == 0 and "other.h5" in done.stdout.splitlines()[-1] and "written: " in done.stdout
     assert "* guyan" in done.stdout and "held, median" in done.stdout
     # Without limits all figures are of samples, and the legend names their measure.
     assert "by the measure of the certificate (pointwise); mean, pointwise:" in done.stdout.replace("\n", " ")
