@@ -71,18 +71,26 @@ def test_eight_cells_show_what_matters_and_no_more(tmp_path: Path, monkeypatch: 
         for fact in flat.partition(": ")[2].removesuffix(" ...").split("; ")[:3]:
             assert fact.split()[0] in table and fact.split()[-1] in table
     body = names["body"]
-    _check_drawings(body)
+    stored = names["stored"].bodies[body.name]
+    for drawn in (body, stored):
+        _check_drawings(drawn, body)
+    # Files keep shapes in single precision.
+    ours, theirs = (each.view(3).motion for each in (body, stored))
+    signs = np.sign((ours * theirs).sum(axis=(1, 2)))[:, None, None]
+    assert theirs == pytest.approx(signs * ours, abs=1e-6 * np.abs(ours).max())
+    with pytest.raises(InputError, match="modes = 0 was given"):
+        stored.plot(0)
     _check_other_packages(names)
 
 
-def _check_drawings(body: Any) -> None:
-    figure = body.plot(2)
+def _check_drawings(drawn: Any, body: Any) -> None:
+    figure = drawn.plot(2)
     titles = [panel.get_title() for panel in figure.axes]
     first = body.frequencies_hz[6]
     assert f"mode 1: {first:,.1f} Hz" in titles and sum(title.startswith("mode") for title in titles) == 2
     assert {text.get_text() for panel in figure.axes for text in panel.texts} == {"left", "right"}
     if importlib.util.find_spec("pyvista"):
-        grid = body.to_pyvista(modes=2)
+        grid = drawn.to_pyvista(modes=2)
         # VTK's own volume of the cells is that of the part.
         assert grid.volume == pytest.approx(body.part.mass / 7850.0, rel=1e-9)
         assert grid.point_data["mode 1"].shape == (len(body.part.nodes), 3)

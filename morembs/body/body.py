@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.body.stress_shapes import Recovery
+from morembs.body.view import Viewed, refuse_no_modes
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
-from morembs.body.vtkhdf_series import Grid
+from morembs.body.vtkhdf_series import Grid, View
 from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -21,15 +22,11 @@ from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
-from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.pymor import to_pymor
 from morembs.reducers.switching_tables import StaticModeTables
 from morembs.summary import hertz, kinds_words, summarised
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -80,7 +77,7 @@ class Part:
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ElasticBody:
+class ElasticBody(Viewed):
     """One reduced model as a body.
 
     ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
@@ -127,60 +124,27 @@ class ElasticBody:
 
     def modes(self, count: int) -> Floats:
         """Shapes (k, n, 3) of the first elastic modes at the chosen nodes, at most ``count``, of unit modal mass."""
-        if count < 1:
-            raise InputError(f"modes = {count} was given; expected a positive count of elastic modes")
+        refuse_no_modes(count)
         first = self.reduced.rigid_count
         Y = self.reduced.modes()[1][:, first : first + count]
         shapes = self.part.transformation @ (self.reduced.V @ Y)
         return np.asarray(shapes).T.reshape(Y.shape[1], -1, 3)
 
-    def plot(self, modes: int = 4) -> Figure:
-        """The first elastic ``modes`` drawn with Matplotlib; a notebook shows the figure, ``savefig`` keeps it.
+    def view(self, modes: int) -> View:
+        """The first elastic ``modes`` on the cells of the part, for ``plot`` and ``to_pyvista``.
 
         Raises:
-            InputError: a body that keeps no elements, or has no elastic modes.
+            InputError: no positive count was asked for, or the body keeps no nodes.
         """
-        from matplotlib.figure import Figure
-
-        from morembs.body.drawing import draw_shapes
-        from morembs.body.shapes import shapes_on
-
-        part, frequencies_hz = self.part, self.frequencies_hz[self.reduced.rigid_count :]
-        points = {interface.name: interface.point for interface in part.interfaces}
-        shapes = shapes_on(part.grid(), self.name, self.modes(modes), frequencies_hz, points)
-        if shapes is None:
-            raise InputError(
-                f'{self.name} has no elastic modes or no elements to show them on; keep nodes = "all" or "skin" of a '
-                "model with elements"
-            )
-        figure = Figure(figsize=(10.0, 4.7), dpi=100)
-        draw_shapes(figure, shapes)
-        return figure
-
-    def to_pyvista(self, modes: int = 4) -> Any:
-        """The body as a ``pyvista.UnstructuredGrid`` with the first elastic ``modes`` (n, 3) as point data.
-
-        ``mode 1``, ``mode 2``, ... have unit modal mass, ``node`` is the label of each node, and the field
-        ``frequencies_hz`` (k,) holds their frequencies.
-
-        Raises:
-            InputError: PyVista is not installed, or the body keeps no nodes.
-        """
-        pyvista = optional("pyvista", "to_pyvista")
-        if not self.part.cells:
+        part, first = self.part, self.reduced.rigid_count
+        if not part.cells:
             raise InputError(f'{self.name} keeps no nodes; keep nodes = "all", "skin" or "interfaces"')
-        cells: dict[int, list[Ints]] = {}
-        for block in self.part.cells:
-            cells.setdefault(block.vtk, []).append(block.connectivity)
-        grid = pyvista.UnstructuredGrid(
-            {vtk: np.concatenate(blocks) for vtk, blocks in cells.items()}, np.array(self.part.nodes.xyz)
-        )
-        shapes, first = self.modes(modes), self.reduced.rigid_count
-        grid.point_data["node"] = np.array(self.part.nodes.ids)
-        for number, shape in enumerate(shapes, start=1):
-            grid.point_data[f"mode {number}"] = shape
-        grid.field_data["frequencies_hz"] = self.frequencies_hz[first : first + len(shapes)]
-        return grid
+        motion = self.modes(modes)
+        return View(
+            body=self.name, grid=part.grid(), node_ids=part.nodes.ids, motion=motion,
+            frequencies_hz=self.frequencies_hz[first : first + len(motion)],
+            interfaces={interface.name: interface.point for interface in part.interfaces},
+        )  # fmt: skip
 
     def to_pymor(self) -> Any:
         """The reduced model as a ``pymor.models.iosys.SecondOrderModel``; see ``morembs.to_pymor``."""

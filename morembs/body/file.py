@@ -24,6 +24,7 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
+    from morembs.body.vtkhdf_series import View
     from morembs.reducers.switching_tables import StaticModeTables
     from morembs.storage.writer import Writer
 
@@ -190,12 +191,24 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
             group = file[f"bodies/{name}/switching"]
             return cast("StaticModeTables", read_rows(group, tables.SWITCHING, "the switching data lack"))
 
+    def view(body: StoredBody, modes: int) -> View:
+        # Not at the top: most who read a file do not look at shapes.
+        from morembs.body.vtkhdf_series import View, read_grid, stored_modes
+
+        grid, motion = read_grid(place), stored_modes(place, body.name, modes)
+        return View(
+            body=body.name, grid=grid, node_ids=stored.node_ids, motion=motion,
+            frequencies_hz=body.frequencies_hz[body.rigid_count :][: len(motion)],
+            interfaces={name: interface.point for name, interface in stored.interfaces.items()},
+        )  # fmt: skip
+
     with opened() as file:
         check_file(place, file)
         checksums.Checksums(place, file).verify(lambda name: whole or not _LATER.match(name))
         if "provenance" in file:
             checksums.Checksums(place, file["provenance"]).verify()
-        return stored_bodies(file, read_basis=read_basis, read_switching=switching)
+        stored = stored_bodies(file, read_basis=read_basis, read_switching=switching, read_view=view)
+    return stored
 
 
 __all__ = [

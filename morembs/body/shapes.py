@@ -1,16 +1,14 @@
-"""Mode shapes to look at: of a model with its reduction, of a body, of a body file."""
+"""Mode shapes to look at: of a model with its reduction, or of a body."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body.stored import StoredBodies
-from morembs.body.vtkhdf_series import Grid, read_grid, stored_modes
+from morembs.body.vtkhdf_series import Grid, View
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
@@ -58,28 +56,15 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     )  # fmt: skip
 
 
-def stored_shapes(path: Path, stored: StoredBodies, body: str) -> Shapes | None:
-    """The same of a body file; None if it keeps no cells or no shapes."""
-    grid = read_grid(path) if len(stored.node_ids) else None
-    own = stored.bodies[body]
-    frequencies_hz = own.frequencies_hz[own.rigid_count :]
-    points = {name: interface.point for name, interface in stored.interfaces.items()}
-    if grid is None:
-        return None
-    return shapes_on(grid, body, stored_modes(path, body, SHOWN_MODES), frequencies_hz, points)
-
-
-def shapes_on(
-    grid: Grid, body: str, motion: Floats, frequencies_hz: Floats, interfaces: Mapping[str, Floats]
-) -> Shapes | None:
-    """``motion`` (k, n, 3) of all nodes on the faces of ``grid``; None if there are neither modes nor faces."""
-    triangles = _triangles(_faces(grid))
-    if not len(triangles) or not len(motion):
+def shapes_on(view: View) -> Shapes | None:
+    """The modes of a view on the faces of its cells; None if there are neither modes nor faces."""
+    triangles = _triangles(_faces(view.grid))
+    if not len(triangles) or not len(view.motion):
         return None
     rows, renumbered = np.unique(triangles, return_inverse=True)
     return Shapes(
-        body=body, points=grid.points[rows], triangles=renumbered.reshape(-1, 3), motion=motion[:, rows],
-        frequencies_hz=frequencies_hz[: len(motion)], interfaces=interfaces,
+        body=view.body, points=view.grid.points[rows], triangles=renumbered.reshape(-1, 3),
+        motion=view.motion[:, rows], frequencies_hz=view.frequencies_hz, interfaces=view.interfaces,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.tables import BODY, FILE, INTERFACE
+from morembs.body.view import Viewed, refuse_no_modes
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
@@ -19,6 +20,7 @@ from morembs.storage.table_check import refuse_not_finite
 from morembs.summary import error_words, hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
+    from morembs.body.vtkhdf_series import View
     from morembs.interface import CouplingKind
     from morembs.reducers.base import ReducedModel
     from morembs.reducers.switching_tables import StaticModeTables
@@ -64,7 +66,7 @@ class StoredInterface:
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StoredBody:
+class StoredBody(Viewed):
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
     transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
     ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric,
@@ -85,6 +87,7 @@ class StoredBody:
     certificate: dict[str, Any] | None
     read_basis: Callable[[str, slice], Floats]
     read_switching: Callable[[str], StaticModeTables]
+    read_view: Callable[[StoredBody, int], View]
     full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
@@ -115,6 +118,15 @@ class StoredBody:
             InputError: the file is gone or damaged.
         """
         return self.read_basis(self.name, columns)
+
+    def view(self, modes: int) -> View:
+        """The first elastic ``modes`` that the file keeps, for ``plot`` and ``to_pyvista``.
+
+        Raises:
+            InputError: no positive count was asked for, the body keeps no nodes, or the file is gone or damaged.
+        """
+        refuse_no_modes(modes)
+        return self.read_view(self, modes)
 
     def reduced(self) -> ReducedModel:
         """The matrices as a reduced model without a basis, to be certified again."""

@@ -39,6 +39,19 @@ class Grid:
     types: NDArray[np.uint8]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """``motion`` (k, n, 3) of elastic modes at the nodes of ``grid``, whose labels are ``node_ids`` (n,), with
+    ``frequencies_hz`` (k,); ``interfaces`` their points (3,) in m by name."""
+
+    body: str
+    grid: Grid
+    node_ids: NDArray[np.int64]
+    motion: Floats
+    frequencies_hz: Floats
+    interfaces: Mapping[str, Floats]
+
+
 def read_grid(path: Path) -> Grid:
     """Mesh of the body file ``path``.
 

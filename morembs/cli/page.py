@@ -92,7 +92,7 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
         stored = read_body(place)
         bodies = [_body(name, stored) for name in stored.bodies]
         shown = _recommended(bodies)
-        said |= {"bodies": bodies, **_pictures(place, stored, shown["name"])}
+        said |= {"bodies": bodies, **_pictures(stored, shown["name"])}
     except MorembsError as error:
         return said | {"state": "failed", "message": str(error)}
     origin = stored.provenance
@@ -150,14 +150,15 @@ def _recommended(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return next(body for body in bodies if body["name"] == name)
 
 
-def _pictures(place: Path, stored: StoredBodies, shown: str) -> dict[str, Any]:
+def _pictures(stored: StoredBodies, shown: str) -> dict[str, Any]:
     """The first mode for the row; four modes and the response with its certificates for the section."""
     from morembs.body.drawing import draw_first, draw_shapes
-    from morembs.body.shapes import stored_shapes
+    from morembs.body.shapes import SHOWN_MODES, shapes_on
     from morembs.jobs.compare import stored_response
     from morembs.jobs.picture import draw_response
 
-    shapes, response = stored_shapes(place, stored, shown), stored_response(stored)
+    shapes = shapes_on(stored.bodies[shown].view(SHOWN_MODES)) if len(stored.node_ids) else None
+    response = stored_response(stored)
     pictures = []
     if shapes is not None:
         pictures.append((f"modes of {shown}", _png(SHAPES, lambda figure: draw_shapes(figure, shapes))))
