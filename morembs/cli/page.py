@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FREQUENCIES = 5
+# Stages of a job in the order in which they run; files keep them by name.
+STAGES = (
+    "read", "assemble", "couple", "preload", "factorise", "solve modes", "reduce", "certify", "response", "deliver",
+)  # fmt: skip
 # Width, height in inches and dots per inch: of the small picture in a row, of shapes and of responses.
 SMALL, SHAPES, RESPONSE = (1.6, 1.0, 80), (9.0, 4.0, 90), (9.0, 4.6, 90)
 
@@ -109,7 +113,9 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
     return said | {
         "shown": shown["name"], "body": _link(place, report), "warnings": list(stored.warnings),
         "interfaces": {name: (each.coupling, len(each.node_ids)) for name, each in stored.interfaces.items()},
-        "stages": [(name, f"{value:.2f} s", bytes_words(peaks.get(name, 0))) for name, value in seconds.items()],
+        "stages": [
+            (name, f"{seconds[name]:.2f} s", bytes_words(peaks.get(name, 0))) for name in sorted(seconds, key=_in_turn)
+        ],
         "inputs": list(zip(*(_texts(inputs.get(key, [])) for key in ("file", "sha256")), strict=True)),
         "origin": [
             ("source", str(stored.recipe.get("source") or "model")), ("solver", str(origin.get("solver", "-"))),
@@ -134,7 +140,9 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
     said["kind"] = KINDS[str(known["bound_kind"])]
     low, high = known["band_hz"] if "band_hz" in known else known["frequencies_hz"][[0, -1]]
     said["band"] = f"{low:,.4g} to {high:,.4g} Hz"
-    said["notes"] = str(known.get("notes") or "").strip()
+    floor = float(known.get("damping_floor", 0.0))
+    assumed = f"damping of {100 * floor:.3g} % of critical assumed beside its own" if floor else ""
+    said["notes"] = "; ".join(filter(None, (assumed, str(known.get("notes") or "").strip())))
     if "limits" in known:
         said["measure"] = str(known["measure"])
         upper = {name: float(known["limits"][name][1]) for name in MEASURES}
@@ -182,6 +190,12 @@ def _png(size: tuple[float, float, int], draw: Any) -> str:
         file = io.BytesIO()
         figure.savefig(file, format="png", metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+def _in_turn(stage: str) -> tuple[int, str]:
+    """Where a stage stands in a list of them."""
+    kind = "reduce" if stage.startswith("reduce ") else stage
+    return (STAGES.index(kind) if kind in STAGES else len(STAGES), stage)
 
 
 def _number(value: Any) -> tuple[float, str]:
