@@ -9,6 +9,7 @@ from .certificate.response import full_response, reduced_response, to_xarray
 from .diagnostics import examined
 from .errors import InputError, MorembsError
 from .exporters import export_body
+from .exporters.state_space import StateSpace, state_space
 from .floating.frame import FloatingFrame, floating_frame
 from .floating.ranking import ranked_terms
 from .floating.stiffening import Envelope
@@ -80,6 +81,7 @@ __all__ = [
     "Nodes",
     "Problem",
     "ReducedModel",
+    "StateSpace",
     "StaticModesSwitching",
     "Trajectory",
     "assemble",
@@ -113,6 +115,7 @@ __all__ = [
     "reduced_response",
     "select_nodes",
     "select_solver",
+    "state_space",
     "stress_recovery",
     "to_pymor",
     "to_xarray",

@@ -113,11 +113,7 @@ def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, obje
     """Values of everything that the bodies share, by the fields of ``tables.FILE``."""
     from morembs.reducers.base import MODE_KINDS
 
-    index, component, node = (np.full(bodies[0].reduced.B.shape[1], -1, dtype=np.int64) for _ in range(3))
-    for number, interface in enumerate(part.interfaces):
-        columns, (exposed, rows) = part.columns[interface.name], interface.kind.columns(interface)
-        index[columns], component[columns] = number, exposed
-        node[columns] = np.where(rows < 0, -1, part.node_ids[rows])
+    index, component, node = part.inputs()
     # Readers of version 1 take the transposed input matrix for the motions.
     symmetric = all(body.reduced.symmetric for body in bodies)
     return {

@@ -66,8 +66,11 @@ def export(
         if out is not None and len(files) > 1:
             raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
 
+    taken: list[Path] = []
+
     def write(file: Path, documents: Documents) -> None:
-        done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame)
+        done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame, taken=taken)
+        taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:
             documents.append({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from morembs.body.file import read_body
-from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError, nearest
+from morembs.body.stored import StoredBody
+from morembs.errors import InputError
 from morembs.exporters.abaqus_matrices import AbaqusExporter
-from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.base import ExportContext, Exported, Exporter, choose_body
 from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.matrix_market import MatrixMarketExporter
@@ -18,6 +18,7 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
+from morembs.exporters.state_space_files import StateSpaceExporter
 from morembs.moved import renamed
 from morembs.options import checked
 from morembs.plugins import Registry, subclass_fault
@@ -32,6 +33,7 @@ _ALL: tuple[type[Exporter], ...] = (
     DmigExporter,
     AbaqusExporter,
     MatrixMarketExporter,
+    StateSpaceExporter,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
@@ -63,7 +65,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
 
 def export_body(
     source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
-    options: Mapping[str, object] | None = None, frame: str | None = None,
+    options: Mapping[str, object] | None = None, frame: str | None = None, taken: Collection[Path] = (),
 ) -> Exported:  # fmt: skip
     """Write one body of a body file in the format of another program.
 
@@ -72,10 +74,13 @@ def export_body(
         path: the output; by default beside the source, named after it (and the body, if there are several).
         body: its name; may be left out where the file holds one.
         options: fields of the exporter.
-        frame: another floating frame, "mean-axes" or with its interfaces "tangent:LEFT", "chord:LEFT,RIGHT".
+        frame: another floating frame, "mean-axes" or with its interfaces "tangent:LEFT", "chord:LEFT,RIGHT"; the name
+            of the output tells it.
+        taken: files that must stay as they are, such as those of other bodies.
 
     Raises:
-        InputError: unknown target, option or body, or a body that cannot be expressed in the target.
+        InputError: unknown target, option or body, a body that cannot be expressed in the target, or an output that is
+            taken.
         OutputError: the file cannot be written.
 
     >>> path = write_body("bar.h5", [body])
@@ -89,7 +94,10 @@ def export_body(
     notes: tuple[str, ...] = ()
     if frame is not None:
         chosen, notes = _in_frame(chosen, frame)
-    target = default_path(place, exporter, chosen.name, several=len(bodies.bodies) > 1) if path is None else Path(path)
+    several = len(bodies.bodies) > 1
+    target = default_path(place, exporter, chosen.name, several=several, frame=frame) if path is None else Path(path)
+    if target.resolve() in {other.resolve() for other in taken}:
+        raise InputError(f"{target} was just written, from another file or the same; give each file once, or --out")
     done = exporter.export(bodies, chosen, target, place)
     return replace(done, notes=(*notes, *done.notes))
 
@@ -106,31 +114,16 @@ def _in_frame(body: StoredBody, text: str) -> tuple[StoredBody, tuple[str, ...]]
     return replace(body, floating=moved), (lost,) if body.floating.stiffening is not None else ()
 
 
-def choose_body(bodies: StoredBodies, name: str | None, place: Path) -> StoredBody:
-    """The body ``name``, or the only one.
-
-    Raises:
-        InputError: no such body, or several and no name.
-    """
-    if name is None:
-        if len(bodies.bodies) != 1:
-            known = ", ".join(bodies.bodies) or "none"
-            first = next(iter(bodies.bodies), "NAME")
-            raise InputError(
-                f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export, as by --body {first}"
-            )
-        return next(iter(bodies.bodies.values()))
-    if name not in bodies.bodies:
-        raise InputError(f"{place} has no body {name!r}; {nearest(name, bodies.bodies)}")
-    return bodies.bodies[name]
-
-
-def default_path(place: Path, exporter: Exporter, body: str, *, several: bool) -> Path:
-    """``conrod.SID_FEM`` beside ``conrod.h5``; ``conrod_cb30.SID_FEM`` where the file holds several bodies."""
+def default_path(place: Path, exporter: Exporter, body: str, *, several: bool, frame: str | None = None) -> Path:
+    """``conrod.SID_FEM`` beside ``conrod.h5``; ``conrod_cb30.SID_FEM`` where the file holds several bodies,
+    ``conrod_tangent-LEFT.SID_FEM`` in another frame than that of the file."""
     stem = place.name
     for ending in _BODY_ENDINGS:
         stem = stem.removesuffix(ending) or stem
-    return place.with_name(f"{stem}_{body}{exporter.suffix}" if several else f"{stem}{exporter.suffix}")
+    kind, _, names = (frame or "").partition(":")
+    words = "-".join([kind, *(name.strip() for name in names.split(",") if name.strip())])
+    ends = f"{f'_{body}' if several else ''}{f'_{words}' if words else ''}"
+    return place.with_name(f"{stem}{ends}{exporter.suffix}")
 
 
 __all__ = [

@@ -106,6 +106,7 @@ class AbaqusExporter(Exporter):
     about: ClassVar[str] = "Abaqus *MATRIX INPUT: reduced matrices on interface nodes"
     lossless: ClassVar[bool] = False
     needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     first_label: int | None = None
 
@@ -134,5 +135,5 @@ class AbaqusExporter(Exporter):
         stale = context.left_from_before([context.beside(_ENDING.format("D"))] if "D" not in paths else ())
         return Exported(
             paths=(context.path, *paths.values()),
-            notes=("numbers have 16 digits", *body.notes, *stale, *context.lost("stiffening", "stress", "certificate")),
+            notes=("numbers have 16 digits", *body.notes, *stale),
         )  # fmt: skip

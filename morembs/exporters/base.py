@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, final
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
+from morembs.model.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ ROUND_OFF = 1e-18
 # What a body may have that a target cannot hold -> words for it.
 LOSSES = {
     "damping": "its damping matrix",
+    "forces": "its generalised forces",
     "stiffening": "its geometric stiffening",
     "stress": "its stress shapes",
     "certificate": "its certificate",
@@ -116,17 +118,22 @@ class ExportContext:
             )
         return markers
 
-    def lost(self, *what: str) -> tuple[str, ...]:
-        """Notes on parts the target cannot hold (keys of LOSSES), those that this body has."""
+    def lost(self, held: Collection[str]) -> tuple[str, ...]:
+        """Notes on what this body has and a target that holds ``held`` (keys of LOSSES) leaves behind."""
         floating, body = self.body.floating, self.body
+        scalar = self.source.input_interface[self.source.input_component == SCALAR]
+        names = [name for at, name in enumerate(self.source.interfaces) if at in scalar]
         has = {
             "damping": bool(np.any(body.damping_matrix if floating is None else floating.De)),
+            "forces": bool(names),
             "stiffening": floating is not None and floating.stiffening is not None,
             "stress": body.has_recovery,
             "certificate": body.certificate is not None,
             "switching": body.has_switching,
         }
-        return tuple(f"the file cannot hold {LOSSES[part]}; left behind" for part in what if has[part])
+        words = LOSSES | {"forces": f"{LOSSES['forces']} ({', '.join(names)})"}
+        left = [words[part] for part in LOSSES if has[part] and part not in held]
+        return tuple(f"the file cannot hold {what}; left behind" for what in left)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +142,7 @@ class Exporter(ABC):
 
     ``name`` is what the user types, ``suffix`` the end of the file name, ``about`` one line for people;
     ``lossless`` says whether numbers pass in full double precision; ``needs_frame`` whether the target
-    describes a body in a floating frame.
+    describes a body in a floating frame; ``holds`` which of LOSSES its files carry: other parts of a body are noted.
     """
 
     name: ClassVar[str]
@@ -143,6 +150,7 @@ class Exporter(ABC):
     about: ClassVar[str]
     lossless: ClassVar[bool]
     needs_frame: ClassVar[bool] = True
+    holds: ClassVar[frozenset[str]] = frozenset()
 
     @abstractmethod
     def _write(self, context: ExportContext) -> Exported:
@@ -164,6 +172,8 @@ class Exporter(ABC):
         for name in ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix", "output_matrix"):
             if not np.isfinite(getattr(body, name)).all():
                 raise InputError(f"{name} of body {body.name!r} has entries that are no numbers; reduce it again")
+        reason = frequency_domain_only(body.recipe)
+        lost = (*context.lost(self.holds), *([reason] if reason else []))
         try:
             if self.needs_frame:
                 _refuse_rigid(context)
@@ -173,8 +183,26 @@ class Exporter(ABC):
                 f"the matrices of body {body.name!r} cannot be transformed for {self.name!r} ({error}); its mass or "
                 "stiffness is not that of a body, reduce it again"
             ) from error
-        reason = frequency_domain_only(body.recipe)
-        return replace(written, notes=(*written.notes, *context.lost("switching"), *([reason] if reason else [])))
+        return replace(written, notes=(*written.notes, *lost))
+
+
+def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> StoredBody:
+    """The body ``name``, or the only one.
+
+    Raises:
+        InputError: no such body, or several and no name.
+    """
+    if name is None:
+        if len(bodies.bodies) != 1:
+            known = ", ".join(bodies.bodies) or "none"
+            first = next(iter(bodies.bodies), "NAME")
+            raise InputError(
+                f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export, as by --body {first}"
+            )
+        return next(iter(bodies.bodies.values()))
+    if name not in bodies.bodies:
+        raise InputError(f"{place} has no body {name!r}; {nearest(name, bodies.bodies)}")
+    return bodies.bodies[name]
 
 
 def _same(path: Path, other: Path) -> bool:

@@ -123,6 +123,7 @@ class DmigExporter(Exporter):
     about: ClassVar[str] = "Nastran DMIG: reduced matrices on interface grids and scalar points"
     lossless: ClassVar[bool] = False
     needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     first_label: int | None = None
 
@@ -151,8 +152,7 @@ class DmigExporter(Exporter):
         write_dmig(context.path, matrices, "\n".join(lines) + "\n")
         return Exported(
             paths=(context.path,),
-            notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes,
-                   *context.lost("stiffening", "stress", "certificate")),
+            notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes),
         )  # fmt: skip
 
 

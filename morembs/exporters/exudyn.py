@@ -194,10 +194,10 @@ def _cells(chosen: NDArray[np.bool_], offsets: Ints, links: Ints) -> Ints:
 
 
 def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
-    frame, notes = context.frame, list(context.lost("stiffening", "stress", "certificate"))
+    frame, notes = context.frame, []
     if np.any(frame.De):
         notes.append(
-            "the file cannot hold its damping matrix; after AddObjectFFRFreducedOrder set "
+            "its damping matrix is given by hand: after AddObjectFFRFreducedOrder set "
             "body.floating.De with mbs.SetObjectParameter(object, 'dampingMatrixReduced', MatrixContainer)"
         )
     if not drawn:

@@ -27,6 +27,7 @@ class MatrixMarketExporter(Exporter):
     about: ClassVar[str] = "Matrix Market: reduced matrices M, K, D, B, one file each"
     lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 
     def _write(self, context: ExportContext) -> Exported:
         matrices = reduced_matrices(context.body)
@@ -42,8 +43,7 @@ class MatrixMarketExporter(Exporter):
                 file.write(text.getvalue())
                 file.check()
         stale = context.left_from_before([context.beside(f"_{key}.mtx") for key in _MEANING if key not in paths])
-        lost = context.lost("stiffening", "stress", "certificate")
-        return Exported(paths=tuple(paths.values()), notes=(*stale, *lost))
+        return Exported(paths=tuple(paths.values()), notes=stale)
 
     @staticmethod
     def _columns(context: ExportContext, key: str) -> str:

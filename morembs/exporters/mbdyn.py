@@ -37,6 +37,7 @@ class MBDynExporter(Exporter):
     suffix: ClassVar[str] = ".fem"
     about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
     lossless: ClassVar[bool] = True
+    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     def _write(self, context: ExportContext) -> Exported:
         markers = context.markers("MBDyn")
@@ -47,7 +48,6 @@ class MBDynExporter(Exporter):
                 file.write(text.encode("ascii"))
         notes = (
             "needs an MBDyn that reads record groups 14 to 18 (2019 or later); an older one leaves the couplings out",
-            *context.lost("stiffening", "stress", "certificate"),
         )
         return Exported(paths=(context.path,), notes=notes)
 

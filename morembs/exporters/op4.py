@@ -209,10 +209,11 @@ class OP4Exporter(Exporter):
     about: ClassVar[str] = "Nastran OP4: reduced matrices M, K, D, B"
     lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 
     text: bool = False
     storage: Storage = "dense"
 
     def _write(self, context: ExportContext) -> Exported:
         write_op4(context.path, reduced_matrices(context.body), binary=not self.text, sparse=self.storage)
-        return Exported(paths=(context.path,), notes=context.lost("stiffening", "stress", "certificate"))
+        return Exported(paths=(context.path,))

@@ -98,24 +98,11 @@ def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
     m, n = C.shape
     if not m:
         return np.eye(n), ()
-    # The motions may already be coordinates, each one of them.
-    entry = np.argmax(np.abs(C), axis=1)
-    unit = np.zeros_like(C)
-    unit[np.arange(m), entry] = 1.0
-    if np.array_equal(C, unit) and len(set(entry.tolist())) == m:
-        order = np.concatenate([entry, np.setdiff1d(np.arange(n), entry)])
-        return np.eye(n)[:, order], ()
-    size = np.linalg.norm(C, axis=1)
-    values = np.linalg.svd(C / np.where(size > 0, size, 1.0)[:, None], compute_uv=False)
-    if m > n or values[-1] <= _INDEPENDENT * values[0]:
-        raise InputError(
-            f"the {m} interface degrees of freedom of body {body.name!r} are not independent in its {n} coordinates, "
-            f"so they cannot be coordinates themselves; {_ADVICE}"
-        )
-    boundary = np.linalg.pinv(C / size[:, None]) / size
+    boundary, N, unchanged = held_and_free(C, body.name)
+    if unchanged:
+        return np.hstack([boundary, N]), ()
     if m == n:
         return boundary, ("coordinates were changed to the interface degrees of freedom",)
-    N = sl.null_space(C / size[:, None], rcond=_INDEPENDENT)
     eigenvalues, Y = sl.eigh(symmetric(N.T @ body.stiffness_matrix @ N), symmetric(N.T @ body.mass_matrix @ N))
     N = N @ Y
     if eigenvalues[0] > _HELD * eigenvalues[-1]:
@@ -123,6 +110,31 @@ def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
         boundary = boundary - N @ ((N.T @ body.stiffness_matrix @ boundary) / eigenvalues[:, None])
     note = "coordinates were changed: interface degrees of freedom, then modes of the body with interfaces held"
     return np.hstack([boundary, N]), (f"{note}; none was dropped",)
+
+
+def held_and_free(C: Floats, name: str) -> tuple[Floats, Floats, bool]:
+    """X (n, m) with C X = 1 and N (n, n - m) with C N = 0 for the motions C (m, n) of a body, and whether these are
+    coordinates of the body, each one of them.
+
+    Raises:
+        InputError: the motions depend on each other.
+    """
+    m, n = C.shape
+    entry = np.argmax(np.abs(C), axis=1)
+    unit = np.zeros_like(C)
+    unit[np.arange(m), entry] = 1.0
+    if np.array_equal(C, unit) and len(set(entry.tolist())) == m:
+        order = np.concatenate([entry, np.setdiff1d(np.arange(n), entry)])
+        return np.eye(n)[:, order[:m]], np.eye(n)[:, order[m:]], True
+    size = np.linalg.norm(C, axis=1)
+    scaled = C / np.where(size > 0, size, 1.0)[:, None]
+    values = np.linalg.svd(scaled, compute_uv=False)
+    if m > n or values[-1] <= _INDEPENDENT * values[0]:
+        raise InputError(
+            f"the {m} interface degrees of freedom of body {name!r} are not independent in its {n} coordinates, "
+            f"so they cannot be coordinates themselves; {_ADVICE}"
+        )
+    return np.linalg.pinv(scaled) / size, sl.null_space(scaled, rcond=_INDEPENDENT), False
 
 
 def _first_label(source: StoredBodies, given: int | None, others: int, largest: int) -> tuple[int, tuple[str, ...]]:

@@ -43,6 +43,7 @@ class SidFem(Exporter):
     suffix: ClassVar[str] = ".SID_FEM"
     about: ClassVar[str] = "standard input data for Simpack (FEMBS) and EMBSlib, text"
     lossless: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "stiffening"})
 
     dialect: Literal["fembs", "mode-major"] = "fembs"
     nodes: Literal["interfaces", "all"] = "interfaces"
@@ -111,7 +112,7 @@ class SidFem(Exporter):
                 )  # fmt: skip
 
     def _notes(self, context: ExportContext, markers: dict[str, InterfaceMarker], changed: bool) -> tuple[str, ...]:
-        notes = [*context.lost("stress", "certificate"), "numbers have twelve digits"]
+        notes = ["numbers have twelve digits"]
         if changed:
             notes.append("the elastic coordinates of the file are the normal modes of (Ke, Me), so that Me is one")
         place = ", ".join(f"{value:.9g}" for value in context.frame.origin)

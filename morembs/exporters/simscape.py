@@ -7,8 +7,10 @@ model.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -40,6 +42,7 @@ class Simscape(Exporter):
     about: ClassVar[str] = "MATLAB file for the Simscape block Reduced Order Flexible Solid"
     lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     def _write(self, context: ExportContext) -> Exported:
         source, body = context.source, context.body
@@ -63,14 +66,23 @@ class Simscape(Exporter):
             "dof_order": "Tx Ty Tz Rx Ry Rz of each interface in the order of interface_names, then modes",
             "unit_system": "SI (m, kg, s, N, rad)",
         }
-        stream = BytesIO()
-        sio.savemat(stream, values, do_compression=True, oned_as="row")
-        with replacing(context.path) as file:
-            # scipy puts the time of day there.
-            file.write(HEADER.ljust(HEADER_BYTES))
-            file.write(stream.getvalue()[HEADER_BYTES:])
-            file.check()
+        write_mat(context.path, values)
         return Exported(paths=(context.path,), notes=_notes(context, names))
+
+
+def write_mat(path: Path, values: Mapping[str, object]) -> None:
+    """A .mat file of version 5 with the variables ``values``; the same bytes at any time.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    stream = BytesIO()
+    sio.savemat(stream, dict(values), do_compression=True, oned_as="row")
+    with replacing(path) as file:
+        # scipy puts the time of day there.
+        file.write(HEADER.ljust(HEADER_BYTES))
+        file.write(stream.getvalue()[HEADER_BYTES:])
+        file.check()
 
 
 def _refuse_unfit(body: StoredBody) -> None:
@@ -162,8 +174,7 @@ def quaternion(R: Floats) -> Floats:
 
 
 def _notes(context: ExportContext, names: list[str]) -> tuple[str, ...]:
-    notes = list(context.lost("stiffening", "stress", "certificate"))
-    notes.append("interfaces in this order: " + ", ".join(names))
+    notes = ["interfaces in this order: " + ", ".join(names)]
     direct = [name for name in context.source.interfaces if name not in names]
     if direct:
         notes.append(f"direct interfaces have no frame and were left out: {', '.join(direct)}")
@@ -172,4 +183,4 @@ def _notes(context: ExportContext, names: list[str]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-__all__ = ["Simscape"]
+__all__ = ["Simscape", "write_mat"]

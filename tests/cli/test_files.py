@@ -48,6 +48,11 @@ def test_info_and_export_take_many_files(made: Path, tmp_path: Path) -> None:
     assert len(set(written)) == len(written) >= 2 and all(Path(path).is_file() for path in written)
     refused = RUNNER.invoke(commands.app, ["export", *bodies, "--to", "mbdyn", "-o", lost])
     assert refused.exit_code == 2 and "was given for 2 files" in refused.stderr
+    same = str(shutil.copy(bodies[0], tmp_path / "a.hdf5"))
+    for other in (bodies[0], same):
+        twice = RUNNER.invoke(commands.app, ["export", bodies[0], other, "--to", "mbdyn"])
+        assert twice.exit_code == 2 and "a.fem was just written, from another file or the same" in twice.stderr
+        assert twice.stdout.count("written: ") == 1
 
 
 def test_every_list_is_a_list() -> None:

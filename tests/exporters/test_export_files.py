@@ -21,7 +21,8 @@ from morembs.errors import InputError, OutputError
 from morembs.exporters import EXPORTERS, export_body
 from morembs.floating.frame import floating_frame
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
-from morembs.interface import make_interface
+from morembs.interface import make_interface, matrix_interface
+from morembs.model import NamedColumns
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Modal, StaticModesSwitching
@@ -307,7 +308,7 @@ def test_a_body_without_stiffness(files, tmp_path, to):
     ("given", "words"),
     [("simpack", "take 'sid'"), ("SID", "did you mean 'sid'"), ("Nastran", "take 'dmig' or 'op4'"),
      ("SID_FEM", "take 'sid'"), ("exodyn", "did you mean 'exudyn'"),
-     ("adams", "not written"), ("matlab", "take 'simscape'"), ("step", "known: abaqus")],
+     ("adams", "not written"), ("matlab", "take 'simscape'"), ("vtk", "known: abaqus")],
 )  # fmt: skip
 def test_other_names_of_targets(files, given, words):
     with pytest.raises(InputError, match=words):
@@ -327,3 +328,31 @@ def test_static_modes_of_candidates_stay_behind_and_a_note_says_so(tmp_path, to)
         tables = reducer.switching(problem, reduced)
         path = write_body(tmp_path / "rail.h5", [replace(body, switching=tables)])
     assert any("static modes of candidate loads; left behind" in note for note in export_body(path, to).notes)
+
+
+@pytest.mark.parametrize("to", EXPORTERS)
+def test_generalised_forces_pass_or_are_named(tmp_path, to):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    push = np.linspace(-1.0, 1.0, model.size)[:, None]
+    model = replace(model, inputs=NamedColumns(matrix=sp.csc_array(push), names=("push",)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
+    with Problem(model, [*faces, matrix_interface(model, name="piezo", matrix="B")]) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        path = write_body(tmp_path / "x.h5", [elastic_body(problem, reduced, make_part(problem))])
+    try:
+        notes = export_body(path, to).notes
+    except InputError as error:
+        assert "'piezo' has generalised forces" in str(error) and contents(tmp_path).keys() == {"x.h5"}
+    else:
+        left = "the file cannot hold its generalised forces (piezo); left behind" in notes
+        assert left != ("forces" in EXPORTERS[to].holds)
+
+
+def test_each_frame_has_its_own_file(files, tmp_path):
+    source = tmp_path / "beam.h5"
+    source.write_bytes(files["a"].read_bytes())
+    frames = (None, "mean-axes", "tangent:right", "chord:left, right")
+    names = [export_body(source, "sid", frame=frame).paths[0].name for frame in frames]
+    assert names == ["beam.SID_FEM", "beam_mean-axes.SID_FEM", "beam_tangent-right.SID_FEM",
+                     "beam_chord-left-right.SID_FEM"]  # fmt: skip
+    assert len({(tmp_path / name).read_bytes() for name in names}) == 4

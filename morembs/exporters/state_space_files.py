@@ -1,0 +1,140 @@
+"""State space of a body in .npz and .mat files, for control design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.io as sio
+
+from morembs.errors import InputError
+from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.simscape import write_mat
+from morembs.exporters.state_space import StateSpace, state_space
+from morembs.storage.safefile import replacing
+
+KINDS = ("states", "inputs", "outputs")
+# Poles and entries of the gain that a note shows.
+SHOWN = 12
+
+
+def write_state_space(path: str | Path, system: StateSpace) -> None:
+    """Write A, B, C, D, dt, and for states, inputs and outputs their names and units, such as inputs, input_units.
+
+    The end of ``path`` is .npz or .mat (version 5, texts in cells); every bit is kept.
+
+    Raises:
+        InputError: another end, or a displacement input in a .mat file.
+        OutputError: the file cannot be written.
+    """
+    place = Path(path)
+    words = {kind: system.names[kind] for kind in KINDS} | {f"{kind[:-1]}_units": system.units[kind] for kind in KINDS}
+    matrices = {"A": system.A, "B": system.B, "C": system.C, "D": system.D, "dt": np.float64(system.dt)}
+    if place.suffix == ".mat":
+        write_mat(place, matrices | {key: np.array(texts, dtype=object)[:, None] for key, texts in words.items()})
+    elif place.suffix == ".npz":
+        stream = BytesIO()
+        arrays: dict[str, Any] = matrices | {key: np.array(texts, dtype=np.str_) for key, texts in words.items()}
+        np.savez(stream, **arrays)
+        with replacing(place) as file:
+            file.write(stream.getvalue())
+            file.check()
+    else:
+        raise InputError(f"{place} was given; a state space goes into a file that ends in .npz or .mat")
+
+
+def read_state_space(path: str | Path) -> StateSpace:
+    """What ``write_state_space`` wrote.
+
+    Raises:
+        InputError: no such file, or not of this kind.
+    """
+    place = Path(path)
+    try:
+        if place.suffix == ".mat":
+            values = {key: np.asarray(value) for key, value in sio.loadmat(place).items()}
+            texts = {key: [str(cell[0]) if len(cell) else "" for cell in value.ravel()]
+                     for key, value in values.items() if value.dtype == object}  # fmt: skip
+        else:
+            with np.load(place, allow_pickle=False) as file:
+                values = dict(file)
+            texts = {key: value.tolist() for key, value in values.items() if value.dtype.kind == "U"}
+        A, B, C, D = (np.atleast_2d(values[key]) for key in "ABCD")
+        return StateSpace(
+            A=A.reshape(len(texts["states"]), -1) if A.size else np.zeros((0, 0)),
+            B=B.reshape(len(texts["states"]), len(texts["inputs"])),
+            C=C.reshape(len(texts["outputs"]), len(texts["states"])), D=D, dt=float(values["dt"].item()),
+            names={kind: tuple(texts[kind]) for kind in KINDS},
+            units={kind: tuple(texts[f"{kind[:-1]}_units"]) for kind in KINDS},
+        )  # fmt: skip
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{place} cannot be read as a state space ({error}); expected one of export") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateSpaceExporter(Exporter):
+    """State space for control design: ``inputs`` such as "base:acceleration", "tip:force:z", ``outputs`` such as
+    "base:reaction", "tip:displacement", interfaces ``held`` at rest; with a ``step`` in s its zero-order hold.
+
+    By default forces on all interfaces go in and their displacements come out. A name that ends in .mat gives a MATLAB
+    file.
+    """
+
+    name: ClassVar[str] = "statespace"
+    suffix: ClassVar[str] = ".statespace.npz"
+    about: ClassVar[str] = "state space A, B, C, D for control design, also .mat; support motion in, reactions out"
+    lossless: ClassVar[bool] = True
+    needs_frame: ClassVar[bool] = False
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
+
+    inputs: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    held: list[str] = field(default_factory=list)
+    step: float | None = None
+
+    def _write(self, context: ExportContext) -> Exported:
+        if context.path.suffix == ".mat" and any(":displacement" in text for text in self.inputs):
+            raise InputError(
+                f"inputs = {self.inputs} was given for a .mat file; a proper state space takes the acceleration of a "
+                "support, not its displacement: name that as the input, or write .npz, where the displacement and its "
+                "two derivatives are three inputs"
+            )
+        names = [name for at, name in enumerate(context.source.interfaces) if at in context.source.input_interface]
+        if not names and not (self.inputs and self.outputs):
+            raise InputError(f"body {context.body.name!r} has no interface, so that nothing goes in or comes out")
+        system = continuous = state_space(
+            context.source, self.inputs or [f"{name}:force" for name in names if name not in self.held],
+            self.outputs or [f"{name}:displacement" for name in names], held=self.held, name=context.body.name,
+        )  # fmt: skip
+        if self.step is not None:
+            system = continuous.discrete(self.step)
+        write_state_space(context.path, system)
+        return Exported(paths=(context.path,), notes=tuple(_notes(continuous, self.step)))
+
+
+def _notes(system: StateSpace, step: float | None) -> list[str]:
+    """Size, poles and static gain, for the log."""
+    poles = system.poles()
+    notes = [f"{len(poles)} states, {system.B.shape[1]} inputs, {len(system.C)} outputs"]
+    upper = poles[poles.imag >= 0]
+    if len(upper):
+        shown = [f"{abs(pole) / (2 * np.pi):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
+        notes.append(f"poles and their damping: {', '.join(shown[:SHOWN])}{' ...' if len(shown) > SHOWN else ''}")
+    fastest = float(np.abs(poles).max(initial=0.0))
+    if step is not None and fastest * step > np.pi:
+        notes.append(f"the step is longer than half a period of the highest mode, {np.pi / fastest:.3g} s")
+    gain = system.dc_gain()
+    if gain is None:
+        notes.append("no static gain: the system integrates what goes in")
+    elif gain.size <= SHOWN:
+        ends = [(out, into) for out in system.names["outputs"] for into in system.names["inputs"]]
+        shown = [f"{out} by {into} {value:.5g}" for (out, into), value in zip(ends, gain.ravel(), strict=True)]
+        notes.append(f"static gain: {', '.join(shown)}")
+    return notes
+
+
+__all__: Sequence[str] = ["StateSpaceExporter", "read_state_space", "write_state_space"]
