@@ -140,7 +140,7 @@ RUN = {
     "formats.md": {"": 3, "toml": 2, "python": 1},
     "gmp.md": {"python": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 2, "python": 1},
-    "multibody.md": {"python": 3},
+    "multibody.md": {"python": 4},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},

@@ -24,6 +24,7 @@ from morembs.multibody.contact import (
     TriangleSurface,
     simulate_contact,
 )
+from morembs.multibody.equilibrium import Equilibrium, equilibrium
 from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
 from morembs.multibody.joints import (
     Constraint,
@@ -36,6 +37,7 @@ from morembs.multibody.joints import (
     SphericalJoint,
 )
 from morembs.multibody.linear_body import LinearBody
+from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.result import Energy, Result, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import EventHandler, RestartState, simulate
@@ -70,6 +72,7 @@ __all__ = [
     "DrivenAngle",
     "DrivenPosition",
     "Energy",
+    "Equilibrium",
     "EventHandler",
     "FixedJoint",
     "FlexibleBody",
@@ -79,6 +82,7 @@ __all__ = [
     "Ground",
     "Impact",
     "LinearBody",
+    "Linearised",
     "LocalResponse",
     "Marker",
     "MarkerState",
@@ -107,7 +111,9 @@ __all__ = [
     "TriangleSurface",
     "UnfinishedRunError",
     "VectorComponent",
+    "equilibrium",
     "ground",
+    "linearised",
     "local_response",
     "rotation",
     "simulate",

@@ -106,7 +106,7 @@ class EventHandler(Events, ABC):
 def simulate(
     system: System, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0, tolerance: float = 1e-9,
     events: EventHandler | None = None, corrected_start: bool = True, max_deflection: float | None = 1.0,
-    switch: EventHandler | None = None,
+    switch: EventHandler | None = None, start: State | None = None,
 ) -> Result:  # fmt: skip
     """Integrate from ``begin`` to ``end`` (s) with equal steps of at most ``step``.
 
@@ -117,6 +117,7 @@ def simulate(
         corrected_start: start and restart of second order (Arnold, Bruels and Cardona 2015). Without it multipliers
             are of first order after each start.
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
+        start: where to begin, such as the ``state`` of an equilibrium; the start of the components unless given.
 
     Raises:
         InputError: invalid times, joints that are open or redundant, velocities that violate joints.
@@ -126,7 +127,7 @@ def simulate(
         warnings.warn("simulate(switch=...) is now simulate(events=...)", DeprecationWarning, stacklevel=2)
     run = Run(
         system, events or switch or Events(), begin=begin, end=end, step=step, rho=rho, tolerance=tolerance,
-        corrected=corrected_start, max_deflection=max_deflection,
+        corrected=corrected_start, max_deflection=max_deflection, start=start,
     )  # fmt: skip
     run.finish()
     return run.result()
@@ -169,7 +170,7 @@ class Run:
 
     def __init__(
         self, system: System, events: Events, *, begin: float, end: float, step: float, rho: float, tolerance: float,
-        corrected: bool = True, max_deflection: float | None = None,
+        corrected: bool = True, max_deflection: float | None = None, start: State | None = None,
     ) -> None:  # fmt: skip
         _check_times(begin, end, step, tolerance)
         self.scheme, self.events, self.end, self.step = Scheme(rho=rho), events, end, step
@@ -179,7 +180,7 @@ class Run:
         self.states: list[State] = []
         self._times: list[float] = []
         assembly = Assembly(system)
-        x, v = assembly.start()
+        x, v = assembly.start() if start is None else assembly.fitting(start)
         assembly.check_start(begin, x, v)
         self._next = assembly, begin, x, v
 

@@ -102,6 +102,17 @@ class Assembly:
         states = [c.start() for c in self.components]
         return np.concatenate([x for x, _ in states]), np.concatenate([v for _, v in states])
 
+    def fitting(self, state: State) -> tuple[Floats, Floats]:
+        """Configuration and velocity of a state, of this system or of another with the same bodies.
+
+        Raises:
+            InputError: a state of other bodies.
+        """
+        of_other, own = ([(c.name, c.size) for c in a.components] for a in (state.assembly, self))
+        if of_other != own:
+            raise InputError("the state given is that of another system; expected one of the same bodies in this order")
+        return state.x, state.v
+
     def moved(self, x: Floats, step: Floats) -> Floats:
         """x o exp(step)."""
         return np.concatenate(

@@ -1,8 +1,12 @@
-"""Stiffness and damping matrices of a system by differences; they affect only the convergence of Newton's method."""
+"""Stiffness and damping matrices of a system by differences.
+
+One-sided ones affect only the convergence of Newton's method; central ones are for linearisation.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,30 +17,44 @@ from morembs.multibody.joints import Constraint
 from morembs.multibody.system import Assembly
 
 Floats = NDArray[np.float64]
-_STEP = 1e-6
+Forces = Callable[[Floats, Floats], Floats]
+Varied = Callable[[Floats], tuple[Floats, Floats]]
+# Steps of one-sided and of central differences, near the square and the cube root of round-off.
+_STEP, _CENTRAL = 1e-6, 1e-5
 
 
 def stiffness_and_damping(
-    assembly: Assembly, t: float, x: Floats, v: Floats, acceleration: Floats, multipliers: Floats
-) -> tuple[Floats, Floats]:
+    assembly: Assembly, t: float, x: Floats, v: Floats, acceleration: Floats, multipliers: Floats, *,
+    central: bool = False,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """K and C (k, k): derivatives of M dv/dt + g + B' multipliers by the configuration and by the velocity.
 
-    Each part is varied in the coordinates of its own components only.
+    Each part is varied in the coordinates of its own components only; ``central`` differences take twice the time.
     """
+    h = _CENTRAL if central else _STEP
     K, C = np.zeros((assembly.size, assembly.size)), np.zeros((assembly.size, assembly.size))
 
-    def add(components: Iterable[Component], forces: Callable[[Floats, Floats], Floats], moving: bool = True) -> None:
-        base = forces(x, v)
+    def varied(i: int, step: Floats) -> tuple[Floats, Floats]:
+        at, result = assembly.in_x[i], x.copy()
+        result[at] = assembly.components[i].moved(x[at], step[assembly.in_v[i]])
+        return result, v
+
+    def faster(step: Floats) -> tuple[Floats, Floats]:
+        return x, v + step
+
+    def slope(varied: Varied, step: Floats, forces: Forces, base: Floats | None) -> Floats:
+        ahead = forces(*varied(step))
+        return (ahead - forces(*varied(-step))) / (2 * h) if base is None else (ahead - base) / h
+
+    def add(components: Iterable[Component], forces: Forces, moving: bool = True) -> None:
+        base = None if central else forces(x, v)
         for i in sorted({i for c in components if (i := assembly.index(c)) is not None}):
-            varied = x.copy()
             for column in range(assembly.in_v[i].start, assembly.in_v[i].stop):
                 step = np.zeros(assembly.size)
-                step[column] = _STEP
-                at = assembly.in_x[i]
-                varied[at] = assembly.components[i].moved(x[at], step[assembly.in_v[i]])
-                K[:, column] += (forces(varied, v) - base) / _STEP
+                step[column] = h
+                K[:, column] += slope(partial(varied, i), step, forces, base)
                 if moving:
-                    C[:, column] += (forces(x, v + step) - base) / _STEP
+                    C[:, column] += slope(faster, step, forces, base)
 
     for i, component in enumerate(assembly.components):
         add([component], _inner(assembly, i, t, acceleration))
