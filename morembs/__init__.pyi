@@ -1,4 +1,5 @@
 # What ``import morembs`` offers, and where each name lives.
+from .assembly import Couple, Substructure, assemble_bodies
 from .batches.run import batch
 from .body import ElasticBody, elastic_body, make_part
 from .body.file import read_body, write_body
@@ -56,6 +57,7 @@ __all__ = [
     "Balanced",
     "Certificate",
     "CertifiedReference",
+    "Couple",
     "CraigBampton",
     "Damping",
     "DofMap",
@@ -83,8 +85,10 @@ __all__ = [
     "ReducedModel",
     "StateSpace",
     "StaticModesSwitching",
+    "Substructure",
     "Trajectory",
     "assemble",
+    "assemble_bodies",
     "available_solvers",
     "band_frequencies",
     "batch",

@@ -82,7 +82,7 @@ def compare(
 ) -> None:
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.cli.report import print_contenders, without_nan
-    from morembs.jobs.inputs import source_of
+    from morembs.jobs.inputs import sources_of
     from morembs.jobs.job import load_job
     from morembs.jobs.pareto import contenders, draw_contenders
     from morembs.jobs.run import run_job
@@ -97,7 +97,7 @@ def compare(
             check_writable(picture)
         loaded = load_job(path, changes or ())
         if picture is not None and picture.resolve() in {
-            file.resolve() for file in (loaded.path, source_of(loaded), loaded.output, loaded.picture) if file
+            file.resolve() for file in (loaded.path, *sources_of(loaded), loaded.output, loaded.picture) if file
         }:
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):

@@ -78,7 +78,7 @@ def on_interfaces(
             f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
             'export to "op4" or "matrix-market"'
         )
-    T, notes = _to_interfaces(body)
+    T, notes = to_interfaces(body)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
     matrices = {key: symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
     others = len(T) - len(source.input_interface)
@@ -92,7 +92,7 @@ def on_interfaces(
     )  # fmt: skip
 
 
-def _to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
+def to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
     """T (n, n): reduced coordinates = T @ [interface degrees of freedom; others], and what was done."""
     C = body.output_matrix
     m, n = C.shape

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError
-from morembs.importers.model_file import read_model
 from morembs.interface import Interface, couple
 from morembs.jobs.forecast import (
     Cost,
@@ -25,10 +24,10 @@ from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
+    matrices_of,
     mesh_of,
     prepare_output,
     solver_of,
-    source_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
@@ -64,7 +63,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
     progress.stage("read")
-    if job.tables.model.file is not None:
+    if job.tables.model.mesh is None:
         return _check_file(job, solver, start, progress)
     mesh = mesh_of(job)
     progress.stage("check elements")
@@ -111,7 +110,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
 def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
-        model = read_model(source_of(job), budget=budget)
+        model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
         progress.stage("examine")
         warnings = model_warnings(job, model, budget)

@@ -7,17 +7,21 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from morembs.body.build import BodyOptions, StressOptions
+from morembs.body.file import read_body
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
 from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
+from morembs.importers.model_file import read_model
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
-from morembs.jobs.schema import MaterialTable
+from morembs.jobs.schema import MaterialTable, SubstructureTable
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
@@ -202,7 +206,9 @@ def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
 
 
 def _inputs(job: Job) -> dict[str, Path]:
-    return {"the job file": job.path, "the mesh" if job.tables.model.mesh else "the model file": source_of(job)}
+    what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
+    files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
+    return {"the job file": job.path, **files}
 
 
 def _results(job: Job) -> dict[str, Path]:
@@ -242,16 +248,66 @@ def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:
         raise InputError(f"[{compared[0]}]: {reason}")
 
 
-def source_of(job: Job) -> Path:
-    """The mesh or model file."""
-    return job.resolve(job.tables.model.file or job.tables.model.mesh or "")
+def sources_of(job: Job) -> list[Path]:
+    """The mesh or model file, or the body files of an assembly, each once."""
+    given = job.tables.model
+    names = [given.file or given.mesh] if given.file or given.mesh else [t.body for t in job.tables.substructure]
+    return [job.resolve(name) for name in dict.fromkeys(names) if name]
+
+
+def assembly_of(job: Job) -> FEModel:
+    """The bodies of the job as one model, in SI units; a file that serves for several parts is read once.
+
+    Raises:
+        InputError: body files that cannot be read, or bodies that cannot be coupled.
+    """
+    # Not at the top: most jobs have a mesh.
+    from morembs.assembly import Couple, Substructure, assemble_bodies
+
+    units = units_of(job)
+    force = units.stress * units.length**2
+    linear, turning = [force / units.length] * 3, [force * units.length] * 3
+    scale = np.array(linear + turning)
+    files = {table.body: read_body(job.resolve(table.body)) for table in job.tables.substructure}
+    parts = [
+        Substructure(
+            name=table.name, bodies=files[table.body], reduction=table.reduction,
+            position=units.length * np.array(table.position), rotation=_turned(table),
+        )
+        for table in job.tables.substructure
+    ]  # fmt: skip
+    couples = [
+        Couple(
+            between=(table.between[0], table.between[1]), components=tuple(table.components),
+            stiffness=None if table.stiffness is None else (scale * table.stiffness).tolist(),
+            damping=None if table.damping is None else (units.time * scale * table.damping).tolist(),
+        )
+        for table in job.tables.couple
+    ]  # fmt: skip
+    return assemble_bodies(parts, couples, name=job.path.stem)
+
+
+def _turned(table: SubstructureTable) -> NDArray[np.float64]:
+    if table.rotation is None:
+        return np.eye(3)
+    axis = np.array(table.rotation.axis)
+    if not np.linalg.norm(axis) > 0:
+        raise InputError(f"substructure {table.name!r}: rotation has axis = {axis.tolist()}; expected a direction")
+    turn = Rotation.from_rotvec(np.radians(table.rotation.degrees) * axis / np.linalg.norm(axis))
+    return np.asarray(turn.as_matrix())
+
+
+def matrices_of(job: Job, budget: Budget) -> FEModel:
+    """The model of a job without a mesh, whose matrices are ready: of a model file, or of bodies."""
+    file = job.tables.model.file
+    return assembly_of(job) if file is None else read_model(job.resolve(file), budget=budget)
 
 
 def mesh_of(job: Job) -> Mesh:
     """The mesh of the job, in SI units."""
     given = job.tables.model
     return read_mesh(
-        source_of(job), units_of(job), dialect=given.dialect, allow_includes_outside=given.allow_includes_outside
+        sources_of(job)[0], units_of(job), dialect=given.dialect, allow_includes_outside=given.allow_includes_outside
     )
 
 

@@ -182,7 +182,7 @@ def _is_echo(at: Loc, line: str, lines: Mapping[Loc, str], meant: list[str]) -> 
     """Whether another line says it better: one further inside, or an unknown key that was meant for this."""
     if any(at == other[: len(at)] for other in lines if other != at):
         return True
-    return " is missing; " in line and f"{_words(at[:-1])}did you mean {at[-1]!r}?" in meant
+    return bool(at) and " is missing; " in line and f"{_words(at[:-1])}did you mean {at[-1]!r}?" in meant
 
 
 def _value(data: Any, at: Loc) -> object:

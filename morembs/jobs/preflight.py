@@ -74,7 +74,7 @@ def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tupl
     Raises:
         InputError: matrices that no reduction takes.
     """
-    if job.tables.model.file is not None:
+    if job.tables.model.mesh is None:
         return examined(model, budget=budget)
     return examined_mesh(model, units_of(job))
 

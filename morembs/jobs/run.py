@@ -17,7 +17,6 @@ from morembs.certificate.certify import Certificate, certify
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
-from morembs.importers.model_file import read_model
 from morembs.jobs.compare import FrequencyResponse, certified_response, frequency_response, recommended
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
@@ -27,6 +26,7 @@ from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
+    matrices_of,
     mesh_of,
     preload_of,
     prepare_output,
@@ -174,9 +174,9 @@ def _read(
 ) -> FEModel:
     """The model of the job, from its model file or assembled from its mesh."""
     asked, progress = job.tables.model, watch.progress
-    if asked.file is not None:
+    if asked.mesh is None:
         with watch.stage("read"):
-            model = read_model(job.resolve(asked.file), budget=budget)
+            model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
         return model
     with watch.stage("read"):

@@ -13,6 +13,7 @@ from morembs.reducers import REDUCERS
 from morembs.responses.band import checked_band
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+Six = Annotated[list[float], Field(min_length=6, max_length=6)]
 # Names become groups of the HDF5 file.
 SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
 
@@ -32,7 +33,10 @@ class UnitsTable(Table):
 
 
 class ModelTable(Table):
-    """``[model]``: a mesh file, or a model file; and the units of all numbers in the mesh and in the job."""
+    """``[model]``: a mesh file, or a model file; and the units of all numbers in the mesh and in the job.
+
+    A job with tables ``[[substructure]]`` has neither; ``units`` are those of its places and springs.
+    """
 
     mesh: str | None = Field(default=None, min_length=1, description='the path of a mesh file such as "conrod.msh"')
     file: str | None = Field(
@@ -53,8 +57,6 @@ class ModelTable(Table):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if self.mesh is None and self.file is None:
-            raise ValueError('mesh is missing; expected the path of a mesh file such as "conrod.msh"')
         if self.mesh is not None and self.file is not None:
             raise ValueError("mesh and file were both given; choose one")
         if self.file is not None and "mass_integration" in self.model_fields_set:
@@ -62,6 +64,36 @@ class ModelTable(Table):
         if self.dialect != "auto" and not (self.mesh or "").lower().endswith(".inp"):
             raise ValueError(f'dialect = "{self.dialect}" was given without a deck .inp; leave it out')
         return self
+
+
+class RotationTable(Table):
+    """A turn about an axis."""
+
+    axis: Three = Field(description="a direction [x, y, z]")
+    degrees: float = Field(description="a number")
+
+
+class SubstructureTable(Table):
+    """``[[substructure]]``: a body that is a part of an assembly, and its place."""
+
+    name: str = Field(
+        max_length=100, pattern=r"^[^/:\s.\x00-\x1f][^/:\x00-\x1f]*$", description="a name without colons and slashes"
+    )
+    body: str = Field(min_length=1, description='the path of a body file such as "link.h5"')
+    reduction: str | None = Field(default=None, description="the body of the file, where it has several")
+    position: Three = Field(default=[0.0, 0.0, 0.0], description="[x, y, z] of the origin of its model")
+    rotation: RotationTable | None = Field(default=None, description="a table { axis = [x, y, z], degrees = ... }")
+
+
+class CoupleTable(Table):
+    """``[[couple]]``: interfaces of two substructures that move as one, or that springs connect."""
+
+    between: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
+        description='two interfaces such as ["upper:TIP", "lower:ROOT"]'
+    )
+    components: list[int] = Field(default=[0, 1, 2, 3, 4, 5], min_length=1, description="some of [0, 1, 2, 3, 4, 5]")
+    stiffness: Six | None = Field(default=None, description="six numbers, zero or more: springs, instead of one motion")
+    damping: Six | None = Field(default=None, description="six numbers, zero or more, beside stiffness")
 
 
 class MaterialTable(Table):
@@ -289,7 +321,9 @@ class CheckTable(Table):
 class JobTables(Table):
     """All tables of a job file."""
 
-    model: ModelTable = Field(description="a table [model]")
+    model: ModelTable = Field(default_factory=ModelTable, description="a table [model]")
+    substructure: list[SubstructureTable] = Field(default_factory=list, description="tables [[substructure]]")
+    couple: list[CoupleTable] = Field(default_factory=list, description="tables [[couple]]")
     material: list[MaterialTable] = Field(default_factory=list, description="at least one table [[material]]")
     interface: list[InterfaceTable] = Field(default_factory=list, description="tables [[interface]]")
     damping: DampingTable = Field(default_factory=DampingTable, description="a table [damping]")
@@ -306,9 +340,24 @@ class JobTables(Table):
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
 
     @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        given = self.model.mesh or self.model.file
+        if not given and not self.substructure:
+            raise ValueError(
+                '[model]: mesh is missing; expected the path of a mesh file such as "conrod.msh" (or file = a model '
+                "file, or tables [[substructure]])"
+            )
+        if given and (self.substructure or self.couple):
+            raise ValueError("[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one")
+        if self.substructure and self.preload is not None:
+            raise ValueError("[preload] was given for an assembly of bodies, which have no elements; leave it out")
+        return self
+
+    @model_validator(mode="after")
     def _materials(self) -> Self:
         if self.model.mesh is not None and not self.material:
             raise ValueError("material is missing; expected at least one table [[material]]")
-        if self.model.file is not None and self.material:
-            raise ValueError("[[material]] was given for a model file, whose matrices are ready; leave it out")
+        if self.model.mesh is None and self.material:
+            what = "a model file" if self.model.file is not None else "bodies"
+            raise ValueError(f"[[material]] was given for {what}, whose matrices are ready; leave it out")
         return self

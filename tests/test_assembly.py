@@ -1,0 +1,213 @@
+"""Bodies made of bodies: against models that were never cut, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import morembs
+from morembs.assembly import Couple, Substructure, assemble_bodies
+from morembs.body.file import StoredBodies, read_body, write_body
+from morembs.cli.commands import app
+from morembs.errors import InputError
+from morembs.model import FEModel
+from tests.support.meshes import box, steel, where
+
+LENGTH, SECTION = 0.3, (0.05, 0.04)
+Make = Callable[..., Path]
+
+
+def bar(pieces: int) -> FEModel:
+    return steel(box("hex8", (3 * pieces, 2, 2), (LENGTH * pieces, *SECTION)))
+
+
+def ends(model: FEModel, **places: float) -> list[morembs.Interface]:
+    return [morembs.make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in places.items()]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Make:
+    """Path of the body of a piece, with all its modes unless a reducer is given."""
+    folder = tmp_path_factory.mktemp("pieces")
+
+    def make(name: str, reducer: object = None, **damping: float) -> Path:
+        path, model = folder / f"{name}.h5", bar(1)
+        with morembs.Problem(model, ends(model, L=0.0, R=LENGTH), damping=morembs.Damping(**damping)) as problem:
+            chosen = reducer or morembs.CraigBampton(modes=problem.K.shape[0] - 12)
+            body = morembs.elastic_body(problem, chosen.reduce(problem), morembs.make_part(problem))
+            return write_body(path, [body])
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def piece(made: Make) -> StoredBodies:
+    return read_body(made("whole"))
+
+
+def row(piece: StoredBodies, count: int, turn: np.ndarray | None = None, **options: object) -> FEModel:
+    """Pieces one behind the other, all turned in space."""
+    R = np.eye(3) if turn is None else turn
+    parts = [
+        Substructure(name=f"p{k}", bodies=piece, position=R @ [LENGTH * k, 0, 0], rotation=R) for k in range(count)
+    ]
+    couples = [Couple(between=(f"p{k}:R", f"p{k + 1}:L"), **options) for k in range(count - 1)]
+    return assemble_bodies(parts, couples)
+
+
+def lowest(model: FEModel, count: int = 12, **sets: str) -> tuple[np.ndarray, morembs.Problem]:
+    interfaces = [morembs.make_interface(model, name=name, nodes=model.nodes.sets[of]) for name, of in sets.items()]
+    with morembs.Problem(model, interfaces) as problem:
+        return problem.elastic_modes(count=count).frequencies_hz, problem
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_pieces_with_all_their_modes_are_the_uncut_bar(count: int, piece: StoredBodies) -> None:
+    model = bar(count)
+    cuts = {f"cut{k}": LENGTH * k for k in range(count + 1)}
+    with morembs.Problem(model, ends(model, **cuts)) as uncut:
+        expected = uncut.elastic_modes(count=12).frequencies_hz
+        mass, center, inertia = uncut.mass_properties
+        loads = slice(0, 6), slice(6 * count, 6 * count + 6)
+        H = morembs.full_response(uncut, 2 * np.pi * np.array([150.0, 900.0]))[:, loads[0], loads[1]]
+    model = row(piece, count)
+    found, problem = lowest(model, first="p0:L", last=f"p{count - 1}:R")
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert problem.mass_properties[0] == pytest.approx(mass, rel=1e-12)
+    assert problem.mass_properties[1] == pytest.approx(center, rel=1e-12)
+    assert problem.mass_properties[2] == pytest.approx(inertia, rel=1e-10, abs=1e-12)
+    with morembs.Problem(model, problem.interfaces) as again:
+        ours = morembs.full_response(again, 2 * np.pi * np.array([150.0, 900.0]))[:, :6, 6:]
+    assert np.abs(ours - H).max() < 1e-8 * np.abs(H).max()
+
+
+def test_frequencies_do_not_know_where_the_assembly_is_nor_the_order_of_its_parts(piece: StoredBodies) -> None:
+    turn, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
+    turn *= np.linalg.det(turn)
+    straight, _ = lowest(row(piece, 2), first="p0:L", last="p1:R")
+    turned, _ = lowest(row(piece, 2, turn), first="p0:L", last="p1:R")
+    assert turned == pytest.approx(straight, rel=1e-10)
+    second = Substructure(name="b", bodies=piece, position=(LENGTH, 0, 0))
+    swapped = assemble_bodies([second, Substructure(name="a", bodies=piece)], [Couple(between=("b:L", "a:R"))])
+    assert lowest(swapped, first="a:L", last="b:R")[0] == pytest.approx(straight, rel=1e-11)
+
+
+def test_a_hinge_is_a_motion_more_and_a_stiff_spring_nearly_none(piece: StoredBodies) -> None:
+    fixed, problem = lowest(row(piece, 2), first="p0:L", last="p1:R")
+    hinged = row(piece, 2, components=(0, 1, 2, 3, 5))
+    with morembs.Problem(hinged, [morembs.make_interface(hinged, name="e", nodes=hinged.nodes.sets["p0:L"])]) as loose:
+        K, M = (A.toarray() for A in (loose.K, loose.M))
+    values = np.sort(np.linalg.eigvals(np.linalg.solve(K + 1e3 * M, M)).real)[::-1]
+    assert problem.rigid.shape[1] == 6
+    # Seven motions without stiffness.
+    assert values[:7] == pytest.approx(np.full(7, 1e-3), rel=1e-6) and values[7] < 1e-5
+    errors = []
+    for factor in (1.0, 10.0):
+        stiffness = (factor * 1e12,) * 3 + (factor * 1e9,) * 3
+        springs, _ = lowest(row(piece, 2, stiffness=stiffness), first="p0:L", last="p1:R")
+        errors.append(np.abs(springs / fixed - 1).max())
+    assert errors[0] < 2e-2 and errors[1] == pytest.approx(errors[0] / 10, rel=0.1)
+
+
+def test_any_free_body_with_its_interface_motions_is_a_part(made: Make) -> None:
+    """Twenty modes, or moments: the assembly of small bodies has the low frequencies of the uncut one."""
+    exact, _ = lowest(row(read_body(made("all")), 2), count=3, first="p0:L", last="p1:R")
+    for name, reducer in (("cb", morembs.CraigBampton(modes=20)), ("free", morembs.FreeInterface(modes=20))):
+        small, _ = lowest(row(read_body(made(name, reducer)), 2), count=3, first="p0:L", last="p1:R")
+        assert (small >= exact * (1 - 1e-9)).all() and small == pytest.approx(exact, rel=2e-3)
+
+
+JOB = """
+[[substructure]]
+name = "upper"
+body = "BODY"
+
+[[substructure]]
+name = "lower"
+body = "BODY"
+position = [300.0, 0.0, 0.0]
+rotation = { axis = [1, 0, 0], degrees = 0 }
+
+[[couple]]
+between = ["upper:R", "lower:L"]
+
+[model]
+units = "mm-t-s"
+
+[[interface]]
+name = "base"
+nodes = "set:upper:L"
+
+[[interface]]
+name = "tip"
+nodes = "set:lower:R"
+
+[[reduce]]
+method = "craig-bampton"
+modes = 12
+
+[certify]
+band_hz = [0, 2000]
+
+[output]
+path = "arm.h5"
+picture = "arm.png"
+"""
+
+
+def test_a_job_reduces_an_assembly_and_keeps_its_shapes(made: Make, tmp_path: Path) -> None:
+    job = tmp_path / "arm.toml"
+    body = made("part", morembs.CraigBampton(modes=20))
+    job.write_text(JOB.replace("BODY", str(body)))
+    checked = CliRunner().invoke(app, ["check", str(job)])
+    assert checked.exit_code == 0, checked.output
+    done = CliRunner().invoke(app, ["reduce", str(job)])
+    assert done.exit_code == 0, done.output
+    arm = read_body(tmp_path / "arm.h5")
+    assert any("own errors are not in them" in warning for warning in arm.warnings)
+    (small,) = arm.bodies.values()
+    exact, _ = lowest(row(read_body(made("all again")), 2), count=4, first="p0:L", last="p1:R")
+    assert small.frequencies_hz[6:10] == pytest.approx(exact, rel=5e-3)
+    # The nodes of both parts move with the shapes: those of both sides of the joint as one.
+    joint = np.flatnonzero(np.abs(arm.coordinates[:, 0] - LENGTH) < 1e-9)
+    place, group = np.unique(arm.coordinates[joint].round(9), axis=0, return_inverse=True)
+    moved = small.view(4).motion[:, joint]
+    assert len(place) == 9 and len(joint) > 2 * len(place)
+    for k in range(len(place)):
+        same = moved[:, group.ravel() == k]
+        assert np.ptp(same, axis=1).max() < 1e-5 * np.abs(moved).max()
+    again = CliRunner().invoke(app, ["reduce", str(job), "--set", "couple.between=[\"upper:R\", \"lower:X\"]"])
+    assert again.exit_code == 2 and "there is no 'lower:X'; did you mean 'lower:R'" in again.stderr
+    beside = CliRunner().invoke(app, ["reduce", str(job), "--set", "output.path=" + str(body)])
+    assert beside.exit_code == 2 and body.exists()
+
+
+def test_parts_that_do_not_fit_are_refused(made: Make, piece: StoredBodies) -> None:
+    a, b = Substructure(name="a", bodies=piece), Substructure(name="b", bodies=piece, position=(LENGTH, 0, 1e-5))
+    joint = Couple(between=("a:R", "b:L"))
+    with pytest.raises(InputError, match=r"a:R and b:L are 1e-05 m apart"):
+        assemble_bodies([a, b], [joint])
+    near = replace(b, position=(LENGTH, 0, 0))
+    with pytest.raises(InputError, match="coupled already"):
+        assemble_bodies([a, near], [joint, Couple(between=("b:L", "a:R"))])
+    with pytest.raises(InputError, match="a name of its own"):
+        assemble_bodies([a, replace(near, name="a")], [])
+    with pytest.raises(InputError, match="is no rotation matrix"):
+        assemble_bodies([replace(a, rotation=2 * np.eye(3))], [])
+    with pytest.raises(InputError, match="components = \\[7\\]"):
+        assemble_bodies([a, near], [replace(joint, components=(7,))])
+    with pytest.raises(InputError, match="expected six numbers"):
+        assemble_bodies([a, near], [replace(joint, stiffness=(1.0,))])
+    with pytest.raises(InputError, match="damping beside stiffness"):
+        assemble_bodies([a, near], [replace(joint, damping=(1.0,) * 6)])
+    structural = read_body(made("structural", morembs.CraigBampton(modes=4), structural=0.02))
+    with pytest.raises(InputError, match="has structural damping"):
+        assemble_bodies([replace(a, bodies=structural)], [])
+    modal = read_body(made("modal", morembs.Modal(modes=4)))
+    with pytest.raises(InputError, match="are not independent in its"):
+        assemble_bodies([replace(a, bodies=modal)], [])
