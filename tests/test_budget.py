@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,15 +252,17 @@ def test_what_was_cut_off_while_it_was_made_or_removed_goes_with_the_next(
 
 
 def test_a_folder_that_another_run_took_away_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, taken = scratches._lock, []
+    mkdtemp, taken = tempfile.mkdtemp, []
 
-    def lock(folder: Path) -> int | None:
+    def at_once_taken(**options: Any) -> str:
+        """A folder that is not marked yet when another run sees it."""
+        folder = mkdtemp(**options)
         if not taken:
-            taken.append(folder)
+            taken.append(Path(folder))
             scratches.remove_abandoned(tmp_path)
-        return real(folder)
+        return folder
 
-    monkeypatch.setattr(scratches, "_lock", lock)
+    monkeypatch.setattr(tempfile, "mkdtemp", at_once_taken)
     own = ScratchFolder(tmp_path)
     assert taken and not taken[0].exists() and list(tmp_path.iterdir()) == [own.path]
     own.close()
@@ -272,7 +276,7 @@ def test_parent_that_cannot_be_used_is_reported(tmp_path: Path, monkeypatch: pyt
     def refused(**options: object) -> str:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(scratches.tempfile, "mkdtemp", refused)
+    monkeypatch.setattr(tempfile, "mkdtemp", refused)
     with pytest.raises(InputError, match=r"cannot be written.*Permission denied"):
         ScratchFolder(tmp_path)
     assert free_bytes(tmp_path / "not" / "yet") == free_bytes(tmp_path) > 0

@@ -54,18 +54,19 @@ class Cells:
 def search(
     bounds: Callable[[Floats, Floats], Bounds], resolved: Callable[[Floats, Floats], Flags], edges: Floats,
     done: Callable[[Bounds, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
+    most: int = MOST,
 ) -> Cells:  # fmt: skip
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
     ``done(found, lower)`` (nc, t) from the bounds of cells and the largest lower values (t,). It ends early where a
-    lower value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell.
+    lower value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell. ``most`` cells are made.
     """
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
     count, decided, whole, step = 0, True, True, max(1, AT_ONCE // per_cell)
-    most = max(LEAST, min(MOST, WORK // per_cell))
+    most = min(most, max(LEAST, min(MOST, WORK // per_cell)))
     while len(low) and decided:
         narrow = high - low <= NARROWEST * edges[-1]
         ready = resolved(low, high) | narrow

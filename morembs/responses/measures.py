@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.responses.cells import Bounds, Cells, first_edges, search
+from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
 from morembs.responses.rational import (
     BULGE,
@@ -222,13 +222,14 @@ def _chords(p: NDArray[np.complex128]) -> Floats:
 
 def compare(
     standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS,
-    asked: tuple[str, float] | None = None,
+    asked: tuple[str, float] | None = None, most_cells: int = MOST,
 ) -> tuple[dict[str, Limit], Floats, Cells]:  # fmt: skip
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
     ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
     nor what is not known of the full model stand against it. Where a measure is ``asked`` for with a tolerance, the
-    other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below.
+    other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below. They hold
+    with any number of cells, of which ``most_cells`` are made.
     """
     comparison = Comparison(standard, body)
     # Two limits make that of the peak.
@@ -247,7 +248,7 @@ def compare(
 
     cells = search(
         comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles), done,
-        quantities=comparison.quantities, per_cell=_numbers(comparison),
+        quantities=comparison.quantities, per_cell=_numbers(comparison), most=most_cells,
     )  # fmt: skip
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = cells.at / (2 * np.pi)
