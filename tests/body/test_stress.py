@@ -353,12 +353,12 @@ def rod(small_meshes):
     with Problem(model, interfaces) as problem:
         reduced, operator = Modal(modes=20).reduce(problem), stress_operator(model)
         recovery = stress_recovery(problem, reduced, operator=operator)
-        yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, its=recovery)
+        yield SimpleNamespace(problem=problem, reduced=reduced, operator=operator, recovery=recovery)
 
 
 def test_connecting_rod_at_its_ten_most_loaded_points(rod):
     """Static loads between the pins, twenty modes: 1e-6 with the correction in single precision, not so without."""
-    problem, recovery = rod.problem, rod.its
+    problem, recovery = rod.problem, rod.recovery
     pull, bend, push = (np.zeros(12) for _ in range(3))
     pull[[0, 6]] = 1000.0, -1000.0
     bend[[5, 11]] = 30.0, -30.0
@@ -388,11 +388,11 @@ def test_correction_in_slow_motion(rod):
     assert plain > 0.02 and corrected < 0.05 * plain
 
 
-def test_a_small_memory_budget_changes_nothing(rod, monkeypatch):
+def test_a_small_memory_budget_changes_nothing(rod):
     """Scratch files and few columns give what memory gives."""
-    with Budget(10**12, in_memory=0, widest=4) as budget:
-        monkeypatch.setattr(rod.problem, "budget", budget)
-        again = stress_recovery(rod.problem, rod.reduced)
+    model, interfaces = rod.problem.model, rod.problem.interfaces
+    with Budget(10**12, in_memory=0, widest=4) as budget, Problem(model, interfaces, budget=budget) as problem:
+        again = stress_recovery(problem, rod.reduced)
         for name in ("stress", "correction"):
-            a, b = getattr(again, name), getattr(rod.its, name)
+            a, b = getattr(again, name), getattr(rod.recovery, name)
             assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()

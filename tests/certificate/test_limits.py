@@ -19,6 +19,7 @@ from morembs.interface import make_interface
 from morembs.jobs.job import load_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
+from morembs.reducers.automatic import unreachable
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
 from morembs.responses.measures import Limit
@@ -257,7 +258,7 @@ def test_tolerances_that_no_body_keeps():
 def test_a_tolerance_that_no_certificate_keeps_is_not_told_a_larger_error():
     wanted = AutoReducer(band_hz=[0.0, 300.0], tolerance=1e-7)
     for least, words in ((3e-6, "the smallest error found is 3.0e-06"), (8e-15, "keeps their certificate above it")):
-        error = wanted._unreachable(SimpleNamespace(worst=Limit(lower=least, upper=least, at_hz=10.0)))
+        error = unreachable(wanted, SimpleNamespace(worst=Limit(lower=least, upper=least, at_hz=10.0)))
         assert words in str(error)
 
 

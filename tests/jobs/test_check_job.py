@@ -20,14 +20,13 @@ from morembs.interface import make_interface
 from morembs.jobs import preflight
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
-from morembs.linalg.sparse.solver import Analysis
 from morembs.linalg.sparse.threads import Speed
 from morembs.problem import Damping, Problem
 from morembs.progress import duration_words
 from morembs.reducers import AutoReducer, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
 from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import why_no_response
-from tests.support.commands import without_progress
+from tests.support.commands import FACTORISING, factorisations, without_progress
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel, where
 from tests.support.progress import Heard
@@ -55,18 +54,15 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_check_refuses_what_reduce_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_check_refuses_what_reduce_refuses(tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str) -> None:
     """Both in the same words, before anything is factorised."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise RuntimeError("a factorisation was made")
-
-    monkeypatch.setattr(Analysis, "factorize", refuse)
+    caplog.set_level("INFO", FACTORISING)
     tables, words = REFUSED[name]
     job = folder(tmp_path, tables)
     check, reduce = (RUNNER.invoke(cli.app, [verb, str(job)]) for verb in ("check", "reduce"))
     assert (check.exit_code, reduce.exit_code) == (2, 2), (check.stdout, reduce.exception)
     assert without_progress(check.stderr) == without_progress(reduce.stderr) and words in check.stderr
+    assert factorisations(caplog.records) == 0
 
 
 def test_a_model_file_has_no_stress_either(tmp_path: Path) -> None:
