@@ -48,6 +48,19 @@ def test_an_old_module_warns_and_gives_the_new_one(old: str, monkeypatch: pytest
     assert old not in MOVED.values()
 
 
+@pytest.mark.parametrize("module", ["multibody.local_response", "doctor.examine"])
+def test_a_function_is_not_hidden_by_an_old_module_of_its_name(module: str) -> None:
+    package, _, name = module.rpartition(".")
+    code = (
+        f"import morembs.{package} as package; function = package.{name}; import morembs.{module}; "
+        f"from morembs.{module} import __name__ as new; from morembs.{package} import {name} as again; "
+        f"package.other = 1; print(callable(function), function is package.{name} is again, new)"
+    )
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"True True morembs.{MOVED[module]}\n"
+    assert done.stderr.count(f"morembs.{module} is now") == 1
+
+
 @pytest.mark.parametrize("name", RELEASED.split())
 def test_an_old_public_name_is_still_there(name: str) -> None:
     assert name in morembs.__all__ and getattr(morembs, name) is not None
