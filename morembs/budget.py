@@ -118,7 +118,7 @@ class Budget(Closing):
     def _staying(self, more: int) -> int:
         """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
         # Pages of earlier arrays in files were resident too, so these need not be added.
-        return sum(one.size for one in self._used() if one.size <= self._largest(more, one.beside))
+        return sum(array.size for array in self._used() if array.size <= self._largest(more, array.beside))
 
     def _largest(self, more: int = 0, resident: int | None = None) -> float:
         """Bytes of the largest array that stays in memory: many small ones are a large one.
@@ -144,8 +144,8 @@ class Budget(Closing):
         """Give back the pages of all arrays in files, and memory that was freed but still counts as resident."""
         if self._unlimited:
             return
-        for one in self._used():
-            mapped = one.map()
+        for array in self._used():
+            mapped = array.map()
             if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
         trim()
@@ -165,10 +165,10 @@ class Budget(Closing):
 
     def _used(self) -> list[_Mapped]:
         """The files whose arrays somebody holds; others go, where they could not lose their names before."""
-        for one in self._made:
-            if one.map() is None:
-                _unlink(one.path)
-        self._made = [one for one in self._made if one.map() is not None]
+        for array in self._made:
+            if array.map() is None:
+                _unlink(array.path)
+        self._made = [array for array in self._made if array.map() is not None]
         return self._made
 
     def _map(self, size: int) -> mmap.mmap:

@@ -131,9 +131,9 @@ def test_an_old_name_warns_and_gives_the_new_one(module: str, old: str, new: str
 )
 def test_an_old_attribute_warns_and_gives_the_new_one(module: str, holder: str, old: str, new: str) -> None:
     home = getattr(importlib.import_module(f"morembs.{module}"), holder)
-    thing = SimpleNamespace(**{new: 2.5})
+    instance = SimpleNamespace(**{new: 2.5})
     with pytest.warns(DeprecationWarning, match=f"{old} of {holder} is now {new}; the old name goes") as caught:
-        assert getattr(home, old).__get__(thing) == 2.5
+        assert getattr(home, old).__get__(instance) == 2.5
     assert caught[0].filename == __file__
 
 

@@ -103,7 +103,7 @@ def error_limits(
     hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
-    loose = [name for name, one in limits.items() if 2 * sharpness * one.lower < one.upper < np.inf]
+    loose = [name for name, limit in limits.items() if 2 * sharpness * limit.lower < limit.upper < np.inf]
     notes: tuple[str, ...] = ()
     if not cells.whole:
         notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)

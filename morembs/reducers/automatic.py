@@ -101,18 +101,18 @@ class AutoReducer(OfResponses):
         search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.hopeless():
             raise unreachable(self, search)
-        found: dict[str, Floats] = {}
+        coefficients: dict[str, Floats] = {}
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            fewer = min((C.shape[1] for C in found.values()), default=MANY)
+            fewer = min((C.shape[1] for C in coefficients.values()), default=MANY)
             C = search.smallest(family, fewer)
             orders[family] = "not reached" if search.reached[family] is None else search.reached[family]
             if C is not None:
-                found = {family: C}
-        if not found:
+                coefficients = {family: C}
+        if not coefficients:
             raise unreachable(self, search)
-        ((best, C),) = found.items()
+        ((best, C),) = coefficients.items()
         notes = {"family": best, "orders": orders, "reference_order": len(certified.values),
                  "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
@@ -163,14 +163,14 @@ def unreachable(wanted: AutoReducer, search: FamilySearch) -> InputError:
             'measure = "envelope"'
         )
     least = search.worst.upper
-    found = (
+    reason = (
         f"the smallest error found is {least:.1e}, where the round-off of the full model begins"
         if least > wanted.tolerance
         else f"bodies come to {least:.1e} at single frequencies, but round-off keeps their certificate above it"
     )
     return InputError(
         f"tolerance = {wanted.tolerance:g} cannot be reached from {wanted.band_hz[0]:g} to {wanted.band_hz[1]:g} Hz; "
-        f"{found}; raise the tolerance"
+        f"{reason}; raise the tolerance"
     )
 
 

@@ -215,7 +215,7 @@ def test_memory_budget_is_that_of_the_process(tmp_path: Path) -> None:
 
 def test_solvers() -> None:
     result = RUNNER.invoke(cli.app, ["solvers", "--json"])
-    solvers = {one.pop("name"): one for one in json.loads(result.stdout)}
+    solvers = {solver.pop("name"): solver for solver in json.loads(result.stdout)}
     assert list(solvers) == list(morembs.available_solvers())
     assert solvers["superlu"] == {"available": True, "reason": ""}
     assert "superlu: available" in RUNNER.invoke(cli.app, ["solvers"]).stdout

@@ -380,10 +380,10 @@ def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest
 
 def test_a_signal_while_a_private_folder_is_made_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between its making and the promise to remove it: heeded a moment later, when it is known to whom it belongs."""
-    made = tempfile.mkdtemp
+    mkdtemp = tempfile.mkdtemp
 
     def interrupted(*arguments: str, **options: str) -> str:
-        path = made(*arguments, **options)
+        path = mkdtemp(*arguments, **options)
         os.kill(os.getpid(), signal.SIGTERM)
         return path
 

@@ -475,7 +475,7 @@ def test_list_names_every_format() -> None:
     lines = run("--list").strip().splitlines()
     named = [line.split(":")[0] for line in lines]
     assert [name for name in named if not name.startswith("--engine")] == list(IMPORTERS)
-    assert {one["name"] for one in json.loads(run("--list", "--json"))} >= set(IMPORTERS)
+    assert {entry["name"] for entry in json.loads(run("--list", "--json"))} >= set(IMPORTERS)
 
 
 # Models from elsewhere.

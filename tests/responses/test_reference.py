@@ -66,8 +66,8 @@ def test_samples_on_undamped_resonances_are_looked_at_beside_them():
         warnings.simplefilter("error")
         known = reference_model(problem, np.linspace(0, 10.0, 5))
         on = float(np.sqrt(known.values[2]))
-        made = reference_model(problem, np.array([0.0, on, 1.3 * on]))
-        assert made.error <= 1e-8 and np.isfinite(made.error)
+        reference = reference_model(problem, np.array([0.0, on, 1.3 * on]))
+        assert reference.error <= 1e-8 and np.isfinite(reference.error)
         Gramian(band_hz=[0.0, 2 * on / (2 * np.pi)], order=8).reduce(problem)
 
 
@@ -78,11 +78,11 @@ def test_norms_of_blocks(symmetric):
     layout = Layout(6, blocks, symmetric)
     H = rng.standard_normal((3, 6, 6)) + 1j * rng.standard_normal((3, 6, 6))
     H = H + H.transpose(0, 2, 1) if symmetric else H
-    found = layout.norms(H[:, layout.i, layout.j] * layout.weight)
+    sizes = layout.norms(H[:, layout.i, layout.j] * layout.weight)
     expected = [np.linalg.norm(H, axis=(1, 2))] + [
         np.linalg.norm(H[:, blocks[a], blocks[b]], axis=(1, 2)) for a, b in layout.pairs
     ]
-    assert found == pytest.approx(np.stack(expected, axis=1), rel=1e-13)
+    assert sizes == pytest.approx(np.stack(expected, axis=1), rel=1e-13)
 
 
 def test_a_search_that_ends_at_few_cells_gives_limits_all_the_same():
