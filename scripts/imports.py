@@ -106,7 +106,7 @@ def main() -> int:
             by_package[here].add(there)
             if level[there] <= level[here]:
                 back.append(f"{module} -> {other}")
-    circles = [found for edges in (by_package, by_module) if (found := circle(edges))]
+    circles = [chain for edges in (by_package, by_module) if (chain := circle(edges))]
     print(f"{len(contract['layers'])} layers; imports that run back up: {len(back)}; circles: {len(circles)}")
     for line in (*sorted(back), *(" -> ".join(found) for found in circles)):
         print(" ", line)

@@ -60,7 +60,7 @@ def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, m
 
     held: list[Values] = []
 
-    def made(budget: Budget) -> int:
+    def left_by_four(budget: Budget) -> int:
         """What is left after four arrays."""
         resident = 80 * MB
         has_memory(monkeypatch, resident=resident)
@@ -76,15 +76,15 @@ def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, m
 
     for wanted in (21 * MB, 30 * MB, 50 * MB, 200 * MB):
         with Budget(100 * MB, tmp_path) as tight:
-            left = made(tight)
+            left = left_by_four(tight)
             assert left == 20 * MB and tight.files == 4
             more = tight.raise_for(wanted - left)
             assert more - (wanted - left) in (0, 10 * MB, 20 * MB, 30 * MB, 40 * MB)
         with Budget(100 * MB + more, tmp_path) as enough:
-            assert made(enough) >= wanted
+            assert left_by_four(enough) >= wanted
         if wanted == 50 * MB:
             with Budget(100 * MB + wanted - left, tmp_path) as short:
-                assert made(short) < wanted
+                assert left_by_four(short) < wanted
 
 
 @pytest.mark.parametrize("order", ["C", "F"])

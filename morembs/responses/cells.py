@@ -90,9 +90,9 @@ def search(
         low, high = np.concatenate([low, unready[0]]), np.concatenate([high, unready[1]])
         middle = 0.5 * (low + high)
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-    cells = np.concatenate([np.stack([one[0], one[1]], axis=1) for one in kept])
+    cells = np.concatenate([np.stack([part[0], part[1]], axis=1) for part in kept])
     order = np.argsort(cells[:, 0], kind="stable")
-    upper = np.concatenate([one[2] for one in kept])
+    upper = np.concatenate([part[2] for part in kept])
     return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
 
 

@@ -266,14 +266,14 @@ class _Build:
             error = self._guess(growth)
             self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
-                reference = self._made(growth)
+                reference = self._reference(growth)
                 if reference.off.max() <= self.tolerance or reference.undamped:
                     return reference
                 error = float(reference.off.max())
             seen.append(error)
             # Where round-off hides the rest, limits say how much.
             if stands_still(seen) or not growth.grow(error):
-                return self._made(growth)
+                return self._reference(growth)
 
     def _guess(self, growth: ReferenceSpace) -> float:
         """Largest error at some frequencies, relative to the envelope, where all modes are excited by the loads."""
@@ -294,7 +294,7 @@ class _Build:
         T = (tau * (g / a)[:, None, :]) @ b
         return float((squares(T).sum(axis=(1, 2)) / (1 - w**2 / self.cut) / e).max())
 
-    def _made(self, growth: ReferenceSpace) -> CertifiedReference:
+    def _reference(self, growth: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
         problem = self.problem
         space = KrylovSpace(problem, growth, self.modes)

@@ -237,9 +237,9 @@ def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(pardiso_library, "mkl_file", lambda: None)
     reason = pardiso_library.mkl_library.__wrapped__()
     assert "not found" in reason and "pip install 'morembs[pardiso]'" in reason
-    gone = type("Gone", (Pardiso,), {"library": staticmethod(lambda: reason)})
+    without_library = type("Gone", (Pardiso,), {"library": staticmethod(lambda: reason)})
     with pytest.raises(InputError, match="cannot run here"):
-        gone().factorize(_chain(5))
+        without_library().factorize(_chain(5))
     monkeypatch.setattr(pardiso_library, "mkl_file", lambda: __file__)
     assert "cannot be used" in pardiso_library.mkl_library.__wrapped__()
 
