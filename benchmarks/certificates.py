@@ -112,7 +112,7 @@ def damping_of(rng: np.random.Generator, kind: str, omega: Floats) -> Damping:
 def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[ReducedModel]:
     """Two bodies of different methods, with other damping spoiled in one out of four."""
     count = len(problem.elastic_modes(below=(2 * np.pi * high) ** 2).eigenvalues)
-    m, made = problem.B.shape[1], []
+    m, bodies = problem.B.shape[1], []
     band = [0.0, high]
     tried = [
         Modal(modes=count + 2), FreeInterface(modes=max(1, count - int(rng.integers(0, 3)))),
@@ -121,26 +121,26 @@ def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[R
     ]  # fmt: skip
     for number in rng.permutation(len(tried)):
         try:
-            made.append(tried[number].reduce(problem))
+            bodies.append(tried[number].reduce(problem))
         except (InputError, SolverError):
             continue
-        if len(made) == 2:
+        if len(bodies) == 2:
             break
-    return made
+    return bodies
 
 
 def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], words: str) -> Verdict:
     """The certificate of ``reduced`` against dense values."""
     start = time.process_time()
-    (its,) = certify(problem, [reduced], band, points=10)
+    (certificate,) = certify(problem, [reduced], band, points=10)
     seconds = time.process_time() - start
-    omega, true = dense_errors(problem, reduced, band, [one.at_hz for one in its.limits.values()])
-    cell = np.clip(np.searchsorted(its.cells_hz[:, 0], omega / (2 * np.pi), side="right") - 1, 0, None)
-    upper = np.array([its.limits[name].upper for name in MEASURES])
-    lower = np.array([its.limits[name].lower for name in MEASURES])
+    omega, true = dense_errors(problem, reduced, band, [limit.at_hz for limit in certificate.limits.values()])
+    cell = np.clip(np.searchsorted(certificate.cells_hz[:, 0], omega / (2 * np.pi), side="right") - 1, 0, None)
+    upper = np.array([certificate.limits[name].upper for name in MEASURES])
+    lower = np.array([certificate.limits[name].lower for name in MEASURES])
     return Verdict(
-        words=words, above=int((true > its.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
-        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(its, upper), seconds=seconds,
+        words=words, above=int((true > certificate.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
+        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(certificate, upper), seconds=seconds,
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def dense_errors(
     layout = Layout(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     body, rows = body_response(reference, reduced, layout).terms, layout.rows(b, b)
     full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows)
-    z = np.concatenate([one.z.ravel() for one in (full_terms, body)])
+    z = np.concatenate([terms.z.ravel() for terms in (full_terms, body)])
     beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
     w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(), 2 * np.pi * np.array(also_hz)]
     omega = np.unique(np.concatenate(w))
@@ -191,7 +191,7 @@ def long_modes(K: Floats, M: Floats, rigid: int) -> tuple[NDArray[np.longdouble]
     phi = sl.eigh(K, M)[1]
     long = [A.astype(np.longdouble) for A in (K, M, phi)]
     for _ in range(2):
-        A, G = (long[2].T @ (one @ long[2]) for one in long[:2])
+        A, G = (long[2].T @ (matrix @ long[2]) for matrix in long[:2])
         theta = np.diag(A) / np.diag(G)
         gap = theta - theta[:, None]
         # Rigid motions, and modes that LAPACK itself tells apart, stay as they are among themselves.
@@ -202,9 +202,9 @@ def long_modes(K: Floats, M: Floats, rigid: int) -> tuple[NDArray[np.longdouble]
     return theta[rigid:], long[2][:, rigid:]
 
 
-def lost_beside(its: Certificate, upper: Floats) -> NDArray[np.bool_]:
+def lost_beside(certificate: Certificate, upper: Floats) -> NDArray[np.bool_]:
     """Whether what is not known of the full response is below a tenth of the limits."""
-    return np.asarray(its.reference_error.max() < 0.1 * upper)
+    return np.asarray(certificate.reference_error.max() < 0.1 * upper)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,10 +239,10 @@ def drawn(rng: np.random.Generator, number: int) -> Drawn:
 def trial(seed: int, number: int) -> list[Verdict]:
     """Certificates of one random model."""
     rng = np.random.default_rng([seed, number])
-    its = drawn(rng, number)
-    with its.problem as problem:
-        return [judged(problem, body, (0.0, its.high), f"{its.words}, {body.recipe['method']}")
-                for body in bodies_of(problem, its.high, rng)]  # fmt: skip
+    case = drawn(rng, number)
+    with case.problem as problem:
+        return [judged(problem, body, (0.0, case.high), f"{case.words}, {body.recipe['method']}")
+                for body in bodies_of(problem, case.high, rng)]  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:
@@ -253,31 +253,34 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--only", type=int)
     options = parser.parse_args(arguments)
-    found = []
+    verdicts = []
     numbers = range(options.start, options.start + options.count) if options.only is None else [options.only]
     for number in numbers:
-        for one in trial(options.seed, number):
-            found.append(one)
-            if one.above or options.only is not None:
-                sys.stdout.write(f"{one.words}: {one.above} above, {one.effectivity}, {one.gap}, {one.upper}\n")
+        for verdict in trial(options.seed, number):
+            verdicts.append(verdict)
+            if verdict.above or options.only is not None:
+                figures = f"{verdict.effectivity}, {verdict.gap}, {verdict.upper}"
+                sys.stdout.write(f"{verdict.words}: {verdict.above} above, {figures}\n")
         if options.only is None and (number + 1) % 50 == 0:
-            told(found)
+            told(verdicts)
             sys.stdout.flush()
-    return told(found)
+    return told(verdicts)
 
 
-def told(found: list[Verdict]) -> int:
+def told(verdicts: list[Verdict]) -> int:
     """Print what certificates are like so far; the number of values above a limit."""
     for q, name in enumerate(MEASURES):
-        clear = [one for one in found if one.clear[q] and np.isfinite(one.upper[q])]
+        clear = [verdict for verdict in verdicts if verdict.clear[q] and np.isfinite(verdict.upper[q])]
         if clear:
-            shown = [np.quantile([getattr(one, what)[q] for one in clear], (0.5, 0.95, 1)).round(3).tolist()
+            shown = [np.quantile([getattr(verdict, what)[q] for verdict in clear], (0.5, 0.95, 1)).round(3).tolist()
                      for what in ("effectivity", "gap")]  # fmt: skip
             sys.stdout.write(f"{name}: upper over dense {shown[0]}, over lower {shown[1]} ({len(clear)} bodies)\n")
-    seconds = np.quantile([one.seconds for one in found], (0.5, 1)).round(2).tolist()
-    above, endless = sum(one.above for one in found), sum(not np.isfinite(one.upper).all() for one in found)
+    seconds = np.quantile([verdict.seconds for verdict in verdicts], (0.5, 1)).round(2).tolist()
+    above = sum(verdict.above for verdict in verdicts)
+    endless = sum(not np.isfinite(verdict.upper).all() for verdict in verdicts)
     sys.stdout.write(
-        f"{len(found)} certificates, {above} values above a limit, {endless} with a measure that has none, {seconds} s "
+        f"{len(verdicts)} certificates, {above} values above a limit, {endless} with a measure that has none, "
+        f"{seconds} s "
         "(median, largest)\n"
     )
     return above

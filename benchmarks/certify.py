@@ -58,9 +58,9 @@ def measure(spec: dict[str, Any], steel: Callable[[str, int], Any]) -> Row:
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
         start = time.process_time()
-        found = work()
+        result = work()
         row[name] = time.process_time() - start
-        return found
+        return result
 
     def ready() -> Problem:
         problem = Problem(model, faces, damping=Damping(structural=LOSS))

@@ -138,12 +138,12 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "a.inp").write_text(as_frequency(path.read_text(errors="replace")))
             wanted = ccx_eigenvalues(Path(folder), "a")
-        got = own_eigenvalues(held)[: len(wanted)]
-        count = min(len(got), len(wanted))
-        got, wanted = got[:count], wanted[:count]
-        if count and min(wanted.min(), got[0]) > HELD * wanted.max():
-            result["frequency"] = float((np.abs(got / wanted - 1) / 2).max())
-            result["ccx"], result["own"] = wanted.tolist(), got.tolist()
+        computed = own_eigenvalues(held)[: len(wanted)]
+        count = min(len(computed), len(wanted))
+        computed, wanted = computed[:count], wanted[:count]
+        if count and min(wanted.min(), computed[0]) > HELD * wanted.max():
+            result["frequency"] = float((np.abs(computed / wanted - 1) / 2).max())
+            result["ccx"], result["own"] = wanted.tolist(), computed.tolist()
         else:
             result["held"] = "the deck does not hold its body, of which ccx finds no frequencies"
     except (MorembsError, OSError, subprocess.TimeoutExpired, RuntimeError, ValueError) as error:
@@ -172,10 +172,10 @@ def main(arguments: list[str] | None = None) -> int:
         print({k: v for k, v in results[-1].items() if k not in ("ccx", "own")}, flush=True)
         if given.json:
             given.json.write_text(json.dumps(results, indent=1))
-    taken = [one for one in results if "error" not in one]
+    taken = [result for result in results if "error" not in result]
     print(f"{len(taken)} of {len(results)} imported ({100 * len(taken) / max(len(results), 1):.1f} %)")
     for key, most in (("rigid", 1e-9), ("follows", 1e-12), ("mass", 1e-6), ("frequency", 1e-6)):
-        values = [one[key] for one in taken if key in one]
+        values = [result[key] for result in taken if key in result]
         print(f"{key}: {sum(v <= most for v in values)} of {len(values)} within {most:g}; worst "
               f"{max(values, default=0):.1e}")  # fmt: skip
     return 0

@@ -250,7 +250,7 @@ def cost(spec: Row, steel: Steel) -> Row:
         seconds, cpu = (now() - start).tolist()
         return {
             **row, "ten_seconds": seconds, "ten_cpu_seconds": cpu, "ten_factor_seconds": factorize.seconds,
-            "ten_factorisations": factorize.calls, "ten_analyses": len(pencil._analyses),
+            "ten_factorisations": factorize.calls, "ten_analyses": len(pencil.analysed),
             "ten_order": reduced.order - reduced.rigid_count,
         }  # fmt: skip
 

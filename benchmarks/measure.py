@@ -134,10 +134,10 @@ def _number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def ratios(rounds: Rounds, one: tuple[str, str], other: tuple[str, str]) -> list[float]:
-    """``one`` over ``other`` (name of a row and key in it), round by round; empty where either is missing."""
-    pairs = zip(rounds.get(one[0], []), rounds.get(other[0], []), strict=False)
-    values = [(a.get(one[1]), b.get(other[1])) for a, b in pairs]
+def ratios(rounds: Rounds, first: tuple[str, str], second: tuple[str, str]) -> list[float]:
+    """``first`` over ``second`` (name of a row and key in it), round by round; empty where either is missing."""
+    pairs = zip(rounds.get(first[0], []), rounds.get(second[0], []), strict=False)
+    values = [(a.get(first[1]), b.get(second[1])) for a, b in pairs]
     return [a / b for a, b in values if a is not None and b]
 
 

@@ -175,7 +175,7 @@ def measured(names: list[str], settings: Settings) -> None:
     for name in names:
         if name != DEMO:
             required("part", settings, part=name, quick=settings.quick, prepare=True)
-    rounds = in_rounds({name: lambda name=name: _one(name, settings) for name in names}, settings.repeat)
+    rounds = in_rounds({name: lambda name=name: _row_of(name, settings) for name in names}, settings.repeat)
     report = Report("parts", settings)
     report.add(rounds)
     report.table("parts of a job", _COLUMNS)
@@ -186,7 +186,7 @@ def measured(names: list[str], settings: Settings) -> None:
     report.write()
 
 
-def _one(name: str, settings: Settings) -> Row:
+def _row_of(name: str, settings: Settings) -> Row:
     if name != DEMO:
         return child("part", settings, part=name, quick=settings.quick, prepare=False)
     ended = run(command("reduce", ROD.with_suffix(".toml"), "--json"), settings)

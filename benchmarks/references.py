@@ -41,14 +41,14 @@ class Kept(Residual):
         return super().bounds(band, tolerance)
 
 
-def kind_of(its: Drawn) -> str:
+def kind_of(case: Drawn) -> str:
     """What damps a model."""
-    return its.words.split(",")[0].split()[-1]
+    return case.words.split(",")[0].split()[-1]
 
 
 def bounds_of(problem: Problem, high: float, rng: np.random.Generator) -> Floats:
     """(3, n) of the errors, of their bounds at these frequencies, and of those of their cells, over the envelope."""
-    found = []
+    ratios = []
     for tolerance in TOLERANCES:
         problem.release()
         reference = certified_reference(problem, [0.0, high], tolerance=tolerance)
@@ -64,8 +64,8 @@ def bounds_of(problem: Problem, high: float, rng: np.random.Generator) -> Floats
         there = np.array([Residual.bounds(residual, (w, w * (1 + 1e-9)), 0.0)[1].max() for w in omega])
         cells = standard.uncertain(omega, omega)
         known = off > LEAST * lost
-        found.append(np.stack([off, there, cells])[:, known])
-    return np.hstack(found)
+        ratios.append(np.stack([off, there, cells])[:, known])
+    return np.hstack(ratios)
 
 
 def true_response(reference: CertifiedReference, omega: Floats) -> Any:
@@ -114,10 +114,10 @@ def main(arguments: list[str]) -> int:
     rounding: list[Floats] = []
     for number in range(options.count):
         rng = np.random.default_rng([options.seed, number])
-        its = drawn(rng, number)
-        with its.problem as problem:
-            bounds.setdefault(kind_of(its), []).append(bounds_of(problem, its.high, rng))
-            rounding.append(rounding_of(problem, its.high, rng))
+        case = drawn(rng, number)
+        with case.problem as problem:
+            bounds.setdefault(kind_of(case), []).append(bounds_of(problem, case.high, rng))
+            rounding.append(rounding_of(problem, case.high, rng))
     above = 0
     for kind, parts in sorted(bounds.items()):
         off, there, cells = np.hstack(parts)

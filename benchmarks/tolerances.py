@@ -102,19 +102,19 @@ class Rivals:
         """The minima of |H| join the frequencies."""
         size, grid = self._norms(self.full)[:, 0], self.w
         least = 1 + np.flatnonzero((size[1:-1] < size[:-2]) & (size[1:-1] < size[2:]))
-        low, high, found = grid[least - 1], grid[least + 1], [grid]
+        low, high, grids = grid[least - 1], grid[least + 1], [grid]
         for _ in range(FINER):
             self.w = np.linspace(low, high, 21).ravel()
             size = self._norms(self._response(self.values, self.F))[:, 0].reshape(21, -1)
-            found.append(self.w)
+            grids.append(self.w)
             at, step = size.argmin(axis=0), (high - low) / 20
             low, high = low + (at - 1) * step, low + (at + 1) * step
-        self.w = np.unique(np.clip(np.concatenate(found), grid[0], grid[-1]))
+        self.w = np.unique(np.clip(np.concatenate(grids), grid[0], grid[-1]))
         self.full = self._response(self.values, self.F)
 
     def _leading(self) -> list[Floats]:
         """Orthonormal columns (k, n), leading ones first, for every power and inner product."""
-        found = []
+        bases = []
         states = 1 / self._dynamic(self.values)
         for power in POWERS:
             weight = np.sqrt(trapezoid(self.w)) * self.norms[:, -1] ** power
@@ -126,8 +126,8 @@ class Rivals:
                 triangle = np.linalg.qr(np.vstack([triangle, X.real, X.imag]), mode="r")
             for inner in (np.ones(len(self.F)), np.sqrt(self.values), np.sqrt(self.values + self.w.mean() ** 2)):
                 U, s, _ = sl.svd(inner[:, None] * triangle.T, full_matrices=False)
-                found.append(np.linalg.qr(U[:, s > NOISE * s[0]] / inner[:, None])[0])
-        return found
+                bases.append(np.linalg.qr(U[:, s > NOISE * s[0]] / inner[:, None])[0])
+        return bases
 
     def error(self, C: Floats, measure: str) -> float:
         """Largest error at the frequencies of the projection on ``C`` (k, n)."""
@@ -151,49 +151,51 @@ class Rivals:
         return best
 
 
-def judged(its: Drawn) -> list[Delivered]:
+def judged(case: Drawn) -> list[Delivered]:
     """Bodies of ``auto`` of one model with all tolerances and measures."""
-    problem = its.problem
-    found: list[Delivered] = []
-    rivals = Rivals(problem, its.high)
+    problem = case.problem
+    deliveries: list[Delivered] = []
+    rivals = Rivals(problem, case.high)
     for measure in ASKED:
         for tolerance in TOLERANCES:
             start = time.process_time()
-            named = {"words": its.words, "measure": measure, "tolerance": tolerance}
+            named = {"words": case.words, "measure": measure, "tolerance": tolerance}
             try:
-                body = AutoReducer(band_hz=[0.0, its.high], tolerance=tolerance, measure=measure).reduce(problem)
+                body = AutoReducer(band_hz=[0.0, case.high], tolerance=tolerance, measure=measure).reduce(problem)
             except (InputError, SolverError) as fault:
-                found.append(Delivered(**named, why=str(fault)))
+                deliveries.append(Delivered(**named, why=str(fault)))
                 continue
             seconds = time.process_time() - start
-            _, true = dense_errors(problem, body, (0.0, its.high), rivals.w / (2 * np.pi))
-            found.append(Delivered(
+            _, true = dense_errors(problem, body, (0.0, case.high), rivals.w / (2 * np.pi))
+            deliveries.append(Delivered(
                 **named, order=body.order - problem.rigid.shape[1], best=rivals.smallest(measure, tolerance),
                 limit=float(str(body.recipe["certified"])) / tolerance,
                 error=float(true[:, MEASURES.index(measure)].max()) / tolerance, seconds=seconds,
             ))  # fmt: skip
-    return found
+    return deliveries
 
 
-def told(found: list[Delivered]) -> int:
+def told(deliveries: list[Delivered]) -> int:
     """Print what bodies are like so far; the number of those that fail."""
     for measure in ASKED:
         for tolerance in TOLERANCES:
-            some = [one for one in found if (one.measure, one.tolerance) == (measure, tolerance)]
-            kept = [one for one in some if not one.why]
+            asked = measure, tolerance
+            some = [delivered for delivered in deliveries if (delivered.measure, delivered.tolerance) == asked]
+            kept = [delivered for delivered in some if not delivered.why]
             if not kept:
                 continue
-            more = np.array([one.order - one.best for one in kept])
+            more = np.array([delivered.order - delivered.best for delivered in kept])
+            seconds = np.quantile([delivered.seconds for delivered in kept], (0.5, 1)).round(2).tolist()
             sys.stdout.write(
                 f"{measure} {tolerance:g}: {len(kept)} bodies, {len(some) - len(kept)} refused; "
-                f"limit at most {max(one.limit for one in kept):.4f}, error at most "
-                f"{max(one.error for one in kept):.4f} of the tolerance; order beside the best "
+                f"limit at most {max(delivered.limit for delivered in kept):.4f}, error at most "
+                f"{max(delivered.error for delivered in kept):.4f} of the tolerance; order beside the best "
                 f"{dict(zip(*(part.tolist() for part in np.unique(more, return_counts=True)), strict=True))}, "
-                f"{sum(one.excess for one in kept)} above; "
-                f"{np.quantile([one.seconds for one in kept], (0.5, 1)).round(2).tolist()} s (median, largest)\n"
+                f"{sum(delivered.excess for delivered in kept)} above; "
+                f"{seconds} s (median, largest)\n"
             )
-    failed = sum(max(one.error, one.limit) > 1 or one.excess for one in found)
-    sys.stdout.write(f"{len(found)} bodies, {failed} fail\n")
+    failed = sum(max(delivered.error, delivered.limit) > 1 or delivered.excess for delivered in deliveries)
+    sys.stdout.write(f"{len(deliveries)} bodies, {failed} fail\n")
     return failed
 
 
@@ -205,20 +207,21 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--only", type=int)
     options = parser.parse_args(arguments)
-    found: list[Delivered] = []
+    deliveries: list[Delivered] = []
     numbers = range(options.start, options.start + options.count) if options.only is None else [options.only]
     for number in numbers:
-        its = drawn(np.random.default_rng([options.seed, number]), number)
-        with its.problem:
-            these = judged(its)
-        for one in these:
-            if one.why or one.excess or max(one.error, one.limit) > 1 or options.only is not None:
-                sys.stdout.write(f"{one}\n")
-        found += these
+        case = drawn(np.random.default_rng([options.seed, number]), number)
+        with case.problem:
+            these = judged(case)
+        for delivered in these:
+            fails = delivered.why or delivered.excess or max(delivered.error, delivered.limit) > 1
+            if fails or options.only is not None:
+                sys.stdout.write(f"{delivered}\n")
+        deliveries += these
         if options.only is None and (number + 1) % 10 == 0:
-            told(found)
+            told(deliveries)
         sys.stdout.flush()
-    return told(found)
+    return told(deliveries)
 
 
 if __name__ == "__main__":

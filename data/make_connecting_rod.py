@@ -305,17 +305,17 @@ def draw_rod(occ: Any, rod: Rod) -> None:
 
 def bore_faces(gmsh: Any, x: float, radius: float, thickness: float) -> list[int]:
     """The cylindrical faces of the bore about (x, 0); raises MeshError unless they are the whole bore."""
-    occ, found, area = gmsh.model.occ, [], 0.0
+    occ, tags, area = gmsh.model.occ, [], 0.0
     wanted = (x - radius, -radius, -thickness / 2, x + radius, radius, thickness / 2)
     for dim, tag in gmsh.model.getEntities(2):
         box = gmsh.model.getBoundingBox(dim, tag)
         fits = all(abs(b - w) < 1e-3 * radius for b, w in zip(box, wanted, strict=True))
         if fits and gmsh.model.getType(dim, tag) == "Cylinder":
-            found.append(tag)
+            tags.append(tag)
             area += occ.getMass(dim, tag)
     if abs(area - 2 * math.pi * radius * thickness) > 1e-3 * area:
         raise MeshError(f"the bore at x = {x:g} mm is not a whole cylinder; a hole or a pocket cuts into it")
-    return found
+    return tags
 
 
 def name_groups(gmsh: Any, rod: Rod) -> None:

@@ -90,8 +90,8 @@ def highest(teeth: int) -> float:
 def pair() -> tuple[Gear, Gear]:
     """Both gears."""
     along = 0.5 * MODULE * sum(TEETH) * math.sin(PRESSURE)
-    one, two = (Gear(teeth, along - highest(other)) for teeth, other in (TEETH, TEETH[::-1]))
-    return one, two
+    driving, driven = (Gear(teeth, along - highest(other)) for teeth, other in (TEETH, TEETH[::-1]))
+    return driving, driven
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -71,7 +71,7 @@ class Budget(Closing):
     in_memory: int | None = None
     widest: int = _WIDEST
     _folder: ScratchFolder | None = field(default=None, repr=False)
-    _made: list[_Mapped] = field(default_factory=list, repr=False)
+    _mapped: list[_Mapped] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
 
     def left(self) -> int | None:
@@ -118,7 +118,7 @@ class Budget(Closing):
     def _staying(self, more: int) -> int:
         """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
         # Pages of earlier arrays in files were resident too, so these need not be added.
-        return sum(one.size for one in self._used() if one.size <= self._largest(more, one.beside))
+        return sum(array.size for array in self._used() if array.size <= self._largest(more, array.beside))
 
     def _largest(self, more: int = 0, resident: int | None = None) -> float:
         """Bytes of the largest array that stays in memory: many small ones are a large one.
@@ -144,8 +144,8 @@ class Budget(Closing):
         """Give back the pages of all arrays in files, and memory that was freed but still counts as resident."""
         if self._unlimited:
             return
-        for one in self._used():
-            mapped = one.map()
+        for array in self._used():
+            mapped = array.map()
             if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
         trim()
@@ -153,23 +153,23 @@ class Budget(Closing):
     def release_if_tight(self) -> None:
         """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
         left = self.left()
-        if left is not None and self._made and left < _TIGHT * (self.memory or 0):
+        if left is not None and self._mapped and left < _TIGHT * (self.memory or 0):
             self.release_pages()
 
     def close(self) -> None:
         """Remove the files; arrays in them stay readable as long as somebody holds them."""
-        self._made.clear()
+        self._mapped.clear()
         if self._folder is not None:
             self._folder.close()
             self._folder = None
 
     def _used(self) -> list[_Mapped]:
         """The files whose arrays somebody holds; others go, where they could not lose their names before."""
-        for one in self._made:
-            if one.map() is None:
-                _unlink(one.path)
-        self._made = [one for one in self._made if one.map() is not None]
-        return self._made
+        for array in self._mapped:
+            if array.map() is None:
+                _unlink(array.path)
+        self._mapped = [array for array in self._mapped if array.map() is not None]
+        return self._mapped
 
     def _map(self, size: int) -> mmap.mmap:
         if self._folder is None:
@@ -188,7 +188,7 @@ class Budget(Closing):
             mapped = mmap.mmap(file.fileno(), size)
         # Nothing needs the name any more: the file is gone as soon as nobody maps it.
         _unlink(path)
-        self._made.append(_Mapped(weakref.ref(mapped), path, size, resident_bytes()))
+        self._mapped.append(_Mapped(weakref.ref(mapped), path, size, resident_bytes()))
         return mapped
 
 

@@ -104,6 +104,14 @@ MOVED = {
 }
 
 
+class _KeepsFunctions(ModuleType):
+    """A package with a function by the name of an old module, which the import system would put in its place."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (isinstance(value, ModuleType) and callable(vars(self).get(name))):
+            super().__setattr__(name, value)
+
+
 class _Moved(MetaPathFinder, Loader):
     """Finds the modules of ``MOVED``.
 
@@ -122,6 +130,9 @@ class _Moved(MetaPathFinder, Loader):
         warnings.warn(f"{spec.name} is now {new}; the old name goes with the next version", DeprecationWarning, 2)
         module = importlib.import_module(new)
         self._spec = module.__spec__
+        package, _, name = spec.name.rpartition(".")
+        if callable(getattr(sys.modules[package], name, None)):
+            sys.modules[package].__class__ = _KeepsFunctions
         return module
 
     def exec_module(self, module: ModuleType) -> None:

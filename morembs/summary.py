@@ -61,11 +61,11 @@ def error_words(
     return f"at most {upwards(upper)} ({measure}, {low} to {high} Hz, {kind})"
 
 
-def _facts(thing: Any) -> Mapping[str, object]:
-    if hasattr(thing, "_facts"):
-        return dict(thing._facts())
-    named = fields(thing) if is_dataclass(thing) else ()
-    return {each.name: getattr(thing, each.name) for each in named if each.repr}
+def _facts(instance: Any) -> Mapping[str, object]:
+    if hasattr(instance, "_facts"):
+        return dict(instance._facts())
+    named = fields(instance) if is_dataclass(instance) else ()
+    return {each.name: getattr(instance, each.name) for each in named if each.repr}
 
 
 def _words(value: Any) -> str:
@@ -86,27 +86,27 @@ def _words(value: Any) -> str:
     return str(value) if isinstance(value, int | float | np.generic) else type(value).__name__
 
 
-def _shown(thing: Any) -> dict[str, str]:
+def _shown(instance: Any) -> dict[str, str]:
     """The facts in words, without those that are missing."""
-    return {name: _words(value) for name, value in _facts(thing).items() if value is not None and not _empty(value)}
+    return {name: _words(value) for name, value in _facts(instance).items() if value is not None and not _empty(value)}
 
 
 def _empty(value: object) -> bool:
     return isinstance(value, Collection) and not hasattr(value, "shape") and not len(value)
 
 
-def _text(thing: Any) -> str:
-    facts = "; ".join(f"{name} {words}" for name, words in _shown(thing).items())
-    whole = " ".join(f"{type(thing).__name__}: {facts}".split())
+def _text(instance: Any) -> str:
+    facts = "; ".join(f"{name} {words}" for name, words in _shown(instance).items())
+    whole = " ".join(f"{type(instance).__name__}: {facts}".split())
     lines = textwrap.wrap(
         whole, WIDTH, max_lines=2, subsequent_indent="    ", placeholder=" ...", break_on_hyphens=False
     )
     return "\n".join(lines)
 
 
-def _table(thing: Any) -> str:
+def _table(instance: Any) -> str:
     rows = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td style='text-align:left'>{html.escape(words)}</td>"
-        "</tr>" for name, words in _shown(thing).items()
+        "</tr>" for name, words in _shown(instance).items()
     )  # fmt: skip
-    return f"<table><caption>{html.escape(type(thing).__name__)}</caption>{rows}</table>"
+    return f"<table><caption>{html.escape(type(instance).__name__)}</caption>{rows}</table>"

@@ -105,8 +105,8 @@ def job_keys() -> Iterator[str]:
         if kind is None:
             raise TypeError(f"{table} of a job holds no table")
         name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
-        for key, one in kind.model_fields.items():
-            yield f"| `{name}` | `{key}` | {left_out(one)} | {one.description} |"
+        for key, information in kind.model_fields.items():
+            yield f"| `{name}` | `{key}` | {left_out(information)} | {information.description} |"
 
 
 def left_out(key: FieldInfo) -> str:

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +60,7 @@ def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, m
 
     held: list[Values] = []
 
-    def made(budget: Budget) -> int:
+    def left_by_four(budget: Budget) -> int:
         """What is left after four arrays."""
         resident = 80 * MB
         has_memory(monkeypatch, resident=resident)
@@ -74,15 +76,15 @@ def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, m
 
     for wanted in (21 * MB, 30 * MB, 50 * MB, 200 * MB):
         with Budget(100 * MB, tmp_path) as tight:
-            left = made(tight)
+            left = left_by_four(tight)
             assert left == 20 * MB and tight.files == 4
             more = tight.raise_for(wanted - left)
             assert more - (wanted - left) in (0, 10 * MB, 20 * MB, 30 * MB, 40 * MB)
         with Budget(100 * MB + more, tmp_path) as enough:
-            assert made(enough) >= wanted
+            assert left_by_four(enough) >= wanted
         if wanted == 50 * MB:
             with Budget(100 * MB + wanted - left, tmp_path) as short:
-                assert made(short) < wanted
+                assert left_by_four(short) < wanted
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -250,15 +252,17 @@ def test_what_was_cut_off_while_it_was_made_or_removed_goes_with_the_next(
 
 
 def test_a_folder_that_another_run_took_away_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, taken = scratches._lock, []
+    mkdtemp, taken = tempfile.mkdtemp, []
 
-    def lock(folder: Path) -> int | None:
+    def at_once_taken(**options: Any) -> str:
+        """A folder that is not marked yet when another run sees it."""
+        folder = mkdtemp(**options)
         if not taken:
-            taken.append(folder)
+            taken.append(Path(folder))
             scratches.remove_abandoned(tmp_path)
-        return real(folder)
+        return folder
 
-    monkeypatch.setattr(scratches, "_lock", lock)
+    monkeypatch.setattr(tempfile, "mkdtemp", at_once_taken)
     own = ScratchFolder(tmp_path)
     assert taken and not taken[0].exists() and list(tmp_path.iterdir()) == [own.path]
     own.close()
@@ -272,7 +276,7 @@ def test_parent_that_cannot_be_used_is_reported(tmp_path: Path, monkeypatch: pyt
     def refused(**options: object) -> str:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(scratches.tempfile, "mkdtemp", refused)
+    monkeypatch.setattr(tempfile, "mkdtemp", refused)
     with pytest.raises(InputError, match=r"cannot be written.*Permission denied"):
         ScratchFolder(tmp_path)
     assert free_bytes(tmp_path / "not" / "yet") == free_bytes(tmp_path) > 0

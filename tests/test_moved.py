@@ -48,6 +48,19 @@ def test_an_old_module_warns_and_gives_the_new_one(old: str, monkeypatch: pytest
     assert old not in MOVED.values()
 
 
+@pytest.mark.parametrize("module", ["multibody.local_response", "doctor.examine"])
+def test_a_function_is_not_hidden_by_an_old_module_of_its_name(module: str) -> None:
+    package, _, name = module.rpartition(".")
+    code = (
+        f"import morembs.{package} as package; function = package.{name}; import morembs.{module}; "
+        f"from morembs.{module} import __name__ as new; from morembs.{package} import {name} as again; "
+        f"package.other = 1; print(callable(function), function is package.{name} is again, new)"
+    )
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"True True morembs.{MOVED[module]}\n"
+    assert done.stderr.count(f"morembs.{module} is now") == 1
+
+
 @pytest.mark.parametrize("name", RELEASED.split())
 def test_an_old_public_name_is_still_there(name: str) -> None:
     assert name in morembs.__all__ and getattr(morembs, name) is not None
@@ -118,9 +131,9 @@ def test_an_old_name_warns_and_gives_the_new_one(module: str, old: str, new: str
 )
 def test_an_old_attribute_warns_and_gives_the_new_one(module: str, holder: str, old: str, new: str) -> None:
     home = getattr(importlib.import_module(f"morembs.{module}"), holder)
-    thing = SimpleNamespace(**{new: 2.5})
+    instance = SimpleNamespace(**{new: 2.5})
     with pytest.warns(DeprecationWarning, match=f"{old} of {holder} is now {new}; the old name goes") as caught:
-        assert getattr(home, old).__get__(thing) == 2.5
+        assert getattr(home, old).__get__(instance) == 2.5
     assert caught[0].filename == __file__
 
 

@@ -60,8 +60,8 @@ def test_eight_cells_show_what_matters_and_no_more(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"MESH": str(MESH)}
     for cell, expected in CELLS:
-        thing = shown(cell, names)
-        text, table = repr(thing), thing._repr_html_()
+        value = shown(cell, names)
+        text, table = repr(value), value._repr_html_()
         flat = " ".join(text.split())
         assert all(words in flat for words in expected), text
         lines = text.splitlines()

@@ -116,9 +116,9 @@ WHOLE = {
 
 @pytest.mark.parametrize("page", ["job.md", "formats.md", "switching.md"])
 def test_fragments_of_jobs_are_taken(page):
-    found = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
-    assert found
-    for text in found:
+    fragments = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    assert fragments
+    for text in fragments:
         given = tomllib.loads(text)
         whole = {**WHOLE, "material": []} if "model" in given or "substructure" in given else WHOLE
         if "substructure" in given:
@@ -152,14 +152,14 @@ RUN = {
 
 def test_every_block_of_code_is_run_by_a_test():
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    found = {}
+    blocks = {}
     for page in pages:
         fences = re.findall(r"^```(.*)$", page.read_text(), re.MULTILINE)
         assert len(fences) % 2 == 0, page.name
         kinds = Counter(kind for kind in fences[::2] if not kind.startswith("{"))
         if kinds and "built" not in page.parts:
-            found[page.name] = dict(kinds)
-    assert found == RUN
+            blocks[page.name] = dict(kinds)
+    assert blocks == RUN
 
 
 def command_lines():
@@ -174,7 +174,7 @@ def test_commands_that_are_shown_exist():
     seen = 0
     for page, (name, *words) in command_lines():
         assert name in SHOWN, (page, name)
-        options = {option for one in SHOWN[name].params for option in one.opts}
+        options = {option for parameter in SHOWN[name].params for option in parameter.opts}
         assert {word for word in words if word.startswith("-")} <= options, (page, name, words)
         seen += 1
     assert seen > 10

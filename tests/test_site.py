@@ -64,9 +64,9 @@ def test_the_gallery_shows_every_pipeline(site):
 
 
 def test_bodies_of_the_mesh_tutorial_are_those_of_the_model(site):
-    above = [float(one) for one in re.findall(r"body: (\S+) above", printed(site, "mesh_to_body"))]
+    above = [float(error) for error in re.findall(r"body: (\S+) above", printed(site, "mesh_to_body"))]
     # Rayleigh: from above, and the lowest are nearest.
-    assert len(above) >= 10 and all(0 < one < 0.01 for one in above) and max(above[:3]) < 2e-4
+    assert len(above) >= 10 and all(0 < error < 0.01 for error in above) and max(above[:3]) < 2e-4
 
 
 def test_matrices_of_another_code_give_the_frequency_of_the_beam(site):
@@ -78,8 +78,8 @@ def test_matrices_of_another_code_give_the_frequency_of_the_beam(site):
 
 
 def test_certificates_of_the_tutorial_hold_the_tolerance(site):
-    found = re.findall(r"between (\S+) and ([\d.e+-]+),", printed(site, "certificate"))
-    limits = [(float(lower), float(upper)) for lower, upper in found]
+    ranges = re.findall(r"between (\S+) and ([\d.e+-]+),", printed(site, "certificate"))
+    limits = [(float(lower), float(upper)) for lower, upper in ranges]
     assert len(limits) == 3 and all(lower <= upper <= 1.051 * lower for lower, upper in limits)
     assert limits[2][1] < 1e-4 < limits[1][0] < limits[0][0]
 

@@ -97,7 +97,7 @@ def _spilled(folder: Path) -> None:
     _jobs({"big": {"solver": f'memory = "4 GB"\nscratch = "scratch"{key}'}})(folder)
 
 
-def _offline(workers: int) -> Callable[[], None]:
+def offline(workers: int) -> Callable[[], None]:
     def work() -> None:
         from morembs.gmp import ReducedMember
         from morembs.gmp.stored import write_members
@@ -140,8 +140,8 @@ SCENARIOS: dict[str, Scenario] = {
         ), checkpoint="batch.manifest",
     ),
     "out-of-core": _verb(_spilled, ("big.h5",), "reduce", "big.toml", "-q"),
-    "gmp": Scenario(_nothing, _offline(1), ("member.h5",), "kept.h5", library=True),
-    "gmp-crew": Scenario(_nothing, _offline(2), ("member.h5",), "kept.h5", library=True),
+    "gmp": Scenario(_nothing, offline(1), ("member.h5",), "kept.h5", library=True),
+    "gmp-crew": Scenario(_nothing, offline(2), ("member.h5",), "kept.h5", library=True),
 }  # fmt: skip
 # Parts of all trials; the other kinds share what is left.
 SHARES = {

@@ -273,14 +273,14 @@ class _Workshop:
 
     def gmp(self) -> dict[str, list[Seed]]:
         """Members with large deflections, and the checkpoint of their offline stage."""
-        ended = forked.run(scenarios._offline(1), self.folder, self.folder / "logs")
+        ended = forked.run(scenarios.offline(1), self.folder, self.folder / "logs")
         if ended.code:
             raise SystemExit(f"the member that is to be damaged cannot be made: {ended.errors}")
         member, kept = ((self.folder / name).read_bytes() for name in ("member.h5", "kept.h5"))
         return {
             "gmp": [
                 Seed({"member.h5": member}, ("member.h5",), _as_command(_members), "out.h5"),
-                Seed({"kept.h5": kept}, ("kept.h5",), _as_command(scenarios._offline(1)), "member.h5"),
+                Seed({"kept.h5": kept}, ("kept.h5",), _as_command(scenarios.offline(1)), "member.h5"),
             ]
         }
 

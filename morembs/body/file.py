@@ -56,10 +56,11 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
 def write_body(
     path: str | Path, bodies: Sequence[ElasticBody], *, recipe: Mapping[str, object] | None = None,
     provenance: Mapping[str, object] | None = None, warnings: Sequence[str] = (), progress: Progress = SILENT,
+    block_bytes: int = BLOCK_BYTES,
 ) -> Path:  # fmt: skip
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
 
-    Holds one block of basis columns (16 MiB, at least one column) besides the bodies themselves.
+    Holds one block of basis columns (``block_bytes``, at least one column) besides the bodies themselves.
 
     Args:
         recipe: what was asked for (the job); by default the source and the options of each body.
@@ -102,7 +103,7 @@ def write_body(
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
         out.check()
         for body in bodies:
-            _write_one(out, body, progress)
+            _write_one(out, body, progress, block_bytes)
         stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
         given = {f"{key}_" if key == checksums.GROUP else key: value for key, value in (provenance or {}).items()}
         out.tree("provenance", {**stamp, **given})
@@ -126,7 +127,7 @@ def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, obje
     }  # fmt: skip
 
 
-def _write_one(out: Writer, body: ElasticBody, progress: Progress) -> None:
+def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: int) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.body.stress_shapes import recovery_parts
     from morembs.reducers.base import MODE_KINDS
@@ -136,7 +137,7 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress) -> None:
     rows, count = 3 * len(body.part.nodes), reduced.order
 
     def basis() -> Iterator[Floats]:
-        step = max(1, BLOCK_BYTES // (8 * max(1, rows)))
+        step = max(1, block_bytes // (8 * max(1, rows)))
         for start in range(0, count, step):
             stop = min(start + step, count)
             yield body.basis(slice(start, stop))

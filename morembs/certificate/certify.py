@@ -156,15 +156,15 @@ def certify(
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
-    made = []
+    certificates = []
     for reduced in bodies:
         progress.update(f"certificate of {reduced.name}")
         if bound:
             known = error_limits(reference, reduced, sharpness=sharpness)
         else:
             known = sampled(len(problem.coupling.columns))
-        made.append(_certificate(reference, reduced, hz, H, known, measure, bound))
-    return tuple(made)
+        certificates.append(_certificate(reference, reduced, hz, H, known, measure, bound))
+    return tuple(certificates)
 
 
 def _certificate(
@@ -200,8 +200,8 @@ def _static_error(problem: Problem, reduced: ReducedModel) -> float:
     S = np.outer(problem.motion_scale, problem.motion_scale)
     statics = problem.B.T @ static_response(problem)
     # Without the loss factor, which would hide real parts.
-    found = reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
-    return float(np.linalg.norm((found - statics) * S) / np.linalg.norm(statics * S))
+    response = reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
+    return float(np.linalg.norm((response - statics) * S) / np.linalg.norm(statics * S))
 
 
 def _missing(poles: Poles) -> list[str]:
@@ -215,45 +215,45 @@ def _missing(poles: Poles) -> list[str]:
 
 def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Poles) -> list[str]:
     """What damping makes of the comparison, in words."""
-    found = []
+    sentences = []
     problem, damping = reference.problem, reference.problem.damping
     if problem.D is not None:
-        found.append("the error of the full response, with the model's own damping, is an estimate")
+        sentences.append("the error of the full response, with the model's own damping, is an estimate")
     elif not reference.proven:
-        found.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
+        sentences.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
     if damping.is_modal:
-        found.append(f"modal damping is that of the {len(reference.values)} modes of the reference model")
+        sentences.append(f"modal damping is that of the {len(reference.values)} modes of the reference model")
     # Where the frequency of a body is off, the table may give its mode another ratio.
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
     if moved.any():
         listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
-        found.append(
+        sentences.append(
             f"the modal damping table jumps between the frequencies that {int(moved.sum())} modes have in the full "
             f"model and in this body, which gives them different ratios: {listed} Hz"
         )
     if reduced.structural != damping.structural:
-        found.append(
+        sentences.append(
             f"the body has structural damping of {reduced.structural:g}, the full model {damping.structural:g}"
         )
-    return found
+    return sentences
 
 
 def _block_errors(problem: Problem, error: Complexes, H: Complexes) -> Floats:
     """(ni, ni) largest error of each block over the band, relative to the block's own norm at that frequency."""
     columns = list(problem.coupling.columns.values())
-    found = np.zeros((len(columns), len(columns)))
+    errors = np.zeros((len(columns), len(columns)))
     for i, rows in enumerate(columns):
         for j, loads in enumerate(columns):
             wrong, size = (np.linalg.norm(A[:, rows, loads], axis=(1, 2)) for A in (error, H))
-            found[i, j] = float((wrong / np.maximum(size, np.finfo(float).tiny)).max())
-    return found
+            errors[i, j] = float((wrong / np.maximum(size, np.finfo(float).tiny)).max())
+    return errors
 
 
 def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) -> Floats:
     """(ni, nf) relative error of H_bb - H_ba H_aa^-1 H_ab, the response of the other motions with those of a held."""
     columns = list(problem.coupling.columns.values())
-    found = np.full((len(columns), len(omega)), np.nan)
+    errors = np.full((len(columns), len(omega)), np.nan)
     high = omega > max(HELD * omega[-1], 0.0)
     ZB = (problem.B.T @ problem.rigid) * problem.motion_scale[:, None]
     rigid = -(ZB @ ZB.T) / omega[high, None, None] ** 2
@@ -264,8 +264,8 @@ def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) 
             continue
         full, reduced = (_with_held(A[high] + rigid, a, b) for A in (H, H_r))
         norm = np.linalg.norm(full, axis=(1, 2))
-        found[i, high] = np.linalg.norm(reduced - full, axis=(1, 2)) / np.maximum(norm, np.finfo(float).tiny)
-    return found
+        errors[i, high] = np.linalg.norm(reduced - full, axis=(1, 2)) / np.maximum(norm, np.finfo(float).tiny)
+    return errors
 
 
 def _with_held(H: Complexes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Complexes:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.reducers.base import ReducedModel
+from morembs.responses.cells import MOST
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.layout import Layout
 from morembs.responses.measures import MEASURES, SHARPNESS, Limit, compare
@@ -65,9 +66,12 @@ def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: 
 
 
 def error_limits(
-    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS
+    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS, most_cells: int = MOST
 ) -> ErrorLimits:
     """Limits of the error of any body on every frequency of the band of ``reference``; it may be read from a file.
+
+    An upper limit is at most ``sharpness`` times the lower one, unless round-off hinders or the band would have to be
+    cut into more than ``most_cells`` cells; the limits hold all the same then, and a note says so.
 
     Raises:
         InputError: inputs that are not those of the problem.
@@ -95,11 +99,11 @@ def error_limits(
             notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, where a transfer error has none; "
                    "give damping, or a damping_floor such as 0.01",),
         )  # fmt: skip
-    limits, blocks, cells = compare(standard, body, low, high, sharpness)
+    limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
     hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
-    loose = [name for name, one in limits.items() if 2 * sharpness * one.lower < one.upper < np.inf]
+    loose = [name for name, limit in limits.items() if 2 * sharpness * limit.lower < limit.upper < np.inf]
     notes: tuple[str, ...] = ()
     if not cells.whole:
         notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)

@@ -100,7 +100,7 @@ def _partners(reduced: ReducedModel, seen: Floats, omega: Floats) -> tuple[Ints,
         return partner, deviation, cross
     if not reduced.symmetric:
         cross = cross / np.maximum(np.linalg.norm(cross, axis=0).max(initial=0.0), 1.0)
-    rows, found = linear_sum_assignment(-(cross**2))
-    partner[rows] = found
-    deviation[rows] = np.abs(np.sqrt(theta[found]) / omega[rows] - 1)
+    rows, matched = linear_sum_assignment(-(cross**2))
+    partner[rows] = matched
+    deviation[rows] = np.abs(np.sqrt(theta[matched]) / omega[rows] - 1)
     return partner, deviation, cross

@@ -189,6 +189,6 @@ def _lines(done: ImportResult) -> list[str]:
     if done.outlook is not None:
         lines.insert(1, f"the body: {done.outlook.words}")
     # An examination finds what is warned of without one, and says more.
-    found = "" if done.diagnosis is None else done.diagnosis.text()
-    lines += [f"warning: {text}" for text in done.warnings if text not in found]
-    return lines + ([found] if found else [])
+    examination = "" if done.diagnosis is None else done.diagnosis.text()
+    lines += [f"warning: {text}" for text in done.warnings if text not in examination]
+    return lines + ([examination] if examination else [])

@@ -249,12 +249,12 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
 def beside(full: Floats, own: Floats) -> Floats:
     """(k,) of ``own`` frequencies (n,), ascending, the one that stands for each of ``full`` (k,), nan where none does:
     bodies that follow responses have modes of no load neither in number nor in order."""
-    found, first = np.full(len(full), np.nan), 0
+    partner, first = np.full(len(full), np.nan), 0
     for k, hz in enumerate(full):
         near = first + int(np.abs(own[first:] - hz).argmin()) if first < len(own) else len(own)
         if near < len(own) and abs(own[near] - hz) <= NEAR * hz:
-            found[k], first = own[near], near + 1
-    return found
+            partner[k], first = own[near], near + 1
+    return partner
 
 
 def _cost(result: JobResult) -> Table:

@@ -65,9 +65,9 @@ def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, Dof
 
 def rotation_factor(K: sp.csr_array, residuals: Residual, dofs: DofMap) -> float | None:
     """The factor on the rotations of all nodes that makes K fit the geometry; None where none does."""
-    turning = dofs.turning
-    if not turning.any() or turning.all() or not residuals.bad.any():
+    if not residuals.bad.any():
         return None
+    turning = dofs.turning
     arms, turns = residuals.R[:, 3:].copy(), residuals.R[:, 3:].copy()
     arms[turning], turns[~turning] = 0.0, 0.0
     a, b = K @ arms, K @ turns

@@ -276,14 +276,14 @@ def _couplings(
 
 
 def _equations(path: Path, group: Mapping[str, Any], count: int) -> tuple[Equations, ...]:
-    found = []
+    equations = []
     for name, given in zip(group["names"], group["equations"], strict=True):
         _refuse_outside(path, np.append(given["nodes"], given["term_nodes"]), count, f"the equations {name!r}")
         components = np.append(given["components"], given["term_components"])
         if not np.isin(components, range(SCALAR + 1)).all():
             raise InputError(f"{path}: the equations {name!r} have components beyond 0 to 6; {CURE}")
         try:
-            found.append(Equations(name=name, **given))
+            equations.append(Equations(name=name, **given))
         except InputError as error:
             raise InputError(f"{path}: {error}; {CURE}") from error
-    return tuple(found)
+    return tuple(equations)

@@ -321,10 +321,10 @@ def list_engines() -> dict[str, str]:
     for name, engine in ENGINES.items():
         try:
             program = engine.find("")
-            found = f"{program.name}{f' {program.version}' if program.version else ''} at {program.path}"
+            place = f"{program.name}{f' {program.version}' if program.version else ''} at {program.path}"
         except InputError:
-            found = "not found"
-        lines[name] = f"{engine.about} ({found})"
+            place = "not found"
+        lines[name] = f"{engine.about} ({place})"
     return lines
 
 

@@ -41,7 +41,7 @@ SHIFTS_AT_ONCE, RECENT = 3, 96
 # A shift closer to the real axis than this part of its size is real; a mode damped less than this is not damped.
 REAL, UNDAMPED = 1e-8, 1e-9
 FIRST_COLUMNS = 256
-_ROWS = 1 << 15
+ROWS = 1 << 15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +75,7 @@ class LowRankGramian:
 
 def low_rank_gramian(
     system: SecondOrder, F: Floats, *, tolerance: float = 1e-10, max_steps: int = 300, budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, rows: int = ROWS,
 ) -> LowRankGramian:  # fmt: skip
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
 
@@ -83,13 +83,13 @@ def low_rank_gramian(
     relative to F'K^-1 F, the static compliance; the iteration stops where the largest is below ``tolerance``.
     In this measure low frequencies count, and the many modes of a fine mesh that no load excites do not.
 
-    Peak memory: Z in ``budget`` (compressed whenever it fills its room), 96 columns or 4 blocks (N, m) of recent
-    solutions twice, and about 12 blocks (N, m).
+    Peak memory: Z in ``budget`` (compressed whenever it fills its room, so many ``rows`` at a time), 96 columns or
+    4 blocks (N, m) of recent solutions twice, and about 12 blocks (N, m).
 
     Raises:
         SolverError: ``tolerance`` is not reached within ``max_steps`` shifts, or modes are not damped.
     """
-    iteration = _Iteration(system, F, budget)
+    iteration = _Iteration(system, F, budget, rows)
     residual = 1.0
     while residual > tolerance:
         for p in iteration.next_shifts(tolerance):
@@ -110,7 +110,7 @@ def low_rank_gramian(
 class _Iteration:
     """The residual factor [f; g] and what was solved so far."""
 
-    def __init__(self, system: SecondOrder, F: Floats, budget: Budget) -> None:
+    def __init__(self, system: SecondOrder, F: Floats, budget: Budget, rows: int) -> None:
         self.system = system
         self.f: Floats = np.zeros(F.shape)
         self.g = np.array(F, dtype=float)
@@ -121,7 +121,7 @@ class _Iteration:
         self.recent: list[Floats] = []
         self.shifts: list[complex] = []
         stiffness, mass = (np.sqrt(np.maximum(A.diagonal(), 0.0)) for A in (system.K, system.M))
-        self.factor = _Factor(stiffness, mass, max(FIRST_COLUMNS, 6 * F.shape[1]), budget)
+        self.factor = _Factor(stiffness, mass, max(FIRST_COLUMNS, 6 * F.shape[1]), budget, rows)
 
     def step(self, p: complex) -> float:
         """One shift (with its conjugate); returns the residual."""
@@ -191,10 +191,10 @@ class _Iteration:
 
 
 class _Factor:
-    """The columns of Z, replaced by fewer whenever they fill their room."""
+    """The columns of Z, replaced by fewer, ``rows`` of them at a time, whenever they fill their room."""
 
-    def __init__(self, stiffness: Floats, mass: Floats, capacity: int, budget: Budget) -> None:
-        self.stiffness, self.mass, self.budget = stiffness, mass, budget
+    def __init__(self, stiffness: Floats, mass: Floats, capacity: int, budget: Budget, rows: int) -> None:
+        self.stiffness, self.mass, self.budget, self.rows = stiffness, mass, budget, rows
         self.size = 0
         self.Zp, self.Zv = (budget.empty((len(mass), capacity), order="F") for _ in range(2))
 
@@ -217,8 +217,8 @@ class _Factor:
         """
         R: Floats = np.zeros((0, self.size))
         for Z, scale in ((self.Zp, self.stiffness), (self.Zv, self.mass)):
-            for first in range(0, len(Z), _ROWS):
-                rows = slice(first, first + _ROWS)
+            for first in range(0, len(Z), self.rows):
+                rows = slice(first, first + self.rows)
                 rows_too = np.vstack([R, scale[rows, None] * Z[rows, : self.size]])
                 R = sl.qr(rows_too, mode="r", overwrite_a=True, check_finite=False)[0][: self.size]
                 self.budget.release_if_tight()

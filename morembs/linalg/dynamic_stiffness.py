@@ -87,6 +87,11 @@ class DynamicStiffness(Closing):
             self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
         return self._analyses[structure].factorize(A, what)
 
+    @property
+    def analysed(self) -> tuple[str, ...]:
+        """Structures of the matrices factorised so far; all of one structure share one analysis."""
+        return tuple(self._analyses)
+
     def close(self) -> None:
         """Release all factors."""
         for analysis in self._analyses.values():

@@ -37,7 +37,7 @@ _FROM_VOIGT = np.array([0, 1, 2, 5, 3, 4])
 _ROW, _COLUMN = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
 _LINEAR = {"t": "tet4", "h": "hex8", "w": "wedge6"}
 # Entries of G that are collected before they are added up.
-_COLLECTED = 4_000_000
+COLLECTED = 4_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,13 +93,14 @@ class SingleElements:
 
 def stress_operator(
     model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, collected: int = COLLECTED,
 ) -> StressOperator:  # fmt: skip
     """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
 
     Only elements that touch these nodes are looked at, a chunk at a time. Peak memory: four times the entries of G
-    (up to 170 for each point of 20-node hexahedra, 80 of 10-node tetrahedra; 12 bytes each) and one chunk; single
-    elements have as many entries as their nodes, for each of their points.
+    (up to 170 for each point of 20-node hexahedra, 80 of 10-node tetrahedra; 12 bytes each) and one chunk; they are
+    added up whenever there are ``collected`` of them. Single elements have as many entries as their nodes, for each of
+    their points.
 
     Raises:
         InputError: a model without elements or materials, an unknown choice of nodes or rows that do not exist.
@@ -118,7 +119,8 @@ def stress_operator(
     C = np.stack([material.stiffness for material in model.materials])[:, _FROM_VOIGT][:, :, _FROM_VOIGT]
     C = C * np.array([1, 1, 1, 2, 2, 2])
     node, material = points // len(alike), points % len(alike)
-    of = _Points(mesh, owner, points, np.stack([material.stiffness for material in model.materials]), progress)
+    constants = np.stack([material.stiffness for material in model.materials])
+    of = _Points(mesh, owner, points, constants, progress, collected)
     n, alone, changed = len(mesh.nodes), None, any(formulation_of(block).change for block in mesh.blocks)
     if elements:
         G, point, element = of.single(_gradients, 3, n)
@@ -214,6 +216,7 @@ class _Points:
     numbers: Ints
     constants: Floats
     progress: Progress
+    collected: int
 
     def pairs(self, values_of: _Values) -> Iterator[_Pairs]:
         """All pairs of an element and one of its nodes that is a point, a chunk of elements at a time."""
@@ -253,7 +256,7 @@ class _Points:
             column = np.broadcast_to(pair.columns[:, None, :], values.shape)
             parts.append((values.ravel(), row.ravel(), column.ravel()))
             collected += values.size
-            if collected > max(_COLLECTED, total.nnz):
+            if collected > max(self.collected, total.nnz):
                 total, parts, collected = total + _summed(parts, shape), [], 0
         if parts:
             total = total + _summed(parts, shape)

@@ -104,10 +104,10 @@ class Stepper:
             c_a=c_a, c_v=h * a.gamma * c_a, c_q=h * h * a.beta * c_a,
         )  # fmt: skip
 
-    def _factor(self, it: Iterate, mass: Floats, B: Floats) -> LU:
+    def _factor(self, iterate: Iterate, mass: Floats, B: Floats) -> LU:
         K, C = self.tangents
-        S = saddle(mass + it.c_v * C + self.assembly.tangent(it.c_q * K, it.step), B)
-        S[self.assembly.size :, : self.assembly.size] = self.assembly.tangent(B, it.step)
+        S = saddle(mass + iterate.c_v * C + self.assembly.tangent(iterate.c_q * K, iterate.step), B)
+        S[self.assembly.size :, : self.assembly.size] = self.assembly.tangent(B, iterate.step)
         lu: LU = sl.lu_factor(S, check_finite=False)
         return lu
 
@@ -118,26 +118,26 @@ class Stepper:
             RayError: no forces keep the points of contacts apart.
             SolverError: Newton's method does not converge.
         """
-        s, old, it = self.assembly, self.state, self._predicted()
+        s, old, iterate = self.assembly, self.state, self._predicted()
         factor, last, refreshed, M, noise = None, math.inf, False, self.tangents[0], 0.0
         for _ in range(self.reactions.iterations):
-            x = s.moved(old.x, it.step)
-            mass, g, Phi, B = s.equations(time, x, it.v)
+            x = s.moved(old.x, iterate.step)
+            mass, g, Phi, B = s.equations(time, x, iterate.v)
             if factor is None:
-                M, factor = mass, self._factor(it, mass, B)
-                noise = self._limit(M, g, it.v, old.time)
-            residual = np.concatenate((mass @ it.acceleration + g + it.multipliers @ B, Phi / it.c_q))
+                M, factor = mass, self._factor(iterate, mass, B)
+                noise = self._limit(M, g, iterate.v, old.time)
+            residual = np.concatenate((mass @ iterate.acceleration + g + iterate.multipliers @ B, Phi / iterate.c_q))
             if not np.isfinite(residual).all():
                 break
-            d = it.correct(self.reactions.solve(factor, residual, x, it))
-            size = it.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
+            d = iterate.correct(self.reactions.solve(factor, residual, x, iterate))
+            size = iterate.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
             if size <= noise:
-                self._v, self._auxiliary, self._multipliers = it.v, it.auxiliary, it.multipliers
-                self.state = self.reactions.state(it.state(s, time, s.moved(old.x, it.step)), converged=True)
+                self._v, self._auxiliary, self._multipliers = iterate.v, iterate.auxiliary, iterate.multipliers
+                self.state = self.reactions.state(iterate.state(s, time, s.moved(old.x, iterate.step)), converged=True)
                 return self.state
             if size > _SLOW * last:
                 if not refreshed:
-                    self.tangents = self._tangents(it.state(s, time, s.moved(old.x, it.step)))
+                    self.tangents = self._tangents(iterate.state(s, time, s.moved(old.x, iterate.step)))
                 factor, refreshed = None, True
             last = size
         raise SolverError(

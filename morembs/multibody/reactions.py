@@ -143,6 +143,6 @@ class Reactions:
         """(k, k) for Newton's method: derivative of minus the forces found last by the configuration."""
         return 0.0
 
-    def solve(self, lu: LU, residual: Floats, x: Floats, it: Iterate) -> Floats:
+    def solve(self, lu: LU, residual: Floats, x: Floats, iterate: Iterate) -> Floats:
         """Newton's change of accelerations and multipliers (k + m,) for a factored matrix and a residual at x."""
         return np.asarray(-sl.lu_solve(lu, residual, check_finite=False))

@@ -29,8 +29,8 @@ Integers = NDArray[np.int64]
 _ITERATIONS, _SLOW = 25, 0.1
 # Static answer of the modes left out, per length, from which a result says so.
 _NEGLECTED = 5e-3
-# Entries of J from which matrices are sparse.
-_DENSE = 40_000
+# Entries of J up to which matrices are dense.
+DENSE = 40_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +54,7 @@ class MechanismMotion:
 class _Run:
     """The mechanism at one configuration: nodes of all members in one vector, point masses last."""
 
-    def __init__(self, mechanism: Mechanism, outside: str) -> None:
+    def __init__(self, mechanism: Mechanism, outside: str, dense_entries: int) -> None:
         self.mechanism, self.outside = mechanism, outside
         blocks = [m.M for m in mechanism.members] + [mass * sp.eye(2) for _, _, mass in mechanism.masses]
         self.M = sp.block_diag(blocks, format="csr")
@@ -63,7 +63,7 @@ class _Run:
         fall = np.concatenate([np.zeros(0), *(m.rigid[:, :2] @ mechanism.gravity for m in mechanism.members)])
         fall = np.concatenate((fall, np.tile(mechanism.gravity, len(mechanism.masses))))
         self.weight = self.M @ fall
-        self.dense = self.M.shape[0] * mechanism.size <= _DENSE
+        self.dense = self.M.shape[0] * mechanism.size <= dense_entries
         # Amplitudes of reduced members have diagonal masses.
         diagonal = self.M.diagonal()
         self.masses = diagonal if self.dense and self.M.nnz == np.count_nonzero(diagonal) else None
@@ -170,6 +170,7 @@ def simulate(
     rho: float = 0.9,
     tolerance: float = 1e-9,
     outside: str = "stop",
+    dense_entries: int = DENSE,
 ) -> MechanismMotion:
     """Motion from rest to ``end`` (s) in steps of ``step`` (s).
 
@@ -177,6 +178,7 @@ def simulate(
         rho: spectral radius at infinite frequency, 0 to 1.
         tolerance: largest last change of a node in a step, in m and rad per unit of size.
         outside: "stop" where a coordinate leaves its table, or "continue" with a warning in the result.
+        dense_entries: entries of the Jacobian of the nodes up to which matrices are dense; larger ones are sparse.
 
     Raises:
         InputError: wrong numbers, an empty mechanism.
@@ -195,7 +197,7 @@ def simulate(
         raise InputError(f"step = {step} s and end = {end} s were given; expected 0 < step <= end")
     if outside not in ("stop", "continue"):
         raise InputError(f"outside = {outside!r} was given; expected 'stop' or 'continue'")
-    return _Integration(_Run(mechanism, outside), scheme, step, tolerance).run(round(end / step))
+    return _Integration(_Run(mechanism, outside, dense_entries), scheme, step, tolerance).run(round(end / step))
 
 
 class _Integration:

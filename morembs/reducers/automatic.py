@@ -100,19 +100,19 @@ class AutoReducer(OfResponses):
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
         search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.hopeless():
-            raise self._unreachable(search)
-        found: dict[str, Floats] = {}
+            raise unreachable(self, search)
+        coefficients: dict[str, Floats] = {}
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            fewer = min((C.shape[1] for C in found.values()), default=MANY)
+            fewer = min((C.shape[1] for C in coefficients.values()), default=MANY)
             C = search.smallest(family, fewer)
             orders[family] = "not reached" if search.reached[family] is None else search.reached[family]
             if C is not None:
-                found = {family: C}
-        if not found:
-            raise self._unreachable(search)
-        ((best, C),) = found.items()
+                coefficients = {family: C}
+        if not coefficients:
+            raise unreachable(self, search)
+        ((best, C),) = coefficients.items()
         notes = {"family": best, "orders": orders, "reference_order": len(certified.values),
                  "measure": self.measure, "damping_floor": floor,
                  "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
@@ -121,7 +121,7 @@ class AutoReducer(OfResponses):
         basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
-            raise self._unreachable(search)
+            raise unreachable(self, search)
         return replace(basis, notes={**notes, "certified": limit.upper})
 
     def _refuse_lost(self, certified: CertifiedReference) -> None:
@@ -153,23 +153,25 @@ class AutoReducer(OfResponses):
                 f"and {LOST_PARTS:g} times that has to be allowed; {raising}{SOFTER}"
             )
 
-    def _unreachable(self, search: FamilySearch) -> InputError:
-        at_hz = search.worst.at_hz
-        if self.measure == "pointwise" and search.zero(at_hz):
-            return InputError(
-                f"tolerance = {self.tolerance:g} cannot be reached pointwise: H has a zero at {at_hz:,.6g} Hz; take "
-                'measure = "envelope"'
-            )
-        least = search.worst.upper
-        found = (
-            f"the smallest error found is {least:.1e}, where the round-off of the full model begins"
-            if least > self.tolerance
-            else f"bodies come to {least:.1e} at single frequencies, but round-off keeps their certificate above it"
-        )
+
+def unreachable(wanted: AutoReducer, search: FamilySearch) -> InputError:
+    """The error for the tolerance of ``wanted`` where ``search`` ended above it, with what is there instead."""
+    at_hz = search.worst.at_hz
+    if wanted.measure == "pointwise" and search.zero(at_hz):
         return InputError(
-            f"tolerance = {self.tolerance:g} cannot be reached from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz; "
-            f"{found}; raise the tolerance"
+            f"tolerance = {wanted.tolerance:g} cannot be reached pointwise: H has a zero at {at_hz:,.6g} Hz; take "
+            'measure = "envelope"'
         )
+    least = search.worst.upper
+    reason = (
+        f"the smallest error found is {least:.1e}, where the round-off of the full model begins"
+        if least > wanted.tolerance
+        else f"bodies come to {least:.1e} at single frequencies, but round-off keeps their certificate above it"
+    )
+    return InputError(
+        f"tolerance = {wanted.tolerance:g} cannot be reached from {wanted.band_hz[0]:g} to {wanted.band_hz[1]:g} Hz; "
+        f"{reason}; raise the tolerance"
+    )
 
 
 def _words(best: str, orders: dict[str, object], band_hz: list[float], tolerance: float) -> str:

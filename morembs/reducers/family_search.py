@@ -112,19 +112,19 @@ class FamilySearch:
 
     def smallest(self, family: str, fewer: int) -> Floats | None:
         """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
-        made: dict[str, Callable[[float, float], Floats]] = {
+        candidates: dict[str, Callable[[float, float], Floats]] = {
             "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
         }  # fmt: skip
-        found: Floats | None = None
+        smallest: Floats | None = None
         self.reached[family] = None
         for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
-            columns = made[family](self.tolerance, exponent)
-            order, C = self._certified(columns, min(fewer, MANY if found is None else found.shape[1]))
+            columns = candidates[family](self.tolerance, exponent)
+            order, C = self._certified(columns, min(fewer, MANY if smallest is None else smallest.shape[1]))
             if order is not None:
                 known = self.reached[family]
                 self.reached[family] = order if known is None else min(known, order)
-            found = C if C is not None else found
-        return found
+            smallest = C if C is not None else smallest
+        return smallest
 
     def _certified(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
         """The first of ``columns``, as few as hold the tolerance: their number, at the samples at least, and the
@@ -208,11 +208,11 @@ class FamilySearch:
         if not C.shape[1]:
             return np.ones(len(self.looked))
         off = self._reduced(C)[0].response(self.looked) - self.full
-        found = np.asarray((self._norms(off) / self.sizes).max(axis=1))
-        if found.max() < self.worst.upper:
-            j = int(found.argmax())
-            self.worst = Limit(lower=found[j], upper=found[j], at_hz=self.looked[j] / (2 * np.pi))
-        return found
+        errors = np.asarray((self._norms(off) / self.sizes).max(axis=1))
+        if errors.max() < self.worst.upper:
+            j = int(errors.argmax())
+            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=self.looked[j] / (2 * np.pi))
+        return errors
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:
         """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""

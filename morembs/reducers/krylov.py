@@ -201,9 +201,9 @@ class Krylov(Reducer):
             progress.update(f"{self.method}: {what}, {sum(space.size for space in spaces)} columns so far")
             for space, chain in zip(growing, shift.grow(wanted), strict=True):
                 for j, block in enumerate(chain.blocks[:count]):
-                    gone = chain.deflated[j] + space.add(block)
-                    if gone:
-                        lost.append(f"{what}, block {j + 1}: {gone} columns of the {space.name}")
+                    deflated = chain.deflated[j] + space.add(block)
+                    if deflated:
+                        lost.append(f"{what}, block {j + 1}: {deflated} columns of the {space.name}")
             if shift.moves:
                 moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
         return lost, moved

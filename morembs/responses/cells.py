@@ -33,7 +33,7 @@ class Bounds:
     @classmethod
     def joined(cls, parts: list[Bounds]) -> Bounds:
         """Those of all ``parts``."""
-        return cls(**{name: np.concatenate([getattr(one, name) for one in parts])
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts])
                       for name in ("upper", "lower", "at", "final")})  # fmt: skip
 
 
@@ -54,18 +54,19 @@ class Cells:
 def search(
     bounds: Callable[[Floats, Floats], Bounds], resolved: Callable[[Floats, Floats], Flags], edges: Floats,
     done: Callable[[Bounds, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
+    most: int = MOST,
 ) -> Cells:  # fmt: skip
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
-    ``done(found, lower)`` (nc, t) from the bounds of cells and the largest lower values (t,). It ends early where a
-    lower value exceeds what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell.
+    ``done`` (nc, t) by the bounds of cells and the largest lower values (t,). It ends early where a lower value exceeds
+    what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell, and at most ``most`` cells are made.
     """
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
     count, decided, whole, step = 0, True, True, max(1, AT_ONCE // per_cell)
-    most = max(LEAST, min(MOST, WORK // per_cell))
+    most = min(most, max(LEAST, min(MOST, WORK // per_cell)))
     while len(low) and decided:
         narrow = high - low <= NARROWEST * edges[-1]
         ready = resolved(low, high) | narrow
@@ -73,25 +74,25 @@ def search(
         low, high, narrow = low[ready], high[ready], narrow[ready]
         if len(low):
             parts = [bounds(low[i : i + step], high[i : i + step]) for i in range(0, len(low), step)]
-            found = Bounds.joined(parts)
-            here = found.lower.argmax(axis=0)
-            reached = found.lower.max(axis=0)
-            at = np.where(reached > best, np.take_along_axis(found.at, here[None], axis=0)[0], at)
+            bounds_here = Bounds.joined(parts)
+            here = bounds_here.lower.argmax(axis=0)
+            reached = bounds_here.lower.max(axis=0)
+            at = np.where(reached > best, np.take_along_axis(bounds_here.at, here[None], axis=0)[0], at)
             best = np.maximum(best, reached)
-            closed = (found.final | done(found, best)).all(axis=1) | narrow
+            closed = (bounds_here.final | done(bounds_here, best)).all(axis=1) | narrow
             decided = allowed is None or not bool((best > allowed).any())
             if not decided or count + 2 * len(low) + unready.shape[1] > most:
                 whole = whole and (not decided or bool(closed.all()))
                 closed[:] = True
             count += int(closed.sum())
-            kept.append((low[closed], high[closed], found.upper[closed]))
+            kept.append((low[closed], high[closed], bounds_here.upper[closed]))
             low, high = low[~closed], high[~closed]
         low, high = np.concatenate([low, unready[0]]), np.concatenate([high, unready[1]])
         middle = 0.5 * (low + high)
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-    cells = np.concatenate([np.stack([one[0], one[1]], axis=1) for one in kept])
+    cells = np.concatenate([np.stack([part[0], part[1]], axis=1) for part in kept])
     order = np.argsort(cells[:, 0], kind="stable")
-    upper = np.concatenate([one[2] for one in kept])
+    upper = np.concatenate([part[2] for part in kept])
     return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
 
 

@@ -218,14 +218,14 @@ def certified_reference(
     floor = floor_of(problem, (low, high), damping_floor)
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
-    found: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
+    references: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
     # What follows inertia loads too serves others as well.
-    key = low, high, floor, inertia_loads or (low, high, floor, True) in found
-    if key not in found or found[key][0] > tolerance:
+    key = low, high, floor, inertia_loads or (low, high, floor, True) in references
+    if key not in references or references[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
         build = _Build(problem, (low, high), damping, floor, tolerance, key[-1], progress)
-        found[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
-    return found[key][1]
+        references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
+    return references[key][1]
 
 
 class _Build:
@@ -245,16 +245,16 @@ class _Build:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
         problem, omega = self.problem, np.linspace(*self.band, LOOKED_AT)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        made = reference_model(
+        model = reference_model(
             problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress
         )  # fmt: skip
-        below = made.values < self.cut
+        below = model.values < self.cut
         return CertifiedReference(
-            model=replace(made, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
-            unsure=np.concatenate([problem.uncertainty(self.modes), made.values[below.sum() :] * EPS])[: len(below)],
-            b_off=np.zeros((len(made.values), problem.B.shape[1])),
+            model=replace(model, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
+            unsure=np.concatenate([problem.uncertainty(self.modes), model.values[below.sum() :] * EPS])[: len(below)],
+            b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
-            edges=np.array(self.band), off=np.array([max(made.error, DAMPED)]), proven=False,
+            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]), proven=False,
         )  # fmt: skip
 
     def grown(self) -> CertifiedReference:
@@ -266,14 +266,14 @@ class _Build:
             error = self._guess(growth)
             self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
-                made = self._made(growth)
-                if made.off.max() <= self.tolerance or made.undamped:
-                    return made
-                error = float(made.off.max())
+                reference = self._reference(growth)
+                if reference.off.max() <= self.tolerance or reference.undamped:
+                    return reference
+                error = float(reference.off.max())
             seen.append(error)
             # Where round-off hides the rest, limits say how much.
             if stands_still(seen) or not growth.grow(error):
-                return self._made(growth)
+                return self._reference(growth)
 
     def _guess(self, growth: ReferenceSpace) -> float:
         """Largest error at some frequencies, relative to the envelope, where all modes are excited by the loads."""
@@ -294,7 +294,7 @@ class _Build:
         T = (tau * (g / a)[:, None, :]) @ b
         return float((squares(T).sum(axis=(1, 2)) / (1 - w**2 / self.cut) / e).max())
 
-    def _made(self, growth: ReferenceSpace) -> CertifiedReference:
+    def _reference(self, growth: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
         problem = self.problem
         space = KrylovSpace(problem, growth, self.modes)
@@ -309,37 +309,37 @@ class _Build:
                 f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
-        made = space.modes(Y, values, k, self.band[1])
+        modes = space.modes(Y, values, k, self.band[1])
         left = Residual(
-            values=made.values, b=made.b, tau=made.tau, start=self._start(space, made), k=k, cut=self.cut,
+            values=modes.values, b=modes.b, tau=modes.tau, start=self._start(space, modes), k=k, cut=self.cut,
             damping=self.damping,
         )  # fmt: skip
         edges, off = left.bounds(self.band, self.tolerance)
-        sigma = made.values[:k] * np.linalg.norm(made.tau[:, :k], axis=0)
+        sigma = modes.values[:k] * np.linalg.norm(modes.tau[:, :k], axis=0)
         model = Reference(
-            values=made.values, D=None, damping=self.damping, F=self._loads(space, made), inputs=problem.B.shape[1],
-            V=space.V, Y=made.Y, error=float(off.max()), problem=problem,
+            values=modes.values, D=None, damping=self.damping, F=self._loads(space, modes), inputs=problem.B.shape[1],
+            V=space.V, Y=modes.Y, error=float(off.max()), problem=problem,
         )  # fmt: skip
         return CertifiedReference(
-            model=model, band_hz=self.band_hz, floor=self.floor, unsure=made.unsure, b_off=made.b_off,
-            vectors=made.vectors, sigma=sigma, cut=self.cut, edges=edges, off=off,
-            proven=not self._straddled(made.values[:k], sigma),
+            model=model, band_hz=self.band_hz, floor=self.floor, unsure=modes.unsure, b_off=modes.b_off,
+            vectors=modes.vectors, sigma=sigma, cut=self.cut, edges=edges, off=off,
+            proven=not self._straddled(modes.values[:k], sigma),
         )  # fmt: skip
 
-    def _loads(self, space: KrylovSpace, made: RitzModes) -> Floats:
+    def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
         """(n, p) of the modes, those of inertia behind those of the interfaces."""
         problem = self.problem
-        F = made.b / problem.motion_scale
+        F = modes.b / problem.motion_scale
         if self.inertia:
             others = unit_loads(problem, inertia=True)[:, F.shape[1] :]
-            F = np.hstack([F, made.Y.T @ dot(space.V, others, problem.budget)])
+            F = np.hstack([F, modes.Y.T @ dot(space.V, others, problem.budget)])
         return F
 
-    def _start(self, space: KrylovSpace, made: RitzModes) -> float:
+    def _start(self, space: KrylovSpace, modes: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
         X = static_response(problem) * problem.motion_scale
-        subtract(space.V, made.Y @ (made.b / made.values[:, None]), X, problem.budget)
+        subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X, problem.budget)
         return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0)))
 
     def _straddled(self, values: Floats, sigma: Floats) -> bool:

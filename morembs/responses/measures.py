@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.responses.cells import Bounds, Cells, first_edges, search
+from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
 from morembs.responses.rational import (
     BULGE,
@@ -110,14 +110,14 @@ class Comparison:
     def __init__(self, standard: Standard, body: Response) -> None:
         self.standard, self.body = standard, body
         self.both = standard.H, body.terms
-        self.sizes = [standard.layout.norms(one.N) for one in self.both]
+        self.sizes = [standard.layout.norms(terms.N) for terms in self.both]
         self.quantities = 3 + self.sizes[0].shape[1]
-        self.poles = np.concatenate([one.z.real.ravel() for one in self.both])
+        self.poles = np.concatenate([terms.z.real.ravel() for terms in self.both])
 
     def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
         """Whether cells are far enough from the poles to be worth a look."""
         middle = 0.5 * (low + high)
-        return np.asarray(0.5 * (high - low) < 0.7 * np.minimum(*(one.nearest(middle) for one in self.both)))
+        return np.asarray(0.5 * (high - low) < 0.7 * np.minimum(*(terms.nearest(middle) for terms in self.both)))
 
     def bounds(self, low: Floats, high: Floats) -> Bounds:
         """Limits of the quantities on cells."""
@@ -125,9 +125,9 @@ class Comparison:
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         w = cell_points(low, high, POINTS)
         grid = cell_points(low, high, np.cos(GRID))
-        at_points = [one.at(w) for one in self.both]
+        at_points = [terms.at(w) for terms in self.both]
         H, X = on_grid(at_points[0]), on_grid(at_points[0] - at_points[1])
-        rests = [one.remainder(middle, half, size) for one, size in zip(self.both, self.sizes, strict=True)]
+        rests = [terms.remainder(middle, half, size) for terms, size in zip(self.both, self.sizes, strict=True)]
         rest_H, rest = rests[0][:, :1], (rests[0] + rests[1])[:, None]
         size = layout.norms(X)
         most = np.maximum(size[:, 1:], size[:, :-1]) + BULGE * _spread(X, layout)[:, None] + rest
@@ -155,7 +155,7 @@ class Comparison:
             ], axis=2)  # fmt: skip
             seen = np.concatenate([size[..., :1] / e[..., :1], size[..., :1], size[..., :1] / size_H[..., None],
                                    size_H[..., None], size[..., 1:] / e[..., 1:]], axis=2).max(axis=1)  # fmt: skip
-            pure_upper, total = (np.concatenate(one, axis=2).max(axis=1) for one in (pure, upper))
+            pure_upper, total = (np.concatenate(limits, axis=2).max(axis=1) for limits in (pure, upper))
             # nan: infinite limits on both sides of a difference.
             cost = np.nan_to_num(pure_upper - seen, nan=np.inf, posinf=np.inf)
             final = cost <= np.maximum(FINE * (SHARPNESS - 1) * total, total - pure_upper)
@@ -222,13 +222,14 @@ def _chords(p: NDArray[np.complex128]) -> Floats:
 
 def compare(
     standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS,
-    asked: tuple[str, float] | None = None,
+    asked: tuple[str, float] | None = None, most_cells: int = MOST,
 ) -> tuple[dict[str, Limit], Floats, Cells]:  # fmt: skip
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
     ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
     nor what is not known of the full model stand against it. Where a measure is ``asked`` for with a tolerance, the
-    other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below.
+    other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below. They hold
+    with any number of cells, of which ``most_cells`` are made.
     """
     comparison = Comparison(standard, body)
     # Two limits make that of the peak.
@@ -238,16 +239,16 @@ def compare(
     number = MEASURES.index(asked[0]) if asked else -1
     unasked = np.array([asked is not None and q != number and (q, number) != (3, 1) for q in range(len(factor))])
 
-    def done(found: Bounds, lower: Floats) -> NDArray[np.bool_]:
-        sharp = (found.upper <= factor * lower) & ((found.upper <= LOCAL * found.lower) | other) | unasked
+    def done(bounds: Bounds, lower: Floats) -> NDArray[np.bool_]:
+        sharp = (bounds.upper <= factor * lower) & ((bounds.upper <= LOCAL * bounds.lower) | other) | unasked
         if asked:
             allowed = asked[1] * (lower[3] if number == 1 else 1.0)
-            sharp[:, number] &= (found.upper[:, number] <= allowed) | (lower[number] > allowed)
+            sharp[:, number] &= (bounds.upper[:, number] <= allowed) | (lower[number] > allowed)
         return np.asarray(sharp)
 
     cells = search(
         comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles), done,
-        quantities=comparison.quantities, per_cell=_numbers(comparison),
+        quantities=comparison.quantities, per_cell=_numbers(comparison), most=most_cells,
     )  # fmt: skip
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = cells.at / (2 * np.pi)
@@ -282,7 +283,7 @@ def decide(standard: Standard, body: Response, low: float, high: float, measure:
         allowed[number] = tolerance
     cells = search(
         comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles),
-        lambda found, _: found.upper <= allowed, quantities=comparison.quantities, allowed=allowed,
+        lambda bounds, _: bounds.upper <= allowed, quantities=comparison.quantities, allowed=allowed,
         per_cell=_numbers(comparison),
     )  # fmt: skip
     if cells.decided and (cells.upper[:, number] <= allowed[number]).all():

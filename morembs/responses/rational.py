@@ -79,7 +79,7 @@ class Terms:
     def moduli(self, w: Floats) -> tuple[Floats, Floats]:
         """(..., P) of 1 / |(w - z1) (w - z2)| at ``w`` (...), and the distance (...) of the nearest root."""
         away = [(w[..., None] - z.real) ** 2 + z.imag**2 for z in self.z.T]
-        near = np.sqrt(reduce(np.minimum, [one.min(axis=-1, initial=np.inf) for one in away]))
+        near = np.sqrt(reduce(np.minimum, [squared.min(axis=-1, initial=np.inf) for squared in away]))
         return 1.0 / np.sqrt(np.maximum(reduce(np.multiply, away), TINY)), near
 
     def nearest(self, middle: Floats) -> Floats:
@@ -93,20 +93,20 @@ class Terms:
         """
         along = [np.abs(middle[:, None] - z.real) for z in self.z.T]
         across = np.abs(self.z.imag.T)
-        reach = [np.hypot(one, off) for one, off in zip(along, across, strict=True)]
-        found = np.full((len(middle), sizes.shape[1]), np.inf)
+        reach = [np.hypot(along_axis, off) for along_axis, off in zip(along, across, strict=True)]
+        bounds = np.full((len(middle), sizes.shape[1]), np.inf)
         for rho in RHO:
             A, B = (half[:, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
-            least = [np.maximum(np.maximum(off - B, one - A), whole - A)
-                     for one, off, whole in zip(along, across, reach, strict=True)]  # fmt: skip
+            least = [np.maximum(np.maximum(off - B, along_axis - A), whole - A)
+                     for along_axis, off, whole in zip(along, across, reach, strict=True)]  # fmt: skip
             free = reduce(np.minimum, least).min(axis=1, initial=np.inf) > 0
-            inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], one, 1.0) for one in least])
+            inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], distance, 1.0) for distance in least])
             if slope is not None:
                 far = np.abs(middle) + half * (rho + 1 / rho) / 2
                 inverse = inverse * (far[:, None] ** 2 + far[:, None] * slope)
             bound = 4 * rho**-DEGREE / (rho - 1) * (inverse @ sizes)
-            found = np.where(free[:, None], np.minimum(found, bound), found)
-        return found
+            bounds = np.where(free[:, None], np.minimum(bounds, bound), bounds)
+        return bounds
 
 
 def product(a: NDArray[Any], N: NDArray[Any]) -> NDArray[Any]:

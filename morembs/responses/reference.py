@@ -159,9 +159,9 @@ def _damped(
     )  # fmt: skip
 
 
-def _beside_resonances(omega: Floats, made: Reference) -> Floats:
-    """``omega`` (nf,), but beside the undamped resonances of ``made`` where it is one: there is no response."""
-    poles = np.sqrt(made.values[made.damping_at_resonance() == 0])
+def _beside_resonances(omega: Floats, reference: Reference) -> Floats:
+    """``omega`` (nf,), but beside the undamped resonances of ``reference`` where it is one: there is no response."""
+    poles = np.sqrt(reference.values[reference.damping_at_resonance() == 0])
     on = (np.abs(omega[:, None] - poles) <= ON * poles).any(axis=1)
     return np.asarray(np.where(on, omega * (1 + NEAR), omega))
 
@@ -212,20 +212,20 @@ class ReferenceSpace:
             g[: len(self.loads)] = self.loads
             # G F = V g, so F seen by the modes is V' K V g.
             F = Y.T @ (self.stiffness @ g)
-            made = Reference(
+            reference = Reference(
                 values=values, D=None, damping=damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
                 error=np.inf, problem=self.problem,
             )  # fmt: skip
-            at = _beside_resonances(omega, made)
-            error, jumps = self._error(made, g, at, tolerance), 0.0
+            at = _beside_resonances(omega, reference)
+            error, jumps = self._error(reference, g, at, tolerance), 0.0
             if damping.is_modal:
                 # Every mode has a damping of its own, of which the residual on this space knows nothing.
-                error, jumps = max(error, self._change(made, g, at)), self._jumps(made, at)
+                error, jumps = max(error, self._change(reference, g, at)), self._jumps(reference, at)
             worst = max(error, jumps)
             progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
             good = error <= tolerance and jumps <= max(tolerance, JUMPS)
             if good or not lanczos.pending.shape[1]:
-                return self._sharpened(made, worst)
+                return self._sharpened(reference, worst)
             seen.append(worst)
             if stands_still(seen):
                 raise SolverError(
@@ -233,7 +233,7 @@ class ReferenceSpace:
                     f"of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
                 )
             if not self.grow(worst, JUMPY if jumps > tolerance else ""):
-                return self._sharpened(made, worst)
+                return self._sharpened(reference, worst)
 
     def grow(self, error: float, advice: str = "") -> bool:
         """One block more; False where there is none. ``error`` and ``advice`` are told where there is no room.
@@ -257,8 +257,8 @@ class ReferenceSpace:
         self._border()
         return True
 
-    def _sharpened(self, made: Reference, error: float) -> Reference:
-        """``made`` with soft modes known to their own round-off, and with its loads."""
+    def _sharpened(self, reference: Reference, error: float) -> Reference:
+        """``reference`` with soft modes known to their own round-off, and with its loads."""
         problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
 
         def stiffness(Y: Floats) -> Floats:
@@ -266,7 +266,7 @@ class ReferenceSpace:
 
         values, Y = graded_modes(self.stiffness, projected=stiffness)
         F = Y.T @ dot(V, unit_loads(problem, self.inertia), problem.budget)
-        return replace(made, values=values, Y=Y, F=F, error=error)
+        return replace(reference, values=values, Y=Y, F=F, error=error)
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
@@ -294,48 +294,48 @@ class ReferenceSpace:
         self.stiffness[:, lanczos.last] = columns
         self.stiffness[lanczos.last] = columns.T
 
-    def _change(self, made: Reference, g: Floats, omega: Floats) -> float:
+    def _change(self, reference: Reference, g: Floats, omega: Floats) -> float:
         """Largest change of H by the newest block, relative to its largest entry at each frequency."""
         k = self.lanczos.last.start
         if not k:
             return np.inf
         values, Y = sl.eigh(self.stiffness[:k, :k])
-        before = replace(made, values=values, Y=Y, F=Y.T @ (self.stiffness[:k, :k] @ g[:k]))
-        H, old = (one.F.T @ one.states(1j * omega) for one in (made, before))
+        before = replace(reference, values=values, Y=Y, F=Y.T @ (self.stiffness[:k, :k] @ g[:k]))
+        H, old = (model.F.T @ model.states(1j * omega) for model in (reference, before))
         return float((np.abs(H - old).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))).max())
 
-    def _jumps(self, made: Reference, omega: Floats) -> float:
+    def _jumps(self, reference: Reference, omega: Floats) -> float:
         """What H would change by if modes that may lie on either side of a jump of the modal table changed sides.
 
         With G M V y = V T y + W E'y, an eigenvalue of G M lies within |T y - y / theta| + |W E'y| of 1 / theta (in the
         norm of M; Weinstein 1934). Relative to the largest entry of H at each frequency.
         """
-        lanczos, values, Y, jumps = self.lanczos, made.values, made.Y, made.damping.jumps
+        lanczos, values, Y, jumps = self.lanczos, reference.values, reference.Y, reference.damping.jumps
         if not len(jumps):
             return 0.0
         T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
         outside = np.einsum("ij,ik,kj->j", last, lanczos.rest, last)
         off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
-        stiffness = values * (1 + 1j * made.damping.structural)
-        H = np.abs(made.F.T @ made.states(1j * omega)).max(axis=(1, 2))
+        stiffness = values * (1 + 1j * reference.damping.structural)
+        H = np.abs(reference.F.T @ reference.states(1j * omega)).max(axis=(1, 2))
         change = np.zeros(len(omega))
         for jump in jumps:
             unsure = np.abs(1 / values - 1 / jump**2) <= off
             if not unsure.any():
                 continue
-            omega_k, F = np.sqrt(values[unsure]), np.abs(made.F[unsure])
-            ratios = made.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
-            one, other = (
+            omega_k, F = np.sqrt(values[unsure]), np.abs(reference.F[unsure])
+            ratios = reference.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
+            below, above = (
                 1 / (stiffness[unsure] - omega[:, None] ** 2 + 2j * ratio * omega[:, None] * omega_k)
                 for ratio in ratios
             )
-            change += np.einsum("ki,fk,kj->fij", F, np.abs(one - other), F).max(axis=(1, 2)) / H
+            change += np.einsum("ki,fk,kj->fij", F, np.abs(below - above), F).max(axis=(1, 2)) / H
         return float(change.max(initial=0.0))
 
-    def _error(self, made: Reference, g: Floats, omega: Floats, tolerance: float) -> float:
+    def _error(self, reference: Reference, g: Floats, omega: Floats, tolerance: float) -> float:
         """Largest estimated error of H, relative to its largest entry at each frequency; some error above
         ``tolerance`` where that is exceeded and the space can still grow."""
-        lanczos, values, Y = self.lanczos, made.values, made.Y
+        lanczos, values, Y = self.lanczos, reference.values, reference.Y
         V, W, T = lanczos.V[:, : lanczos.size], lanczos.rest_vectors, lanczos.T[: lanczos.size, : lanczos.size]
         KW = self.problem.K @ W
         cross = dot(V, KW, self.problem.budget)
@@ -345,14 +345,15 @@ class ReferenceSpace:
 
         def at(w: float) -> float:
             # K carries c; the rest of A is f M, and f y follows from the modal equation.
-            c, _ = made.damping.proportional(1j * w)
-            row = 1.0 / (values * (1 + 1j * made.damping.structural) + 1j * w * made.damping_of_modes() - w**2)
+            c, _ = reference.damping.proportional(1j * w)
+            stiffness = values * (1 + 1j * reference.damping.structural)
+            row = 1.0 / (stiffness + 1j * w * reference.damping_of_modes() - w**2)
             gain = max(1.0, float(np.abs(values * row).max()))
             if not row.imag.any():
                 # Without damping all is real, in a quarter of the time.
                 c, row = c.real, row.real
-            y, fy = row[:, None] * made.F, (1.0 - c * row * values)[:, None] * made.F
-            H = made.F.T @ y
+            y, fy = row[:, None] * reference.F, (1.0 - c * row * values)[:, None] * reference.F
+            H = reference.F.T @ y
             rho = -product(TY, fy)
             rho[: len(g)] += g - c * product(Y, y)
             residual = np.abs(np.einsum("ij,ij->j", rho.conj(), product(energy, rho)))

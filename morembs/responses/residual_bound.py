@@ -110,7 +110,7 @@ class Residual:
 
         cells = search(
             bounds, lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
-            first_edges(low, high, T.z.real.ravel()), lambda found, _: found.upper <= tolerance, quantities=1,
+            first_edges(low, high, T.z.real.ravel()), lambda bounds, _: bounds.upper <= tolerance, quantities=1,
             per_cell=4 * SEGMENTS * rows.shape[1] + 20 * len(size),
         )  # fmt: skip
         return np.append(cells.edges[:, 0], high), cells.upper[:, 0]

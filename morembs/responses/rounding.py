@@ -86,8 +86,8 @@ class Lost:
         grown = np.asarray(grown)[..., None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             rest = np.maximum(1.0 - grown * self.own[..., None], 0.0)
-            found = np.where(rest > 0, grown**2 * self.coupled / rest, np.inf)
-        return np.asarray(found + grown * self.rows)
+            through_poles = np.where(rest > 0, grown**2 * self.coupled / rest, np.inf)
+        return np.asarray(through_poles + grown * self.rows)
 
     def part(self, some: slice) -> Lost:
         """That at ``some`` of the points (nc, n) of cells."""
@@ -103,7 +103,7 @@ def couplings(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number
     d = np.sqrt(np.diag(size))
     d[d == 0] = 1.0
     eps = max(4.0, np.sqrt(len(d))) * EPS
-    rows, columns = (eps * d * (one @ (1 / d)) for one in (size, size.T))
+    rows, columns = (eps * d * (magnitudes @ (1 / d)) for magnitudes in (size, size.T))
     return np.sqrt(rows @ np.abs(L) ** 2), np.sqrt(columns @ np.abs(X) ** 2)
 
 

@@ -83,13 +83,13 @@ def files_read() -> Iterator[dict[str, Content]]:
         sys.addaudithook(_heard)  # stays for the life of the process
     opened: set[str] = set()
     _readings.append(opened)
-    found: dict[str, Content] = {}
+    contents: dict[str, Content] = {}
     try:
-        yield found
+        yield contents
     finally:
         _readings.remove(opened)
         foreign = _foreign(opened)
-    found.update({str(path): Content.of(path) for path in foreign})
+    contents.update({str(path): Content.of(path) for path in foreign})
 
 
 def _heard(event: str, arguments: tuple[Any, ...]) -> None:

@@ -76,11 +76,11 @@ class SafeFile:
         """Fill ``buffer``, with zeros behind the end of the file."""
         view, done = memoryview(buffer).cast("B"), 0
         while done < len(view):
-            got = self._file.readinto(view[done:])
-            if not got:
+            count = self._file.readinto(view[done:])
+            if not count:
                 view[done:] = bytes(len(view) - done)
                 break
-            done += got
+            done += count
         return len(view)
 
     def flush(self) -> None:

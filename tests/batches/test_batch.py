@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,7 +21,10 @@ from morembs.batches.run import Nobody, Record, batch
 from morembs.body.file import read_body
 from morembs.errors import InputError
 from morembs.storage.contents import Content
-from tests.support import decks
+from tests.support import decks, processes
+
+# Seconds after which a wait for another thread counts as endless.
+PATIENCE = 600.0
 
 # A program that says what it gets, prints a document, and waits for the end of its input if it is asked to.
 CHILD = """
@@ -94,6 +100,48 @@ def test_only_what_is_due_is_run(tmp_path: Path) -> None:
     assert by_name["b"].facts["bodies"]["cb"]["frequencies_hz"] == before
     assert by_name["a"].facts["mass"] > 1.02 * by_name["b"].facts["mass"]
     assert states(batch([folder])) == {"a": "unchanged", "b": "unchanged", "lost": "failed"}
+
+
+def on_terminal(work: Callable[[], object], folder: Path) -> tuple[int, str, str]:
+    """Exit code and standard output of ``work``, and what its standard error shows on a terminal, without colours."""
+    master, slave = os.openpty()
+    shown: list[bytes] = []
+
+    def read() -> None:
+        # Reading fails once nobody has the other end any more.
+        with contextlib.suppress(OSError):
+            while block := os.read(master, 4096):
+                shown.append(block)
+
+    def begin() -> None:
+        os.dup2(slave, 2)
+        work()
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    try:
+        ended = processes.apart(begin, folder)
+    finally:
+        os.close(slave)
+        reader.join(PATIENCE)
+        os.close(master)
+    return ended.code, ended.output, re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", b"".join(shown).decode().replace("\r", "\n"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals are POSIX")
+def test_a_terminal_shows_each_job_above_a_bar(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    wrong = {"material": 'set = "all"\nyoung = 1\npoisson = 0.6\ndensity = 1'}
+    folder = jobs(tmp_path, {"a": {}, "wrong": wrong})
+    code, output, shown = on_terminal(processes.program(["batch", str(folder)]), folder)
+    assert code == 2 and output.splitlines()[-1] == "1 done, 1 failed"
+    assert re.search(r"^\[1/2\] a: done in .+, order 16, [\d.]+ GB$", shown, re.MULTILINE), shown
+    assert re.search(r"^\[2/2\] wrong: failed: .*poisson", shown, re.MULTILINE)
+    # A job that runs has a line of its own; the bar counts those that ended.
+    assert set(re.findall(r"^\[./2\] (\S+) +━+", shown, re.MULTILINE)) == {"a"}
+    counts = [int(count) for count in re.findall(r"^batch +\S+ +(\d)/2", shown, re.MULTILINE)]
+    assert counts == sorted(counts) and set(counts) >= {1, 2}
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,13 @@
 """What jobs deliver with a body, through the command line: frames, stiffening, rankings, stress, exports."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from morembs import Envelope, assemble, read_body
+from morembs import Envelope, assemble, elastic_body, make_part, read_body, write_body
 from morembs.body.stress_shapes import stress_recovery
 from morembs.cli import app
 from morembs.floating.frame import floating_frame
@@ -75,6 +76,15 @@ def test_a_job_delivers_what_the_python_interface_gives_in_si_units(delivered, d
     assert body.ranking and {term.equation for term in body.ranking} <= {"force", "moment", "elastic"}
     assert body.ranking[0].share >= body.ranking[-1].share
     assert "tangent frame at left" in delivered[1] and "inertia terms: " in delivered[1]
+
+
+def test_a_share_without_a_load_is_one_of_unit_loads(direct, tmp_path):
+    problem, reduced, frame, stiff, _ = direct
+    first, *others = stiff.share
+    few = replace(stiff, load={first: 7.0})
+    body = elastic_body(problem, reduced, make_part(problem), floating=replace(frame, stiffening=few))
+    stored = read_body(write_body(tmp_path / "part.h5", [body])).bodies[body.name].floating.stiffening
+    assert stored.load == {first: 7.0, **dict.fromkeys(others, 1.0)} and stored.share == stiff.share
 
 
 def test_info_tells_what_is_in_the_file(delivered):

@@ -1,5 +1,6 @@
 """The body file: whole or not there, the same bytes for the same input, and readable by others."""
 
+import builtins
 import dataclasses
 import errno
 import io
@@ -25,7 +26,7 @@ from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.progress import Stage
 from morembs.reducers import CraigBampton, Modal, ReducedModel
-from morembs.storage.safefile import SafeFile, check_writable
+from morembs.storage.safefile import check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
 from tests.support.processes import apart, python
@@ -223,13 +224,12 @@ def test_same_bytes_in_another_process(tmp_path):
 
 @pytest.mark.parametrize("error", [RuntimeError("halt"), OSError("not of the file"), KeyboardInterrupt()], ids=repr)
 @pytest.mark.parametrize("old", [b"the old file", None])
-def test_interruption_leaves_the_old_file_or_none(tmp_path, monkeypatch, error, old):
-    monkeypatch.setattr("morembs.body.file.BLOCK_BYTES", 8 * 30)
+def test_interruption_leaves_the_old_file_or_none(tmp_path, error, old):
     path = tmp_path / "body.h5"
     if old:
         path.write_bytes(old)
     with pytest.raises(type(error)) as caught:
-        write_body(path, [Made(10, 6, fail_at=3, error=error)])
+        write_body(path, [Made(10, 6, fail_at=3, error=error)], block_bytes=8 * 30)
     assert caught.value is error
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == ([("body.h5", old)] if old else [])
     write_body(path, [Made(10, 6)])
@@ -242,28 +242,36 @@ def open_in_hdf5():
     return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, kinds)
 
 
+def replaced_open(monkeypatch, new):
+    """Let ``new(path)`` open the files that a program writes and that must not be there; the paths of those."""
+    real, paths = builtins.open, []
+
+    def opened(path, mode="r", *arguments, **options):
+        if mode != "x+b":
+            return real(path, mode, *arguments, **options)
+        paths.append(path)
+        return new(path)
+
+    monkeypatch.setattr(builtins, "open", opened)
+    return paths
+
+
 def test_short_writes_are_continued(tmp_path, monkeypatch):
     whole = write_body(tmp_path / "whole.h5", [Made(20, 3)], provenance=PROVENANCE).read_bytes()
-    begin = SafeFile.__init__
 
     class Slow(io.FileIO):
         def write(self, data):
             return super().write(data[: len(data) // 2 + 1])
 
-    def begin_slowly(self, path):
-        begin(self, path)
-        self._file.close()
-        self._file = Slow(path, "w+b")
-
-    monkeypatch.setattr(SafeFile, "__init__", begin_slowly)
+    slow = replaced_open(monkeypatch, lambda path: Slow(path, "x+b"))
     assert write_body(tmp_path / "slow.h5", [Made(20, 3)], provenance=PROVENANCE).read_bytes() == whole
+    assert slow
 
 
 @pytest.mark.parametrize("reason", [KeyboardInterrupt(), OSError(errno.EIO, "Input/output error")], ids=repr)
 @pytest.mark.parametrize("number", [0, 1, 7, 30, 10**9])
 def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, number):
     """The n-th write fails (the last case: only the truncation at the end)."""
-    begin = SafeFile.__init__
     calls = []
 
     class Failing:
@@ -282,13 +290,9 @@ def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, 
         def truncate(self, size):
             raise reason
 
-    def begin_failing(self, path):
-        begin(self, path)
-        self._file = Failing(self._file)
-
     path = tmp_path / "body.h5"
     path.write_bytes(b"the old file")
-    monkeypatch.setattr(SafeFile, "__init__", begin_failing)
+    replaced_open(monkeypatch, lambda path: Failing(io.FileIO(path, "x+b")))
     body = Made(2000, 6)
     with pytest.raises(OutputError if isinstance(reason, OSError) else KeyboardInterrupt):
         write_body(path, [body])
@@ -370,7 +374,7 @@ def test_where_no_file_can_be_written(tmp_path, monkeypatch):
         raise OSError(errno.EROFS, "Read-only file system", str(args[0]))
 
     monkeypatch.setattr(Path, "touch", read_only)
-    monkeypatch.setattr("builtins.open", read_only)
+    monkeypatch.setattr(builtins, "open", read_only)
     for call in (lambda p: write_body(p, body), check_writable):
         with pytest.raises(OutputError, match=r"Read-only file system.*choose a folder you may write to"):
             call(tmp_path / "body.h5")

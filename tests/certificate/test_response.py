@@ -16,10 +16,10 @@ OMEGA = 2 * np.pi * np.linspace(20.0, 3000.0, 25)
 @pytest.mark.parametrize("coupling", ["rigid", "average"])
 def test_full_response_solves_the_damped_equations(coupling):
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling)
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling)
             for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
     damping = Damping(alpha=5.0, beta=2e-6)
-    with Problem(model, made, damping=damping) as problem:
+    with Problem(model, interfaces, damping=damping) as problem:
         H = full_response(problem, OMEGA)
         K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
         elastic = B - M @ problem.rigid @ (problem.rigid.T @ B)
@@ -38,7 +38,7 @@ def test_full_response_solves_the_damped_equations(coupling):
 def test_few_vectors_suffice_whatever_the_damping():
     """The error estimate is sharp enough to stop early, with stiffness damping too."""
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    made = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
+    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
             for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
 
     class Orders:
@@ -53,7 +53,7 @@ def test_few_vectors_suffice_whatever_the_damping():
     dampings = ((Damping(alpha=5.0), 60), (Damping(alpha=5.0, beta=1e-5), 60), (Damping(modal=0.02), 96))
     for damping, most in dampings:
         orders = Orders()
-        with Problem(model, made, damping=damping) as problem:
+        with Problem(model, interfaces, damping=damping) as problem:
             full_response(problem, OMEGA, progress=orders)
         assert 24 <= orders.last <= most, damping
 
@@ -61,8 +61,8 @@ def test_few_vectors_suffice_whatever_the_damping():
 def test_modal_damping_limits_the_resonance_to_its_quality():
     """At a lone resonance the response is 1/(2 zeta) times the modal flexibility."""
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    made = [make_interface(model, name="r", nodes=where(model, 0, 0.5), coupling="average")]
-    with Problem(model, made, damping=Damping(modal=0.002)) as problem:
+    interfaces = [make_interface(model, name="r", nodes=where(model, 0, 0.5), coupling="average")]
+    with Problem(model, interfaces, damping=Damping(modal=0.002)) as problem:
         modes = problem.elastic_modes(count=6)
         first = modes.eigenvalues[0]
         peak = full_response(problem, np.sqrt(first)[None])[0]

@@ -12,16 +12,16 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
+import scipy.linalg
 from typer.testing import CliRunner
 
 from morembs import scratch, stopping
 from morembs.cli import commands as cli
 from morembs.cli import entry
-from morembs.jobs import run
-from morembs.storage import safefile
 from tests.support.decks import folder
 from tests.support.processes import Ended, apart, program
 
@@ -101,12 +101,11 @@ def lose(way: str, number: int) -> None:
         failed(SystemError("returned a result with an exception set"))
 
 
-def losing(way: str, number: int, place: str, *arguments: object) -> Callable[[], None]:
-    """The command line, which loses a signal when it first comes to ``place``."""
+def losing(way: str, number: int, holder: ModuleType, place: str, *arguments: object) -> Callable[[], None]:
+    """The command line, which loses a signal when it first calls ``place`` of a library (``holder``)."""
     command = program([str(argument) for argument in arguments])
 
     def work() -> None:
-        holder = safefile if place == "_complete" else run
         real, calls = getattr(holder, place), []
 
         def wrapped(*args: Any, **options: Any) -> Any:
@@ -137,7 +136,7 @@ def test_no_signal_is_lost(tmp_path: Path, way: str, number: signal.Signals) -> 
     (tmp_path / "logs").mkdir()
     before = sorted(path.name for path in tmp_path.iterdir())
     other = job.with_name("other.toml")
-    done = apart(losing(way, number, "_reduce", "reduce", job, other), tmp_path, tmp_path / "logs")
+    done = apart(losing(way, number, scipy.linalg, "eigh", "reduce", job, other), tmp_path, tmp_path / "logs")
     assert done.code == 128 + number, (done.output, done.errors)
     assert "error: " not in done.errors and not list((tmp_path / "logs" / "tmp").iterdir())
     word = "interrupted" if number == signal.SIGINT else "terminated"
@@ -152,7 +151,7 @@ def test_no_file_takes_its_name_after_a_signal(tmp_path: Path, way: str) -> None
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
     before = sorted(path.name for path in tmp_path.iterdir())
-    done = apart(losing(way, signal.SIGTERM, "_complete", "reduce", job), tmp_path)
+    done = apart(losing(way, signal.SIGTERM, os, "fsync", "reduce", job), tmp_path)
     assert done.code == 143, (done.output, done.errors)
     assert sorted(path.name for path in tmp_path.iterdir()) == before and (tmp_path / "part.h5").read_text() == "old"
 
@@ -162,7 +161,7 @@ def test_a_library_does_not_end_a_run_as_if_it_had_succeeded(tmp_path: Path, way
     """STOP in Fortran, which MUMPS comes to after a fault of its own, is exit code 0."""
     job = folder(tmp_path)
     (tmp_path / "part.h5").write_text("old")
-    done = apart(losing(way, signal.SIGTERM, "_reduce", "reduce", job), tmp_path)
+    done = apart(losing(way, signal.SIGTERM, scipy.linalg, "eigh", "reduce", job), tmp_path)
     assert done.code == code, (done.output, done.errors)
     assert (tmp_path / "part.h5").read_text() == "old"
 
@@ -193,7 +192,7 @@ def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
 def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
     """As under nohup."""
     job = folder(tmp_path)
-    command = losing("swallowed", signal.SIGHUP, "_reduce", "reduce", job)
+    command = losing("swallowed", signal.SIGHUP, scipy.linalg, "eigh", "reduce", job)
 
     def work() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -201,6 +200,16 @@ def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
 
     done = apart(work, tmp_path)
     assert done.code == 0 and (tmp_path / "part.h5").is_file(), done.errors
+
+
+def terminate_at(name: str) -> Callable[[str, tuple[object, ...]], None]:
+    """An audit hook that sends a signal when a file of this ``name`` is opened."""
+
+    def hook(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and str(arguments[0]).endswith(name):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    return hook
 
 
 def embedding() -> None:
@@ -219,10 +228,8 @@ def embedding() -> None:
 
     signal.signal(signal.SIGTERM, handler)
     say(ended("info", "missing.h5"), signal.getsignal(signal.SIGTERM) is handler)
-    work = entry._work
-    entry._work = lambda _: os.kill(os.getpid(), signal.SIGTERM)
-    say(ended("check", "missing.toml"))
-    entry._work = work
+    sys.addaudithook(terminate_at("signal.toml"))
+    say(ended("check", "signal.toml"))
     say(ended("--version"))
     os.kill(os.getpid(), signal.SIGTERM)
     say("went on")
@@ -297,15 +304,15 @@ def test_other_errors_of_the_system(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
 ) -> None:
     """They are no failure to print, and nothing is said to be written. Other jobs go on."""
-    real, calls = run.run_job, []
+    real, calls = scipy.linalg.eigh, []
 
-    def fail(*args: object) -> object:
-        calls.append(args)
+    def fail(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
         if len(calls) == 1:
             raise error
-        return real(*args)  # type: ignore[arg-type]
+        return real(*arguments, **options)
 
-    monkeypatch.setattr(run, "run_job", fail)
+    monkeypatch.setattr(scipy.linalg, "eigh", fail)
     for name in "ab":
         (tmp_path / name).mkdir()
     jobs = [str(folder(tmp_path / name)) for name in "ab"]
@@ -318,12 +325,12 @@ def test_other_errors_of_the_system(
 def test_faults_tell_where_their_traceback_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise error
 
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(run, "run_job", fail)
+    monkeypatch.setattr(scipy.linalg, "eigh", fail)
     job = folder(tmp_path)
     result = RUNNER.invoke(cli.app, ["reduce", str(job), str(tmp_path / "missing.toml"), "--json"])
     assert result.exit_code == 1
@@ -373,14 +380,14 @@ def test_jobs_in_each_others_way_are_refused(tmp_path: Path, monkeypatch: pytest
 
 def test_a_signal_while_a_private_folder_is_made_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between its making and the promise to remove it: heeded a moment later, when it is known to whom it belongs."""
-    made = tempfile.mkdtemp
+    mkdtemp = tempfile.mkdtemp
 
     def interrupted(*arguments: str, **options: str) -> str:
-        path = made(*arguments, **options)
+        path = mkdtemp(*arguments, **options)
         os.kill(os.getpid(), signal.SIGTERM)
         return path
 
-    monkeypatch.setattr(scratch.tempfile, "mkdtemp", interrupted)
+    monkeypatch.setattr(tempfile, "mkdtemp", interrupted)
     with pytest.raises(SystemExit), stopping.heeded():
         scratch.PrivateFolder(tmp_path)
     with stopping.heeded():

@@ -23,7 +23,7 @@ RUNNER = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a deck, its model file, its job and its body."""
     folder = tmp_path_factory.mktemp("part")
     job = decks.folder(folder, {"check": "full_modes = 12"})
@@ -34,17 +34,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_info_and_export_take_many_files(made: Path, tmp_path: Path) -> None:
-    bodies = [str(shutil.copy(made / "part.h5", tmp_path / f"{name}.h5")) for name in "ab"]
+def test_info_and_export_take_many_files(part: Path, tmp_path: Path) -> None:
+    bodies = [str(shutil.copy(part / "part.h5", tmp_path / f"{name}.h5")) for name in "ab"]
     lost = str(tmp_path / "lost.h5")
     shown = RUNNER.invoke(commands.app, ["info", *bodies])
     assert shown.exit_code == 0 and all(shown.stdout.count(f"{body}: ") == 1 for body in bodies)
-    found = RUNNER.invoke(commands.app, ["info", bodies[0], lost, bodies[1], "--json"])
-    assert found.exit_code == 2 and found.stderr.startswith(f"error: {lost}: ")
-    assert [one.get("output", one.get("file")) for one in json.loads(found.stdout)] == [bodies[0], lost, bodies[1]]
+    result = RUNNER.invoke(commands.app, ["info", bodies[0], lost, bodies[1], "--json"])
+    assert result.exit_code == 2 and result.stderr.startswith(f"error: {lost}: ")
+    entries = json.loads(result.stdout)
+    assert [entry.get("output", entry.get("file")) for entry in entries] == [bodies[0], lost, bodies[1]]
     done = RUNNER.invoke(commands.app, ["export", *bodies, "--to", "mbdyn", "--json"])
     assert done.exit_code == 0
-    written = [path for one in json.loads(done.stdout) for path in one["written"]]
+    written = [path for export in json.loads(done.stdout) for path in export["written"]]
     assert len(set(written)) == len(written) >= 2 and all(Path(path).is_file() for path in written)
     refused = RUNNER.invoke(commands.app, ["export", *bodies, "--to", "mbdyn", "-o", lost])
     assert refused.exit_code == 2 and "was given for 2 files" in refused.stderr
@@ -57,32 +58,32 @@ def test_info_and_export_take_many_files(made: Path, tmp_path: Path) -> None:
 
 def test_every_list_is_a_list() -> None:
     for arguments in (["solvers"], ["export", "--list"], ["import", "--list"]):
-        found = json.loads(RUNNER.invoke(commands.app, [*arguments, "--json"]).stdout)
-        assert all({"name"} < set(one) for one in found) and len(found) > 3
+        entries = json.loads(RUNNER.invoke(commands.app, [*arguments, "--json"]).stdout)
+        assert all({"name"} < set(entry) for entry in entries) and len(entries) > 3
 
 
-def test_compare_takes_many_jobs_and_a_picture_of_one(made: Path, tmp_path: Path) -> None:
+def test_compare_takes_many_jobs_and_a_picture_of_one(part: Path, tmp_path: Path) -> None:
     certify = {"certify": "band_hz = [0, 20000]\npoints = 4"}
     jobs = []
     for name in "ab":
         (tmp_path / name).mkdir()
         jobs.append(str(decks.folder(tmp_path / name, certify, decks.deck(decks.BEAM[:12]))))
-    found = RUNNER.invoke(commands.app, ["compare", *jobs, "--json", "-q"])
-    assert found.exit_code == 0, found.stderr
-    assert [one["job"] for one in json.loads(found.stdout)] == jobs
+    result = RUNNER.invoke(commands.app, ["compare", *jobs, "--json", "-q"])
+    assert result.exit_code == 0, result.stderr
+    assert [entry["job"] for entry in json.loads(result.stdout)] == jobs
     refused = RUNNER.invoke(commands.app, ["compare", *jobs, "-q", "--picture", str(tmp_path / "a.png")])
     assert refused.exit_code == 2 and "was given for 2 jobs" in refused.stderr
 
 
-def test_info_says_what_a_model_file_is_for(made: Path) -> None:
-    refused = RUNNER.invoke(commands.app, ["info", str(made / "part.model.h5")])
+def test_info_says_what_a_model_file_is_for(part: Path) -> None:
+    refused = RUNNER.invoke(commands.app, ["info", str(part / "part.model.h5")])
     assert refused.exit_code == 2
     assert "is a model file (189 dofs at 63 nodes)" in refused.stderr and "morembs init" in refused.stderr
 
 
 @pytest.mark.parametrize("source", ["part.inp", "part.model.h5"])
-def test_a_first_job_is_sound_and_reduces(made: Path, tmp_path: Path, source: str) -> None:
-    file = shutil.copy(made / source, tmp_path / source)
+def test_a_first_job_is_sound_and_reduces(part: Path, tmp_path: Path, source: str) -> None:
+    file = shutil.copy(part / source, tmp_path / source)
     job = tmp_path / "part.toml"
     done = RUNNER.invoke(commands.app, ["init", str(file)])
     assert done.exit_code == 0 and f"written: {job}" in done.stdout
@@ -119,9 +120,9 @@ def test_the_schema_of_jobs_knows_every_table() -> None:
 
 
 def test_a_command_in_a_thread_leaves_the_signals_alone(
-    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    part: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["morembs", "info", str(made / "part.h5")])
+    monkeypatch.setattr(sys, "argv", ["morembs", "info", str(part / "part.h5")])
     ends: list[object] = []
 
     def work() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ from typer.testing import CliRunner
 from morembs import CraigBampton, Damping, Problem, make_interface, read_body
 from morembs.cli import app
 from morembs.importers import IMPORTERS, import_file
-from morembs.importers.model_file import read_model
+from morembs.importers.model_file import read_model, write_model
 from morembs.model import FEModel
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel
@@ -285,6 +286,17 @@ def test_a_job_on_a_coupling_of_the_model_file(tmp_path: Path) -> None:
         assert result.exit_code == 2 and words in result.stderr and len(result.stderr.strip().splitlines()) == 1
 
 
+def test_a_dry_run_overwrites_nothing_whatever_its_name(tmp_path, monkeypatch):
+    """Nor is it refused for the name that it would have; matrices have no elements."""
+    model = block()
+    write_model(tmp_path / "dry.model.h5", replace(model, mesh=None, materials=()))
+    before = (tmp_path / "dry.model.h5").read_bytes()
+    monkeypatch.chdir(tmp_path)
+    (told,) = json.loads(run("dry.model.h5", "--dry-run", "--json"))
+    assert (told["importable"], told["elements"], told["dofs"]) == (True, 0, model.size)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [before]
+
+
 @pytest.mark.parametrize(
     ("model", "words"),
     [
@@ -463,7 +475,7 @@ def test_list_names_every_format() -> None:
     lines = run("--list").strip().splitlines()
     named = [line.split(":")[0] for line in lines]
     assert [name for name in named if not name.startswith("--engine")] == list(IMPORTERS)
-    assert {one["name"] for one in json.loads(run("--list", "--json"))} >= set(IMPORTERS)
+    assert {entry["name"] for entry in json.loads(run("--list", "--json"))} >= set(IMPORTERS)
 
 
 # Models from elsewhere.
@@ -588,6 +600,8 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     assert told["importable"] is False and told["command"] == answer and len(told["problems"]) == 3
     given = ["--contact", "skip", "--skip", "FANCY", "--density", "7.85e-9", "--units", "mm-t-s"]
     assert run(path, "--dry-run", *given).startswith("can be imported: 189 dofs at 63 nodes, read as abaqus; nothing")
+    (told,) = json.loads(run(path, "--dry-run", *given, "--json"))
+    assert (told["importable"], told["elements"], told["dofs"]) == (True, 24, 189)
     assert sorted(tmp_path.iterdir()) == [path]
     # A material that is given answers what is lacking.
     message = refused(tmp_path, path, "--material", "young=1e3,poisson=.3,density=1e-9,set=EALL")

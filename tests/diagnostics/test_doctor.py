@@ -69,8 +69,8 @@ def beam(count=8, length=1.2, radius=0.01, direction=(1.0, 0.0, 0.0)):
     T = np.kron(np.eye(4), frame)
     k, m = T @ k @ T.T, T @ m @ T.T
     K, M = np.zeros((6 * count + 6,) * 2), np.zeros((6 * count + 6,) * 2)
-    for one in range(count):
-        at = slice(6 * one, 6 * one + 12)
+    for element in range(count):
+        at = slice(6 * element, 6 * element + 12)
         K[at, at] += k
         M[at, at] += m
     xyz = np.linspace(0, length, count + 1)[:, None] * x

@@ -39,8 +39,8 @@ def stored(tmp_path_factory):
     path = tmp_path_factory.mktemp("simscape") / "bar.h5"
     with Problem(model, faces, damping=Damping(alpha=2.0, beta=1e-5)) as problem:
         part = make_part(problem)
-        reduced = [one.reduce(problem, name) for name, one in {**REDUCERS, "few": Modal(modes=2)}.items()]
-        write_body(path, [elastic_body(problem, one, part) for one in reduced])
+        reduced = [reducer.reduce(problem, name) for name, reducer in {**REDUCERS, "few": Modal(modes=2)}.items()]
+        write_body(path, [elastic_body(problem, reduced_model, part) for reduced_model in reduced])
     return path
 
 
@@ -134,8 +134,8 @@ def test_notes_and_name(stored):
 def test_bad_input(stored, tmp_path):
     source = read_body(stored)
     body = source.bodies["cb"]
-    short = {n: replace(one, components=one.components[:3]) for n, one in source.interfaces.items()}
-    direct = {n: replace(one, coupling="direct") for n, one in source.interfaces.items()}
+    short = {n: replace(interface, components=interface.components[:3]) for n, interface in source.interfaces.items()}
+    direct = {n: replace(interface, coupling="direct") for n, interface in source.interfaces.items()}
     skew = body.stiffness_matrix + np.triu(body.stiffness_matrix, 1)
     cases = (
         (source, source.bodies["few"], "cannot move its 2 interfaces in all 12 ways"),
@@ -144,9 +144,9 @@ def test_bad_input(stored, tmp_path):
         (source, replace(body, rigid_count=0), "has 0 rigid-body motions"),
         (source, replace(body, stiffness_matrix=skew), "not symmetric"),
     )
-    for one, wrong, message in cases:
+    for altered, wrong, message in cases:
         with pytest.raises(InputError, match=message):
-            Simscape().export(one, wrong, tmp_path / "a.mat")
+            Simscape().export(altered, wrong, tmp_path / "a.mat")
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"holds 4 bodies \(cb, more, krylov, few\); say which"):
         export_body(stored, "simscape")

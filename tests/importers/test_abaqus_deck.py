@@ -85,7 +85,7 @@ def test_inner_nodes_of_hex27_are_taken_from_where_they_are(deck):
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6", "wedge15"])
 def test_meshio_reads_the_same_deck_alike(kind, tmp_path, monkeypatch):
     # meshio reads these elements, and does not know that they are solids.
-    monkeypatch.setitem(meshio._mesh.topological_dimension, "wedge15", 3)
+    monkeypatch.setitem(meshio._mesh.topological_dimension, "wedge15", 3)  # noqa: SLF001
     path = tmp_path / "deck.inp"
     path.write_text(lines(box(kind, (2, 2, 1), (0.3, 0.2, 0.1)), per_line=30))
     ours, theirs = read_abaqus(path), meshio.read(path)

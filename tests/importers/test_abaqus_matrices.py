@@ -189,9 +189,9 @@ def bar(tmp_path_factory):
     faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.5))]
     with Problem(model, faces) as problem:
         part = make_part(problem)
-        made = [elastic_body(problem, one, part) for one in
+        bodies = [elastic_body(problem, reduced_model, part) for reduced_model in
                 (CraigBampton(modes=4).reduce(problem, "cb"), Modal(modes=20).reduce(problem, "modal"))]  # fmt: skip
-    return write_body(tmp_path_factory.mktemp("abaqus") / "bar.h5", made)
+    return write_body(tmp_path_factory.mktemp("abaqus") / "bar.h5", bodies)
 
 
 def test_reduced_body_as_abaqus_deck(bar, tmp_path):

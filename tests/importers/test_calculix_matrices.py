@@ -33,24 +33,24 @@ def test_conrod_of_calculix(shared_data, tmp_path):
         with gzip.open(folder / f"conrod_ccx.{end}.gz") as packed, open(tmp_path / f"conrod_ccx.{end}", "wb") as file:
             shutil.copyfileobj(packed, file)
     shutil.copy(folder / "conrod_ccx.dof", tmp_path)
-    found = read_calculix_matrices(tmp_path / "conrod_ccx")
+    imported = read_calculix_matrices(tmp_path / "conrod_ccx")
     of_abaqus = read_abaqus_matrix(folder / "job_matrix_generate_conrod_MASS1.mtx").matrix
-    assert np.abs(found.M - of_abaqus).max() <= 3e-14 * np.abs(of_abaqus).max()
-    x = sp.csr_array((found.dof == 1).astype(float)[None, :])
-    assert (x @ found.M @ x.T).sum() == pytest.approx(0.1379211513593743, rel=1e-12)
-    assert len(found.node) == 2805 and np.unique(found.node).size == 935
-    values = spl.eigsh(found.K, 14, found.M, sigma=-1e8, return_eigenvectors=False)
+    assert np.abs(imported.M - of_abaqus).max() <= 3e-14 * np.abs(of_abaqus).max()
+    x = sp.csr_array((imported.dof == 1).astype(float)[None, :])
+    assert (x @ imported.M @ x.T).sum() == pytest.approx(0.1379211513593743, rel=1e-12)
+    assert len(imported.node) == 2805 and np.unique(imported.node).size == 935
+    values = spl.eigsh(imported.K, 14, imported.M, sigma=-1e8, return_eigenvectors=False)
     assert np.sqrt(np.sort(values)[6:]) / (2 * np.pi) == pytest.approx(CONROD_HZ, rel=1e-8)
 
 
 def test_small_files(tmp_path):
     for name in ("job.sti", "job.mas", "job.dof", "job"):
         small(tmp_path)
-        found = read_calculix_matrices(tmp_path / name)
-        assert found.node.tolist() == [1, 1, 1, 10, 10] and found.dof.tolist() == [1, 2, 3, 1, 2]
+        imported = read_calculix_matrices(tmp_path / name)
+        assert imported.node.tolist() == [1, 1, 1, 10, 10] and imported.dof.tolist() == [1, 2, 3, 1, 2]
         i = np.arange(1, 6)
-        assert found.K.toarray() == pytest.approx(1 / (i[:, None] + i), rel=1e-13)
-        assert found.M.diagonal().tolist() == [1, 2, 3, 4, 5] and found.M.nnz == 5
+        assert imported.K.toarray() == pytest.approx(1 / (i[:, None] + i), rel=1e-13)
+        assert imported.M.diagonal().tolist() == [1, 2, 3, 4, 5] and imported.M.nnz == 5
 
 
 @pytest.mark.parametrize(

@@ -86,8 +86,8 @@ def test_every_symmetry_of_matrix_market(tmp_path: Path, symmetry: str, dense: b
     A = {"symmetric": A + A.T, "skew-symmetric": A - A.T, "hermitian": A + A.conj().T, "general": A}[symmetry]
     A[3, 1] = A[1, 3] = 0.0
     scipy.io.mmwrite(tmp_path / "k.mtx", A if dense else sp.coo_array(A), symmetry=symmetry, precision=17)
-    found = import_file(tmp_path / "k.mtx").K
-    assert found is not None and np.array_equal(found.toarray(), A)
+    K = import_file(tmp_path / "k.mtx").K
+    assert K is not None and np.array_equal(K.toarray(), A)
 
 
 # HDF5: datasets that announce terabytes of which nothing is stored.
@@ -202,8 +202,8 @@ def test_packed_zeros_do_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("kind", ["coo", "dia", "bsr", "csc", "csr"])
 def test_every_format_of_save_npz(tmp_path: Path, model: FEModel, kind: str) -> None:
     sp.save_npz(tmp_path / "k.npz", model.K.asformat(kind))
-    found = import_file(tmp_path / "k.npz").K
-    assert found is not None and (found != model.K).nnz == 0
+    K = import_file(tmp_path / "k.npz").K
+    assert K is not None and (K != model.K).nnz == 0
 
 
 def element(kind: int, body: bytes) -> bytes:

@@ -131,8 +131,8 @@ def test_byte_order_marks_are_read(tmp_path: Path, ending: str) -> None:
     wide = codecs.BOM_UTF16_BE + text.encode("utf-16-be")
     for data in (codecs.BOM_UTF8 + text.encode(), text.encode("utf-16"), wide):
         path.write_bytes(data)
-        found = import_file(path).mesh
-        assert (found.nodes.xyz == plain.nodes.xyz).all() and (found.blocks[0].nodes == plain.blocks[0].nodes).all()
+        mesh = import_file(path).mesh
+        assert (mesh.nodes.xyz == plain.nodes.xyz).all() and (mesh.blocks[0].nodes == plain.blocks[0].nodes).all()
     path.write_bytes(codecs.BOM_UTF16_LE + b"*")
     with pytest.raises(InputError, match="UTF-16"):
         import_file(path)
@@ -189,8 +189,8 @@ def test_a_material_that_lacks_something_is_refused_or_replaced_with_a_warning(
     told = imported(path, code=2)
     assert set in told and ("has no" in told or "not in the file" in told)
     (said,) = json.loads(imported(path, "--json", "--material", f"young=1e5,poisson=0.3,density=1e-9,set={set}"))
-    assert any("the material that was given took its place" in one for one in said["warnings"])
-    assert any("took its place" in one for one in read_model(path.with_suffix(".model.h5")).warnings)
+    assert any("the material that was given took its place" in warning for warning in said["warnings"])
+    assert any("took its place" in warning for warning in read_model(path.with_suffix(".model.h5")).warnings)
 
 
 def test_a_second_section_without_density_is_not_covered_by_the_first(tmp_path: Path) -> None:
@@ -226,8 +226,8 @@ def test_files_cut_within_their_last_lines_are_noticed(
 ) -> None:
     """Cut at any byte of the end that is no end of a line: refused, unless nothing but blanks is missing."""
     path = tmp_path / f"part{ending}"
-    made = source(path)
-    data = made.read_bytes() if isinstance(made, Path) else made.encode()
+    whole = source(path)
+    data = whole.read_bytes() if isinstance(whole, Path) else whole.encode()
     path.write_bytes(data)
     import_file(path)
     ended = len(data.rstrip())

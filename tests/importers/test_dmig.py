@@ -99,10 +99,10 @@ def test_written_matrices_come_back_with_eleven_digits(tmp_path):
     }
     write_dmig(tmp_path / "a.bdf", given)
     back = read_dmig(tmp_path / "a.bdf")
-    for name, one in given.items():
-        a, b = back[name].matrix.toarray(), one.matrix.toarray()
+    for name, matrix in given.items():
+        a, b = back[name].matrix.toarray(), matrix.matrix.toarray()
         assert np.abs(a - b).max() > 0 and np.all(np.abs(a - b) <= 1e-10 * np.abs(b)), name
-        assert np.array_equal(back[name].rows, one.rows) and np.array_equal(back[name].columns, one.columns)
+        assert np.array_equal(back[name].rows, matrix.rows) and np.array_equal(back[name].columns, matrix.columns)
 
 
 def test_matrices_in_included_and_packed_files_and_what_lies_beyond_their_fields(tmp_path):
@@ -111,8 +111,8 @@ def test_matrices_in_included_and_packed_files_and_what_lies_beyond_their_fields
     head, mass = "SOL 103\nBEGIN BULK\nINCLUDE 'k.bdf'\n", matrix.replace("K   ", "MAAX")
     (tmp_path / "m.bdf.gz").write_bytes(gzip.compress((head + mass).encode()))
     whole = BulkText(tmp_path / "m.bdf.gz")
-    found = read_dmig(whole)
-    assert abs(found["K"].matrix - found["MAAX"].matrix).max() == 0
+    read = read_dmig(whole)
+    assert abs(read["K"].matrix - read["MAAX"].matrix).max() == 0
     cut, beyond = whole.warnings
     assert "no ENDDATA" in cut and "k.bdf, line 1" in beyond
     line = f"DMIG{'K':>5}{1:>15}{1:>8}{1:>16}{1:>8}{'2.':>8}{'3.':>40}\n"
@@ -180,8 +180,8 @@ def bodies(tmp_path_factory):
     with Problem(model, interfaces, damping=Damping(beta=1e-5)) as problem:
         reduced = [CraigBampton(modes=3).reduce(problem, "cb"), Modal(modes=30).reduce(problem, "modal")]
         part = make_part(problem, nodes="interfaces")
-        made = [elastic_body(problem, one, part) for one in reduced]
-    return write_body(tmp_path_factory.mktemp("dmig") / "bar.h5", made)
+        bodies = [elastic_body(problem, reduced_model, part) for reduced_model in reduced]
+    return write_body(tmp_path_factory.mktemp("dmig") / "bar.h5", bodies)
 
 
 def transfer(M, K, D, B, s):
@@ -231,12 +231,13 @@ def test_a_body_comes_back_through_dmig_as_a_model_and_is_reduced_again(bodies, 
     nodes = np.unique(model.dofs.node[~scalar])
     ends = [make_interface(model, name=f"g{row}", nodes=[row], coupling="direct") for row in nodes.tolist()]
     with Problem(model, ends) as problem:
-        made = elastic_body(problem, CraigBampton(modes=int(scalar.sum())).reduce(problem), make_part(problem))
-    write_body(tmp_path / "again.h5", [made])
+        body = elastic_body(problem, CraigBampton(modes=int(scalar.sum())).reduce(problem), make_part(problem))
+    write_body(tmp_path / "again.h5", [body])
     again = read_body(tmp_path / "again.h5").bodies["craig-bampton"]
     omega = sl.eigvalsh(first["KAAX"].matrix.toarray(), first["MAAX"].matrix.toarray())
-    found = sl.eigvalsh(again.stiffness_matrix, again.mass_matrix)
-    assert np.abs(found - omega).max() <= 1e-12 * omega.max() and found[6:] == pytest.approx(omega[6:], rel=1e-7)
+    eigenvalues = sl.eigvalsh(again.stiffness_matrix, again.mass_matrix)
+    assert np.abs(eigenvalues - omega).max() <= 1e-12 * omega.max()
+    assert eigenvalues[6:] == pytest.approx(omega[6:], rel=1e-7)
 
 
 def test_op4_holds_the_body_bit_by_bit(bodies, tmp_path):
@@ -245,15 +246,15 @@ def test_op4_holds_the_body_bit_by_bit(bodies, tmp_path):
         back, body = read_op4(done.paths[0]), read_body(bodies).bodies["modal"]
         assert list(back) == ["M", "K", "D", "B"]
         for key, matrix in (("M", body.mass_matrix), ("K", body.stiffness_matrix), ("B", body.input_matrix)):
-            found = back[key].matrix
-            assert np.array_equal(found.toarray() if sp.issparse(found) else found, matrix)
+            stored = back[key].matrix
+            assert np.array_equal(stored.toarray() if sp.issparse(stored) else stored, matrix)
 
 
 def test_motions_that_depend_on_each_other_cannot_be_coordinates(tmp_path):
     model = steel(box("hex8", (6, 2, 2), (0.5, 0.05, 0.03)))
     faces = [make_interface(model, name=str(x), nodes=where(model, 0, x)) for x in (0.0, 0.25, 0.5)]
     with Problem(model, faces) as problem:
-        made = elastic_body(problem, Modal(modes=4).reduce(problem, "few"), make_part(problem))
-    write_body(tmp_path / "a.h5", [made])
+        body = elastic_body(problem, Modal(modes=4).reduce(problem, "few"), make_part(problem))
+    write_body(tmp_path / "a.h5", [body])
     with pytest.raises(InputError, match=r"18 interface degrees of freedom .* not independent in its 10 coordinates"):
         export_body(tmp_path / "a.h5", "dmig")

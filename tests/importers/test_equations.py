@@ -129,20 +129,20 @@ def test_damaged_equations_are_refused(tmp_path, name, change, words):
 
 def test_what_contradicts_itself_is_named():
     given = bar()
-    one = ("the equation in line 7", [(0, 0, 1.0), (1, 0, -1.0)])
+    equation = ("the equation in line 7", [(0, 0, 1.0), (1, 0, -1.0)])
     with pytest.raises(InputError, match="the first coefficient of the equation in line 9 is zero"):
-        solved_for_first("MPC", [one, ("the equation in line 9", [(0, 1, 2.0), (1, 0, 1.0), (0, 1, -2.0)])])
+        solved_for_first("MPC", [equation, ("the equation in line 9", [(0, 1, 2.0), (1, 0, 1.0), (0, 1, -2.0)])])
     with pytest.raises(InputError, match="line 9 has coefficients that are not finite"):
         solved_for_first("MPC", [("the equation in line 9", [(0, 1, 2.0), (1, 0, np.inf)])])
     back = ("", [(1, 0, 1.0), (2, 0, -1.0)])
     closed = ("", [(2, 0, 1.0), (0, 0, -1.0)])
     outside = ("", [(3, 0, 1.0), (0, 0, 1.0)])
     with pytest.raises(InputError, match="in a circle: one of them is 'MPC' where it gives component 0 of node 1"):
-        model_of(replace(given, equations=(solved_for_first("MPC", [outside, one, back, closed]),)))
+        model_of(replace(given, equations=(solved_for_first("MPC", [outside, equation, back, closed]),)))
     with pytest.raises(InputError, match="component 0 of node 1 follows 'MPC' twice"):
-        model_of(replace(given, equations=(solved_for_first("MPC", [one, one]),)))
+        model_of(replace(given, equations=(solved_for_first("MPC", [equation, equation]),)))
     with pytest.raises(InputError, match="component 0 of node 1 follows both 'MPC' and 'other'"):
-        model_of(replace(given, equations=(solved_for_first("MPC", [one]), solved_for_first("other", [one]))))
+        model_of(replace(given, equations=(solved_for_first("MPC", [equation]), solved_for_first("other", [equation]))))
     with pytest.raises(InputError, match="different lengths"):
         Equations(
             name="x", nodes=[0], components=[0], offsets=[0, 2], term_nodes=[1], term_components=[0], coefficients=[1.0]

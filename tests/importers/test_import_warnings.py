@@ -48,10 +48,10 @@ def test_a_warning_goes_from_the_deck_into_the_body_file(tmp_path: Path) -> None
         run("import", path, "--units", "mm-t-s", "--set", "dialect=abaqus", "-o", model, "--json", "--check")
     )
     assert as_json["warnings"] == [sentence] and sentence not in as_json["notes"]
-    assert [one["severity"] for one in as_json["findings"] if one["sentence"] == sentence] == ["warning"]
+    assert [finding["severity"] for finding in as_json["findings"] if finding["sentence"] == sentence] == ["warning"]
     stored = read_model(model)
     assert stored.warnings == (sentence,)
-    assert sentence in [one.sentence for one in diagnosis_of(stored).warnings]
+    assert sentence in [finding.sentence for finding in diagnosis_of(stored).warnings]
     folder(tmp_path, {"model": f'file = "{model.name}"', "material": None})
     assert sentence in json.loads(run("check", tmp_path / "job.toml", "--json"))[0]["warnings"]
     assert f"warning: {sentence}" in run("reduce", tmp_path / "job.toml").replace("\n", " ")
@@ -63,8 +63,8 @@ def test_a_warning_goes_from_the_deck_into_the_body_file(tmp_path: Path) -> None
 def test_a_job_on_the_deck_itself_carries_the_warning_too(tmp_path: Path) -> None:
     path = folder(tmp_path, None, deck(BEAM, kind="C3D8I"))
     run("reduce", path)
-    assert any("24 elements C3D8I" in one for one in read_body(tmp_path / "part.h5").warnings)
-    assert any("C3D8I" in one for one in read_mesh(tmp_path / "part.inp", "mm-t-s").warnings)
+    assert any("24 elements C3D8I" in warning for warning in read_body(tmp_path / "part.h5").warnings)
+    assert any("C3D8I" in warning for warning in read_mesh(tmp_path / "part.inp", "mm-t-s").warnings)
 
 
 def test_which_types_are_what_is_assembled_here() -> None:
@@ -72,7 +72,7 @@ def test_which_types_are_what_is_assembled_here() -> None:
 
     def told(code: str, dialect: str, *, guessed: bool = False) -> list[str]:
         warnings = deck_warnings({code: 3}, dialect, guessed=guessed)
-        assert all(code in one for one in warnings)
+        assert all(code in warning for warning in warnings)
         return warnings
 
     for code in ("C3D4", "C3D8", "C3D10", "C3D15", "C3D20"):
@@ -91,7 +91,7 @@ def test_which_types_are_what_is_assembled_here() -> None:
     ("C3D8H", "C3D8"), ("C3D20RH", "C3D20R"), ("C3D10H", "C3D10"), ("C3D8IH", "C3D8I"), ("C3D10MH", "C3D10M"),
 ])  # fmt: skip
 def test_hybrid_types_are_assembled_as_plain_ones(code: str, plain: str) -> None:
-    of, like = (meaning_of(one, "abaqus") for one in (code, plain))
+    of, like = (meaning_of(text, "abaqus") for text in (code, plain))
     assert (of.formulation, of.mass) == (like.formulation, like.mass)
     assert deck_warnings({code: 3}, "abaqus", guessed=False)[0].endswith("[hybrid-as-plain]")
 
@@ -113,7 +113,7 @@ def test_keywords_and_comments_tell_the_program_of_a_deck(
     path.write_text(deck(BEAM).replace("*NODE FILE\nU\n", "") + MATERIAL + text)
     mesh = import_file(path).mesh
     assert [block.formulation for block in mesh.blocks] == [formulation]
-    assert [one.endswith("[dialect-guessed]") for one in mesh.warnings] == [True] * guessed
+    assert [warning.endswith("[dialect-guessed]") for warning in mesh.warnings] == [True] * guessed
     for dialect, other in (("calculix", "full"), ("abaqus", "b-bar")):
         mesh = import_file(path, options={"dialect": dialect}).mesh
         assert [block.formulation for block in mesh.blocks] == [other] and not mesh.warnings
@@ -187,7 +187,7 @@ def test_bulk_data_without_their_end(tmp_path: Path) -> None:
     cells = "SOL 103\nBEGIN BULK\n" + written(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free")
     for end, count in (("", 1), ("ENDDATA\n", 0)):
         path.write_text(cells + end)
-        assert sum("no ENDDATA" in one for one in import_file(path).mesh.warnings) == count
+        assert sum("no ENDDATA" in warning for warning in import_file(path).mesh.warnings) == count
 
 
 def test_solids_of_ansys(tmp_path: Path) -> None:

@@ -146,8 +146,8 @@ def test_frequencies_that_came_with_the_data(tmp_path: Path, shared_data: Path, 
         along_x = (model.dofs.component == 0).astype(float)
         assert along_x @ model.M @ along_x == pytest.approx(case.mass, rel=1e-6)
     words = case.hz.split()
-    found = frequencies(model, case.rigid, len(words), case.K_times)
-    for f, word in zip(found, words, strict=True):
+    computed = frequencies(model, case.rigid, len(words), case.K_times)
+    for f, word in zip(computed, words, strict=True):
         digit = 10.0 ** -len(word.partition(".")[2])
         # Matrices with numbers of 16 digits give frequencies to nine.
         near = max(0.51 * digit, 2e-9 * f) if case.rel is None else case.rel * f
@@ -193,14 +193,14 @@ def test_meshes_keep_their_nodes_elements_and_volume(tmp_path: Path, shared_data
     model, said = imported(shared_data, [f"@{name}", *STEEL], tmp_path / "a.model.h5")
     assert said["nodes"] == nodes and said["dofs"] == 3 * nodes and (elements is None or said["elements"] == elements)
     assert model.mesh is not None
-    x = np.concatenate([model.nodes.xyz[one.nodes[:, :4]] for one in model.mesh.blocks])
+    x = np.concatenate([model.nodes.xyz[block.nodes[:, :4]] for block in model.mesh.blocks])
     volume = float(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / 6)
     assert model.M.sum() / 3 / 7850 == pytest.approx(volume, rel=1e-9)
 
 
 def test_crankshaft_with_its_named_surfaces(shared_data: Path) -> None:
     mesh = import_file(shared_data / "generator" / "crankshaft_h8.msh").mesh
-    assert mesh is not None and len(mesh.nodes) == 59019 and [one.type for one in mesh.blocks] == ["tet10"]
+    assert mesh is not None and len(mesh.nodes) == 59019 and [block.type for block in mesh.blocks] == ["tet10"]
     assert {f"MAIN{i}" for i in range(1, 6)} | {f"PIN{i}" for i in range(1, 5)} <= set(mesh.nodes.sets)
 
 
@@ -210,25 +210,25 @@ def test_crankshaft_with_its_named_surfaces(shared_data: Path) -> None:
 def test_med_files_are_read_in_full(shared_data: Path, name: str, elements: int | None, groups: bool) -> None:
     """Nodes, elements and groups against the datasets of the file."""
     path = shared_data / "juliafem_med" / name
-    found = import_file(path).mesh
-    assert found is not None
+    imported = import_file(path).mesh
+    assert imported is not None
     with h5py.File(path) as file:
-        (mesh,) = (step for one in file["ENS_MAA"].values() for step in one.values())
+        (mesh,) = (step for meshes in file["ENS_MAA"].values() for step in meshes.values())
         xyz = mesh["NOE/COO"][:].reshape(3, -1).T
         cells = {kind: item["NOD"][:] for kind, item in mesh["MAI"].items()}
         names = [
             bytes(row.tolist()).rstrip(b"\0").decode()
-            for item in file["FAS"].values() for one in item.get("ELEME", {}).values() if "GRO" in one
-            for row in one["GRO/NOM"][:]
+            for item in file["FAS"].values() for group in item.get("ELEME", {}).values() if "GRO" in group
+            for row in group["GRO/NOM"][:]
         ]  # fmt: skip
     solid = cells["T10"].reshape(10, -1).T - 1
     used = np.unique(solid)
-    assert [one.type for one in found.blocks] == ["tet10"] and len(found.blocks[0].ids) == len(solid)
+    assert [block.type for block in imported.blocks] == ["tet10"] and len(imported.blocks[0].ids) == len(solid)
     assert elements is None or (len(solid), len(used)) == (elements, 14078)
-    assert np.array_equal(found.nodes.xyz, xyz[used])
-    ours = np.sort(found.nodes.xyz[found.blocks[0].nodes], axis=1)
+    assert np.array_equal(imported.nodes.xyz, xyz[used])
+    ours = np.sort(imported.nodes.xyz[imported.blocks[0].nodes], axis=1)
     assert np.array_equal(ours, np.sort(xyz[solid], axis=1))
-    assert sorted(name for name in found.nodes.sets if ":" not in name) == sorted(names) and bool(names) == groups
+    assert sorted(name for name in imported.nodes.sets if ":" not in name) == sorted(names) and bool(names) == groups
 
 
 def test_a_med_mesh_with_two_elements_inside_out_makes_no_model(tmp_path: Path, shared_data: Path) -> None:

@@ -199,8 +199,8 @@ def test_a_reduced_body_is_read_back(
     ends = [np.argsort(sign * model.nodes.xyz[:, 0])[:8] for sign in (1, -1)]
     interfaces = [make_interface(model, name=f"end {i}", nodes=rows) for i, rows in enumerate(ends)]
     with Problem(model, interfaces) as problem:
-        made = elastic_body(problem, CraigBampton(modes=3).reduce(problem, "cb"), make_part(problem))
-    source = write_body(tmp_path / "bar.h5", [made])
+        body = elastic_body(problem, CraigBampton(modes=3).reduce(problem, "cb"), make_part(problem))
+    source = write_body(tmp_path / "bar.h5", [body])
     body = read_body(source).bodies["cb"]
     export_body(source, to, path=tmp_path / out)
     monkeypatch.chdir(tmp_path)

@@ -387,10 +387,10 @@ def test_beam_reduced_through_interfaces_with_rotations():
         assert np.array_equal(problem.B.toarray(), B)
         exact = CraigBampton(modes=len(K) - len(columns)).reduce(problem)
         V = exact.C if not exact.symmetric else exact.B.T
-        found = np.array(
+        computed = np.array(
             [V @ np.linalg.solve(exact.K + 1j * w * exact.D - w**2 * exact.M, exact.B) for w in omega]
         )
-        assert found == pytest.approx(dense, rel=1e-6, abs=1e-9 * np.abs(dense).max())
+        assert computed == pytest.approx(dense, rel=1e-6, abs=1e-9 * np.abs(dense).max())
         mass, center, _ = problem.mass_properties
     assert mass == pytest.approx(7850 * 4e-4, rel=1e-12) and center == pytest.approx(OBLIQUE @ [0.5, 0, 0], abs=1e-9)
     # Free-free Bernoulli beam: beta L = 4.73004.
@@ -410,8 +410,8 @@ def test_rigid_and_average_interfaces_on_nodes_that_turn():
     A = 4e6 * M + K
     with Problem(model, [frame]) as problem:
         B = problem.B.toarray()
-        found = B.T @ np.linalg.solve((4e6 * problem.M + problem.K).toarray(), B)
-        assert found == pytest.approx(np.linalg.inv(T.T @ A @ T)[:6, :6], rel=1e-8)
+        response = B.T @ np.linalg.solve((4e6 * problem.M + problem.K).toarray(), B)
+        assert response == pytest.approx(np.linalg.inv(T.T @ A @ T)[:6, :6], rel=1e-8)
         assert problem.rigid.shape[1] == 6
     # Two nodes that turn, rigid together: all of both follows the frame.
     pair = make_interface(model, name="a", nodes=[0, 1], coupling="rigid", point=[0.0, 0.0, 0.0])

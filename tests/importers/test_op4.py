@@ -42,8 +42,8 @@ def test_binary_files_return_every_bit(tmp_path, storage, order, bits):
     assert list(back) == list(given)
     for name, matrix in given.items():
         assert np.array_equal(full(back[name].matrix), full(matrix)), name
-    assert [one.type for one in back.values()] == [2, 2, 4, 1, 3, 2, 2]
-    assert [one.form for one in back.values()] == [2, 6, 2, 2, 2, 2, 6]
+    assert [matrix.type for matrix in back.values()] == [2, 2, 4, 1, 3, 2, 2]
+    assert [matrix.form for matrix in back.values()] == [2, 6, 2, 2, 2, 2, 6]
     assert back["A"].storage == storage and type(back["ZERO"].matrix) is sp.csr_array
 
 
@@ -96,10 +96,10 @@ def test_files_written_by_nastran():
         back = read_op4(path)
         assert sorted(back) == sorted(name.upper() for name in expected)
         for name, (matrix, form, kind) in expected.items():
-            one = back[name.upper()]
-            seen.add((one.storage, one.type))
-            assert (one.form, one.type) == (form, kind), (path.name, name)
-            assert np.array_equal(full(one.matrix), full(matrix)), (path.name, name)
+            ours = back[name.upper()]
+            seen.add((ours.storage, ours.type))
+            assert (ours.form, ours.type) == (form, kind), (path.name, name)
+            assert np.array_equal(full(ours.matrix), full(matrix)), (path.name, name)
     assert len(seen) == 12  # each storage in each type
 
 
@@ -139,8 +139,8 @@ def test_every_cut_is_noticed(tmp_path, binary, storage):
         except InputError:
             continue
         accepted += 1
-        for name, one in back.items():
-            assert np.array_equal(full(one.matrix), full(given[name]))
+        for name, matrix in back.items():
+            assert np.array_equal(full(matrix.matrix), full(given[name]))
     assert accepted <= 1
 
 
@@ -159,7 +159,7 @@ def test_damage_is_an_input_error_or_another_number(tmp_path):
                 back = read_op4(tmp_path / "b.op4")
             except InputError:
                 continue
-            assert all(np.isfinite(full(one.matrix)).all() for one in back.values())
+            assert all(np.isfinite(full(matrix.matrix)).all() for matrix in back.values())
 
 
 def test_faults_have_one_message(tmp_path):

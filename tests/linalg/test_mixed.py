@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError, SingularMatrixError, SolverError
-from morembs.linalg.sparse import mixed
 from morembs.linalg.sparse.mixed import Mixed
-from morembs.linalg.sparse.mumps import Mumps
-from morembs.linalg.sparse.solver import STRUCTURES
+from morembs.linalg.sparse.mumps import Mumps, MumpsAnalysis
+from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Factorization
+from morembs.linalg.sparse.symmetric import Lower
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
@@ -90,12 +90,40 @@ def test_a_slender_body_gets_a_double_factor(caplog: pytest.LogCaptureFixture) -
         assert backward_error(2.0 * A, again.solve(b), b) < 1e-14
 
 
-def test_a_solution_that_stagnates_later_gets_a_double_factor_too(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_solution_that_stagnates_later_gets_a_double_factor_too(caplog: pytest.LogCaptureFixture) -> None:
     A, B = MATRICES["symmetric"], random(1536, 130)
-    with Mixed().factorize(A) as factor:
-        monkeypatch.setattr(mixed, "MOST_STEPS", 1)
+    weak: list[bool] = []
+
+    class Weak(Factorization):
+        """A rough factor that no longer preconditions once ``weak`` holds something."""
+
+        def __init__(self, factor: Factorization) -> None:
+            super().__init__(factor.stats, factor.dtype)
+            self.factor = factor
+
+        def _solve(self, R: np.ndarray) -> np.ndarray:
+            return R if weak else self.factor.solve(R)
+
+        def _negative_pivots(self) -> int | None:
+            return None
+
+        def _release(self) -> None:
+            self.factor.close()
+
+    class WeakAnalysis(MumpsAnalysis):
+        def factorize_unchecked(self, A: Lower) -> Factorization:
+            factor = super().factorize_unchecked(A)
+            return Weak(factor) if factor.stats.precision == "single" else factor
+
+    class Weakening(Mumps):
+        def _analyse(self, A: Lower, structure: str) -> Analysis:
+            analysis = super()._analyse(A, structure)
+            analysis.__class__ = WeakAnalysis
+            return analysis
+
+    with Mixed(direct=Weakening).factorize(A) as factor:
+        assert factor.stats.precision == "single"
+        weak.append(True)
         X = factor.solve(B)
         assert backward_error(A, X, B) < 1e-13
         assert factor.stats.precision == "double" and caplog.messages.count(WARNING) == 1

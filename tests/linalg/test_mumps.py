@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import gc
+import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.linalg.sparse import interruptible, mumps, mumps_instance, mumps_library, ordering
+from morembs.linalg.sparse import mumps, mumps_instance, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, random, shifted, sparse_loads
@@ -27,6 +29,20 @@ def kind(request: pytest.FixtureRequest) -> Kind:
     if reason := request.param.unavailable():
         pytest.skip(reason)
     return request.param
+
+
+def _watched(kind: Kind, watch: Callable[[Callable[[Any, int], None], Any, int], None]) -> Kind:
+    """``kind`` whose library leaves every job to ``watch(call, data, job)``; ``data`` is the structure of MUMPS."""
+
+    class Watched(mumps_library.Library):
+        def call(self, data: Any, job: int) -> None:
+            watch(super().call, data, job)
+
+    def library(dtype: str) -> mumps_library.Library | str:
+        real = kind.library(dtype)
+        return real if isinstance(real, str) else Watched(**vars(real))
+
+    return type(kind.__name__, (kind,), {"library": staticmethod(library)})
 
 
 def _needs(precision: str, structure: str) -> None:
@@ -60,30 +76,26 @@ def test_the_order_is_used(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("hopeless", [False, True])
-def test_workspace_is_raised_when_it_was_too_small(
-    kind: Kind, monkeypatch: pytest.MonkeyPatch, hopeless: bool
-) -> None:
+def test_workspace_is_raised_when_it_was_too_small(kind: Kind, hopeless: bool) -> None:
     asked: list[int] = []
     codes: list[int] = []
-    run = mumps_instance.Instance.run
 
-    def spy(instance: mumps_instance.Instance, job: int, *rest: Any) -> int:
+    def starve(call: Callable[[Any, int], None], data: Any, job: int) -> None:
         if job == mumps_instance.FACTORIZE:
-            asked.append(int(instance._data.icntl[13]))
+            # ICNTL(14), the room in per cent.
+            asked.append(int(data.icntl[13]))
             if hopeless or len(asked) == 1:
-                instance.control(14, -60)
-        code = run(instance, job, *rest)
-        codes.extend([code] if job == mumps_instance.FACTORIZE else [])
-        return code
+                data.icntl[13] = -60
+        call(data, job)
+        codes.extend([int(data.infog[0])] if job == mumps_instance.FACTORIZE else [])
 
-    monkeypatch.setattr(mumps_instance.Instance, "run", spy)
     A, b = brick(8), random(1536)
     if hopeless:
         with pytest.raises(SolverError, match=r"factorisation: INFOG\(1\) = -[89], INFOG\(2\) = \d+: .*too small"):
-            kind().factorize(A)
+            _watched(kind, starve)().factorize(A)
         assert asked == [20, 40, 80, 160]
         return
-    with kind().factorize(A) as factor:
+    with _watched(kind, starve)().factorize(A) as factor:
         assert backward_error(A, factor.solve(b), b) < 1e-14
     assert asked == [20, 40] and codes[0] in (-8, -9) and codes[1] == 0
 
@@ -114,15 +126,19 @@ def test_threads_factorise_and_solve_at_the_same_time(kind: Kind) -> None:
         assert max(pool.map(error, range(8))) < 1e-13
 
 
-def test_inertia_keeps_no_factor(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inertia_keeps_no_factor(kind: Kind) -> None:
     A, controls = shifted(brick(5), 13.7), []
-    control = mumps_instance.Instance.control
-    monkeypatch.setattr(mumps_instance.Instance, "control",
-                        lambda self, number, value: (controls.append((number, value)), control(self, number, value)))
+
+    def note(call: Callable[[Any, int], None], data: Any, job: int) -> None:
+        if job == mumps_instance.FACTORIZE:
+            # ICNTL(31) discards the factor, ICNTL(22) writes it to the disk.
+            controls.append((data.icntl[30], data.icntl[21]))
+        call(data, job)
+
     count = np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
-    assert kind(out_of_core=True).negative_eigenvalues(A) == count and (31, 1) in controls and (22, 1) not in controls
+    assert _watched(kind, note)(out_of_core=True).negative_eigenvalues(A) == count and controls == [(1, 0)]
     with kind(discard=True).analyse(A) as analysis, pytest.raises(SolverError, match="solution"):
-        analysis._factorize(Lower.of(A)).solve(np.ones(375))
+        analysis.factorize_unchecked(Lower.of(A)).solve(np.ones(375))
 
 
 @pytest.mark.parametrize("structure", ["spd", "symmetric"])
@@ -165,7 +181,7 @@ def test_single_precision_takes_half_the_disk(tmp_path: Path) -> None:
     A, b, disk = brick(10), random(3000), {}
     for precision in mumps.PRECISIONS:
         with Mumps(precision=precision, out_of_core=True, scratch=tmp_path).analyse(A, "spd") as analysis:
-            factor = analysis._factorize(FULL)
+            factor = analysis.factorize_unchecked(FULL)
             disk[precision] = factor.stats.disk_bytes, _bytes_in(tmp_path)
             assert factor.stats.precision == precision
             error = np.linalg.norm(A @ factor.solve(b) - b) / np.linalg.norm(b)
@@ -182,9 +198,17 @@ def test_low_rank_needs_a_library_that_can(kind: Kind) -> None:
         with pytest.raises(InputError, match=r"low_rank = 0\.0001 .* crashes"):
             kind(low_rank=1e-4).factorize(FULL, "spd")
         return
-    with kind(low_rank=1e-4).analyse(FULL, "spd") as analysis:
-        x = analysis._factorize(FULL).solve(random(3000))
-        assert analysis.instance._data.icntl[34] == 2 and analysis.instance._data.cntl[6] == 1e-4
+    controls = []
+
+    def note(call: Callable[[Any, int], None], data: Any, job: int) -> None:
+        if job == mumps_instance.FACTORIZE:
+            # ICNTL(35) chooses blocks of low rank, CNTL(7) is what they may drop.
+            controls.append((data.icntl[34], data.cntl[6]))
+        call(data, job)
+
+    with _watched(kind, note)(low_rank=1e-4).analyse(FULL, "spd") as analysis:
+        x = analysis.factorize_unchecked(FULL).solve(random(3000))
+    assert controls == [(2, 1e-4)]
     assert backward_error(brick(10), x, random(3000)) < 1e-3
 
 
@@ -203,17 +227,14 @@ def test_scratch_is_empty_after_an_exception(on_disk: Any) -> None:
 
 
 @pytest.mark.parametrize("job", [mumps_instance.ANALYSE, mumps_instance.FACTORIZE])
-def test_an_interrupt_of_the_wait_leaves_nothing_behind(
-    on_disk: Any, monkeypatch: pytest.MonkeyPatch, job: int
-) -> None:
+def test_an_interrupt_of_the_wait_leaves_nothing_behind(on_disk: Any, job: int) -> None:
     """The call goes on alone, then MUMPS frees what it holds; the folder is gone at once."""
     ended, freed = threading.Event(), threading.Event()
-    call = mumps_library.Library.call
 
-    def slow(library: mumps_library.Library, data: Any, now: int) -> None:
+    def slow(call: Callable[[Any, int], None], data: Any, now: int) -> None:
         if now == job:
             assert ended.wait(600)
-        call(library, data, now)
+        call(data, now)
         if now == mumps_instance.END:
             freed.set()
 
@@ -223,13 +244,12 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(
         def update(self, text: str) -> None:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(mumps_library.Library, "call", slow)
-    monkeypatch.setattr(interruptible, "_TICK", 0.01)
+    solver = _watched(type(on_disk), slow)(out_of_core=True, scratch=on_disk.scratch, progress=Impatient())
     # Without the collector, which would hide a folder that nobody closed.
     gc.disable()
     try:
         with pytest.raises(KeyboardInterrupt):
-            type(on_disk)(out_of_core=True, scratch=on_disk.scratch, progress=Impatient()).factorize(brick(6), "spd")
+            solver.factorize(brick(6), "spd")
         assert not list(on_disk.scratch.iterdir()) and not freed.is_set()
         ended.set()
         assert freed.wait(600)
@@ -238,7 +258,7 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(
 
 
 def test_a_disk_that_is_too_small_is_reported_before(on_disk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mumps, "free_bytes", lambda folder: 1_000_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1_000_000))
     with pytest.raises(SolverError, match=r"scratch folder has 0\.0 GB left.* the factor needs"):
         on_disk.factorize(brick(8), "spd")
 

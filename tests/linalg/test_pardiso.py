@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +22,8 @@ from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.pardiso import Pardiso
 from morembs.linalg.sparse.symmetric import Lower
 
+# Phases of PARDISO, as its manual counts them.
+ANALYSE, FREE = 11, -1
 COUPLING = np.array([[2.0, 0.3, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 2.0]])
 
 
@@ -25,6 +32,37 @@ def solver() -> Pardiso:
     if reason := Pardiso.unavailable():
         pytest.skip(reason)
     return Pardiso()
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of MKL, ``name`` with 32-bit or with 64-bit integers, and what it has written."""
+
+    name: str
+    phase: int
+    iparm: Any
+    code: Any
+
+    @property
+    def matching(self) -> bool:
+        return bool(self.iparm[10] and self.iparm[12])
+
+
+def _watched(watch: Callable[[Call], None]) -> Pardiso:
+    """The solver, which shows ``watch`` every call that MKL has done."""
+    library: Any = Pardiso.library()
+
+    def watched(name: str, integer: Any) -> Callable[..., None]:
+        def call(*args: Any) -> None:
+            getattr(library, name)(*args)
+            phase, iparm, code = (ctypes.cast(args[place], ctypes.POINTER(integer)) for place in (4, 11, 15))
+            watch(Call(name, int(phase.contents.value), iparm, code.contents))
+
+        return call
+
+    integers = {"pardiso": ctypes.c_int32, "pardiso_64": ctypes.c_int64}
+    spied = SimpleNamespace(**{name: watched(name, integer) for name, integer in integers.items()})
+    return type("Watched", (Pardiso,), {"library": staticmethod(lambda: spied)})()
 
 
 def _chain(nodes: int, ends: float = 2.0) -> sp.csr_array:
@@ -72,24 +110,17 @@ def test_complex_symmetric(solver: Pardiso) -> None:
     assert _backward_error(A, X, B) < 1e-15
 
 
-def test_one_analysis_serves_three_shifts(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_analysis_serves_three_shifts(solver: Pardiso) -> None:
     A, B = _brick(6), _random(648, 5)
     values = np.linalg.eigvalsh(A.toarray())
-    analyses: list[int] = []
-    run = pardiso._Handle.run
-
-    def spy(handle: pardiso._Handle, phase: int, *args: object, **kwargs: object) -> int:
-        analyses.extend([phase] if phase == 11 else [])
-        return run(handle, phase, *args, **kwargs)
-
-    monkeypatch.setattr(pardiso._Handle, "run", spy)
-    with solver.analyse(_shifted(A, 1.0)) as analysis:
+    calls: list[Call] = []
+    with _watched(calls.append).analyse(_shifted(A, 1.0)) as analysis:
         for shift in (0.5, 7.3, 21.9):
             factor = analysis.factorize(_shifted(A, shift))
             assert factor.negative_pivots() == np.count_nonzero(values < shift)
             X = factor.solve(B)
             assert _backward_error(_shifted(A, shift), X, B) < 1e-14
-    assert analyses == [11]
+    assert [call.phase for call in calls].count(ANALYSE) == 1
 
 
 @pytest.mark.parametrize("gap", [0, 1, 7, 40, 89, 90])
@@ -109,29 +140,25 @@ def test_zero_diagonal_needs_matching_and_keeps_the_inertia(solver: Pardiso) -> 
     easy = A.copy()
     easy.setdiag(A.diagonal() + 5.0)
     b = _random(240, 3)
-    with solver.analyse(A) as analysis:
+    calls: list[Call] = []
+    with _watched(calls.append).analyse(A) as analysis:
         for matrix, negative in ((A, 120), (easy, 0)):
             factor = analysis.factorize(matrix)
-            assert factor._session.handle.matching == (matrix is A)
+            assert calls[-1].matching == (matrix is A)
             assert _backward_error(matrix, factor.solve(b), b) < 1e-14
             assert factor.negative_pivots() == np.count_nonzero(np.linalg.eigvalsh(matrix.toarray()) < 0)
             assert factor.negative_pivots() == negative
 
 
-def test_everything_is_freed(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_everything_is_freed(solver: Pardiso) -> None:
     A = sp.csr_array(sp.block_array([[_chain(40), sp.eye_array(120)], [sp.eye_array(120), None]]))
-    phases: list[int] = []
-    call = pardiso._Handle._call
-
-    def spy(handle: pardiso._Handle, phase: int, *args: object) -> int:
-        phases.append(phase)
-        return call(handle, phase, *args)
-
-    monkeypatch.setattr(pardiso._Handle, "_call", spy)
-    with solver.analyse(A) as analysis:
+    calls: list[Call] = []
+    with _watched(calls.append).analyse(A) as analysis:
         for _ in range(2):
-            assert analysis.factorize(A)._session.handle.matching
-    assert phases.count(11) == phases.count(-1) == 3
+            analysis.factorize(A)
+            assert calls[-1].matching
+    phases = [call.phase for call in calls]
+    assert phases.count(ANALYSE) == phases.count(FREE) == 3
 
 
 def test_solutions_beside_an_eigenvalue_are_refined(solver: Pardiso) -> None:
@@ -168,14 +195,26 @@ def test_budget_message_says_what_is_needed(solver: Pardiso) -> None:
         assert caught.value.needed >= factor.stats.memory_bytes >= 8 * factor.stats.factor_entries > 8 * A.nnz / 2
 
 
-def test_64_bit_integers_where_32_are_too_few(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sign", ["an error", "the memory"])
+def test_64_bit_integers_where_32_are_too_few(solver: Pardiso, sign: str) -> None:
     A, b = _brick(6), _random(648)
-    with solver.factorize(A, "spd") as factor:
-        assert factor._session.handle.iparm.dtype == np.int32
+    calls: list[Call] = []
+    with _watched(calls.append).factorize(A, "spd") as factor:
         entries, x = factor.stats.factor_entries, factor.solve(b)
-    monkeypatch.setattr(pardiso, "_MOST_ENTRIES", entries - 1)
-    with solver.factorize(A, "spd") as factor:
-        assert factor._session.handle.iparm.dtype == np.int64
+    assert {call.name for call in calls} == {"pardiso"}
+
+    def overrun(call: Call) -> None:
+        calls.append(call)
+        if call.name == "pardiso" and call.phase == ANALYSE:
+            if sign == "an error":
+                call.code.value = -8
+            else:
+                # A factor of 2**30 KiB.
+                call.iparm[16] = 2**30
+
+    calls.clear()
+    with _watched(overrun).factorize(A, "spd") as factor:
+        assert {call.name for call in calls if call.phase not in (ANALYSE, FREE)} == {"pardiso_64"}
         assert factor.stats.factor_entries == entries
         np.testing.assert_allclose(factor.solve(b), x, rtol=0, atol=1e-12 * np.abs(x).max())
 
@@ -195,13 +234,13 @@ def test_given_order_is_used(solver: Pardiso, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: None)
+    monkeypatch.setattr(pardiso_library, "mkl_file", lambda: None)
     reason = pardiso_library.mkl_library.__wrapped__()
     assert "not found" in reason and "pip install 'morembs[pardiso]'" in reason
-    monkeypatch.setattr(Pardiso, "library", staticmethod(lambda: reason))
+    without_library = type("Gone", (Pardiso,), {"library": staticmethod(lambda: reason)})
     with pytest.raises(InputError, match="cannot run here"):
-        Pardiso().factorize(_chain(5))
-    monkeypatch.setattr(pardiso_library, "_mkl_file", lambda: __file__)
+        without_library().factorize(_chain(5))
+    monkeypatch.setattr(pardiso_library, "mkl_file", lambda: __file__)
     assert "cannot be used" in pardiso_library.mkl_library.__wrapped__()
 
 

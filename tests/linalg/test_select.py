@@ -19,7 +19,7 @@ from tests.support.matrices import backward_error, brick, damped, random, shifte
 MATRICES = {"spd": brick(4), "symmetric": shifted(brick(4), 13.7), "complex-symmetric": damped(brick(4), 1.3)}
 
 
-def _gone(monkeypatch: pytest.MonkeyPatch, *kinds: type[LinearSolver]) -> None:
+def _without(monkeypatch: pytest.MonkeyPatch, *kinds: type[LinearSolver]) -> None:
     for kind in kinds:
         monkeypatch.setattr(kind, "unavailable", classmethod(lambda cls: "gone; get it back"))
         if issubclass(kind, Mumps | EmbeddedMumps):
@@ -53,7 +53,7 @@ def test_unknown_solver_names_the_nearest(wrong: str, right: str) -> None:
 
 
 def test_a_solver_that_does_not_run_here_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    _gone(monkeypatch, Mumps)
+    _without(monkeypatch, Mumps)
     with pytest.raises(InputError, match="'mumps' cannot run here: gone; get it back, or take solver = 'auto'"):
         select_solver("mumps")
     with pytest.raises(InputError, match="'mumps' cannot run here: gone"):
@@ -71,11 +71,11 @@ def test_without_a_budget_the_first_that_runs_is_taken(monkeypatch: pytest.Monke
             taken.append(factor.stats.backend)
         if taken[-1] == "superlu":
             break
-        _gone(monkeypatch, SOLVERS[taken[-1]])
+        _without(monkeypatch, SOLVERS[taken[-1]])
     able = [name for name in FAST if structure in SOLVERS[name].structures]
     assert taken == [name for name in able if name in taken] and taken[-1] == "superlu"
     monkeypatch.undo()
-    able = [name for name in able if not selection._lacks(SOLVERS[name], structure)]
+    able = [name for name in able if not selection.lacks(SOLVERS[name], structure)]
     assert taken == able
 
 
@@ -86,7 +86,7 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     if reason := Mumps.unavailable() or Mixed.unavailable():
         pytest.skip(reason)
     # Multigrid, where it can be used, takes less or more than MUMPS as the mesh will have it.
-    _gone(monkeypatch, SOLVERS["amg"])
+    _without(monkeypatch, SOLVERS["amg"])
     A, b, ladder = brick(10), random(3000), []
     caplog.set_level("INFO", "morembs.linalg.sparse.select")
     for memory in np.geomspace(200e6, 1e6, 40).astype(int):
@@ -141,7 +141,7 @@ def test_inertia_is_counted_by_what_is_there(monkeypatch: pytest.MonkeyPatch) ->
     A = MATRICES["symmetric"]
     count = np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
     for kinds in ((), (Mumps,), (Mumps, EmbeddedMumps)):
-        _gone(monkeypatch, *kinds)
+        _without(monkeypatch, *kinds)
         assert AutoSolver().negative_eigenvalues(A) == count
         assert AutoSolver().inertia_forecast(Lower.of(A)).size == 192
 
@@ -153,6 +153,6 @@ def test_motions_of_low_energy_reach_the_solver_that_uses_them(monkeypatch: pyte
     assert Mumps(memory=3).with_near_null_space(Z) == Mumps(memory=3)
     assert AutoSolver() == known
     if not SOLVERS["amg"].unavailable():
-        monkeypatch.setattr(selection, "FAST", ("amg",))
-        (candidate,) = known._candidates(Lower.of(MATRICES["spd"]), "spd")
-        assert candidate.near_nullspace is Z
+        _without(monkeypatch, *(SOLVERS[name] for name in {*FAST, *LEAN} - {"amg"}))
+        with known.with_memory(10**9).analyse(MATRICES["spd"], "spd") as analysis:
+            assert analysis.solver.near_nullspace is Z

@@ -10,7 +10,10 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,17 +187,44 @@ def test_umfpack_gives_memory_back(cube: tuple[sp.csr_array, ...]) -> None:
     assert sizes[2] - sizes[0] < 30e6
 
 
+class Watched:
+    """A foreign library that leaves every call to ``watch(name, function, *args)``."""
+
+    def __init__(self, library: Any, watch: Callable[..., object]) -> None:
+        self.library, self.watch = library, watch
+
+    def __getattr__(self, name: str) -> Callable[..., object]:
+        return partial(self.watch, name, getattr(self.library, name))
+
+
+def _watched(kind: type[LinearSolver], watch: Callable[..., object]) -> LinearSolver:
+    """A solver of ``kind`` whose library leaves its calls to ``watch``; their names are those of the library."""
+    library = kind.library()
+    if kind is Cholmod:
+        functions = {name: partial(watch, name, function) for name, function in library.functions.items()}
+        spied: object = replace(library, functions=functions)
+    else:
+        spied = Watched(library, watch)
+    return type(kind.__name__, (kind,), {"library": staticmethod(lambda: spied)})()
+
+
 def test_umfpack_frees_a_factor_that_is_closed_or_singular(cube: tuple[sp.csr_array, ...]) -> None:
-    with Umfpack().analyse(cube[0]) as analysis:
+    calls: list[str] = []
+
+    def note(name: str, function: Callable[..., object], *args: object) -> object:
+        calls.append(name)
+        return function(*args)
+
+    with _watched(Umfpack, note).analyse(cube[0]) as analysis:
         factor = analysis.factorize(cube[0])
-        assert analysis.session._numeric
+        assert "umfpack_dl_free_numeric" not in calls
         factor.close()
-        assert not analysis.session._numeric
+        assert calls[-1] == "umfpack_dl_free_numeric"
     ones = sp.csr_array(np.ones((2, 2)))
-    with Umfpack().analyse(ones) as analysis:
+    with _watched(Umfpack, note).analyse(ones) as analysis:
         with pytest.raises(SingularMatrixError, match="exactly singular"):
             analysis.factorize(ones)
-        assert not analysis.session._numeric
+        assert calls[-2:] == ["umfpack_dl_numeric", "umfpack_dl_free_numeric"]
 
 
 def test_cholmod_uses_the_order(cube: tuple[sp.csr_array, ...], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,8 +246,9 @@ def test_umfpack_corrects_small_pivots() -> None:
     A = sp.csr_array(dense + dense.T)
     A.setdiag(0.01 * rng.standard_normal(200))
     B = _random(200, 40)
-    with Umfpack().factorize(A) as factor:
-        plain = factor._session.solve(np.asfortranarray(B))
+    with Umfpack().analyse(A) as analysis:
+        factor = analysis.factorize(A)
+        plain = analysis.session.solve(np.asfortranarray(B))
         assert _error(A, plain, B) > 3e-14
         assert _error(A, factor.solve(B), B) < 3e-15
 
@@ -312,7 +343,7 @@ def test_unknown_headers_are_refused(old: str, new: str, reason: str) -> None:
 
 
 def _installed() -> Path:
-    names = [Path(folder) / name for folder in cholmod_library._FOLDERS for name in cholmod_library._HEADERS]
+    names = [Path(folder) / name for folder in cholmod_library.FOLDERS for name in cholmod_library.HEADERS]
     return next(path for path in names if path.is_file() and "cholmod_common_struct" in path.read_text("latin-1"))
 
 
@@ -324,14 +355,11 @@ def _installed() -> Path:
         ("int prefer_zomplex ;", "int prefer_zomplex ; double one, two ;", "differs"),
     ],
 )
-def test_header_of_another_version_is_refused(
-    old: str, new: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_header_of_another_version_is_refused(old: str, new: str, reason: str, tmp_path: Path) -> None:
     text = _installed().read_text("latin-1")
     assert old in text
     (tmp_path / "cholmod_core.h").write_text(text.replace(old, new), "latin-1")
-    monkeypatch.setattr(cholmod_library, "_FOLDERS", (str(tmp_path),))
-    words = cholmod_library.cholmod_library.__wrapped__()
+    words = cholmod_library.cholmod_library.__wrapped__((str(tmp_path),))
     assert reason in words and "apt-get install libsuitesparse-dev" in words
 
 
@@ -441,32 +469,24 @@ def test_a_signal_ends_a_factorisation(
     kind: type[LinearSolver], cube: tuple[sp.csr_array, ...], interrupt: Callable[[threading.Event], None]
 ) -> None:
     """The wait ends before the call does; the call, which cannot be stopped, frees everything when it has ended."""
-    analysis = kind().analyse(cube[0], "spd")
-    session = analysis.session
     called: list[str] = []
     begun, released, freed = (threading.Event() for _ in range(3))
-    inner = session._free
+    numeric, last = ("factorize", "finish") if kind is Cholmod else ("umfpack_dl_numeric", "umfpack_dl_free_symbolic")
 
-    def free() -> None:
-        called.append("freed")
-        inner()
-        freed.set()
-
-    def slowly(call: Callable[..., object]) -> Callable[..., object]:
-        def slow(*args: object) -> object:
+    def slow(name: str, function: Callable[..., object], *args: object) -> object:
+        if name == numeric:
             begun.set()
             released.wait(PATIENCE)
             called.append("ended")
-            return call(*args)
+        result = function(*args)
+        if "free" in name or name == last:
+            called.append(name)
+        if name == last:
+            freed.set()
+        return result
 
-        return slow
-
-    session._free = free
-    if kind is Cholmod:
-        session._call = slowly(session._call)
-    else:
-        function = session._function
-        session._function = lambda name: slowly(function(name)) if name == "numeric" else function(name)
+    analysis = _watched(kind, slow).analyse(cube[0], "spd")
+    called.clear()
     interrupt(begun)
     with pytest.raises(KeyboardInterrupt):
         analysis.factorize(cube[0])
@@ -476,6 +496,8 @@ def test_a_signal_ends_a_factorisation(
     assert called == []
     released.set()
     assert freed.wait(PATIENCE)
-    assert called == ["ended", "freed"]
-    held = session.common.memory_inuse if kind is Cholmod else (session._numeric or session._symbolic)
-    assert not held
+    assert called[0] == "ended" and called[-1] == last
+    if kind is Cholmod:
+        assert analysis.session.common.memory_inuse == 0
+    else:
+        assert called[1:] == ["umfpack_dl_free_numeric", last]

@@ -98,7 +98,7 @@ def test_solid_rail_like_all_of_its_dofs():
     system.add(body)
     load = system.add(MovingLoad(body.path(), position=lambda t: begin + speed * t, force=lambda t: ramp(t) * F))
     result = simulate_sliding(system, SlidingSwitch(body), end=count * h, step=h, rho=0.95)
-    got = local_response(result, body, load, stress=True)
+    response = local_response(result, body, load, stress=True)
     u = full_run(model, path, lambda t: (begin + speed * t, ramp(t) * F), count, h)
     all_dofs = np.zeros((count + 1, 3 * len(solid.nodes)))
     all_dofs[:, 3 * model.dofs.node + model.dofs.component] = u
@@ -107,16 +107,16 @@ def test_solid_rail_like_all_of_its_dofs():
     pick = np.round(result.time / h).astype(int)
     x = model.nodes.xyz[path, 0]
     down, sigma = np.empty(len(pick)), np.empty((len(pick), 6))
-    for row, (k, s) in enumerate(zip(pick, got.position, strict=True)):
+    for row, (k, s) in enumerate(zip(pick, response.position, strict=True)):
         curve = tables.curve(float(s))
         down[row] = curve.value @ curve.span.base @ all_dofs[k, 3 * path[curve.span.nodes] + 2]
         i = curve.span.interval
         c = (s - x[i]) / (x[i + 1] - x[i])
         sigma[row] = (1 - c) * tensor[at[i], :, k] + c * tensor[at[i + 1], :, k]
-    assert np.abs(got.displacement[:, 2] - down).max() < 1e-2 * np.abs(down).max()
-    assert np.abs(got.stress - sigma).max() < 1e-2 * np.abs(sigma).max()
+    assert np.abs(response.displacement[:, 2] - down).max() < 1e-2 * np.abs(down).max()
+    assert np.abs(response.stress - sigma).max() < 1e-2 * np.abs(sigma).max()
     modes_only = np.array([tables.stress[tables.curve(float(s)).span.interval] @ q for s, q in
-                           zip(got.position, result.configuration(body)[:, :10], strict=True)])  # fmt: skip
+                           zip(response.position, result.configuration(body)[:, :10], strict=True)])  # fmt: skip
     assert np.abs(modes_only - sigma).max() > 0.1 * np.abs(sigma).max()
 
 
@@ -155,15 +155,15 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
     result = simulate_sliding(system, SlidingSwitch(body), end=count * h, step=h)
     local = local_response(result, body, moving)
     u = full_run(model, path, load, count, h)[np.round(result.time / h).astype(int)]
-    want, got = np.empty((len(u), 3)), np.empty((len(u), 3))
+    want, computed = np.empty((len(u), 3)), np.empty((len(u), 3))
     x = result.configuration(body)
     for k, s in enumerate(local.position):
         curve = tables.curve(float(s))
         want[k] = curve.value @ curve.span.base @ u[k].reshape(-1, 3)[path[curve.span.nodes]]
         R = x[k, 3:12].reshape(3, 3)
-        got[k] = x[k, :3] + R @ (curve.point - frame.origin + local.displacement[k]) - curve.point
+        computed[k] = x[k, :3] + R @ (curve.point - frame.origin + local.displacement[k]) - curve.point
     elastic = np.abs(local.displacement).max()
-    assert np.abs(got - want).max() < 1e-2 * elastic
+    assert np.abs(computed - want).max() < 1e-2 * elastic
     assert np.abs(want).max() > elastic
 
 
@@ -214,9 +214,9 @@ def test_bad_runs_say_when_and_where_and_keep_what_there_is(beam):
         SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=1.2)
     # A stretch of the path whose candidates have no static modes of their own.
     dead = np.array(tables.stiffness)
-    gone = (tables.node > 20) & (tables.node < 30)
+    removed = (tables.node > 20) & (tables.node < 30)
     for k in range(len(dead)):
-        dead[k, gone] = dead[k, np.roll(gone, k) & (np.arange(tables.count) >= k)] = 0.0
+        dead[k, removed] = dead[k, np.roll(removed, k) & (np.arange(tables.count) >= k)] = 0.0
     none = replace(tables, stiffness=dead)
     body = SwitchingBody(LinearBody(reduced.M, reduced.K), none, variant="dynamic")
     system = System()

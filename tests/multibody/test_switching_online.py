@@ -169,10 +169,10 @@ def test_projection_at_a_switch_is_the_nearest_in_stiffness_and_mass(base):
     new = (old[0] + 2,)
     a, b = (body.active_of(k).set for k in (old, new))
     z, rate = rng.standard_normal(body.extra), rng.standard_normal(body.extra)
-    got = project_in_stiffness(body, body.active_of(old), body.active_of(new), z)
+    projected = project_in_stiffness(body, body.active_of(old), body.active_of(new), z)
     before, basis = Psi[:, a.candidates] @ a.Y @ z, Psi[:, b.candidates]
     want = basis @ np.linalg.lstsq(basis.T @ K @ basis, basis.T @ K @ before, rcond=1e-11)[0]
-    after = basis @ (b.Y @ got)
+    after = basis @ (b.Y @ projected)
     assert np.abs(after - want).max() < 1e-5 * np.abs(before).max()
     # Displacements of all candidates that stay on are kept.
     stay = np.intersect1d(a.candidates, b.candidates)
@@ -182,9 +182,9 @@ def test_projection_at_a_switch_is_the_nearest_in_stiffness_and_mass(base):
     # Velocities of basis and static modes together, in the norm of the mass.
     v = np.concatenate((rng.standard_normal(body.inner.size), rate))
     x = body.start()[0]
-    got = project_in_mass(body, x, body.active_of(old), body.active_of(new), v)
+    projected = project_in_mass(body, x, body.active_of(old), body.active_of(new), v)
     before = reduced.V @ v[: body.inner.size] + Psi[:, a.candidates] @ a.Y @ rate
-    after = reduced.V @ got[: body.inner.size] + Psi[:, b.candidates] @ b.Y @ got[body.inner.size :]
+    after = reduced.V @ projected[: body.inner.size] + Psi[:, b.candidates] @ b.Y @ projected[body.inner.size :]
     basis = np.hstack((reduced.V, Psi[:, b.candidates] @ b.Y[:, np.any(b.Y != 0, axis=0)]))
     want = basis @ np.linalg.solve(basis.T @ M @ basis, basis.T @ M @ before)
     assert np.abs(after - want).max() < 1e-6 * np.abs(before).max()

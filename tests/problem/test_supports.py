@@ -18,7 +18,7 @@ from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.geometric_stiffness import geometric_stiffness
 from morembs.problem import Problem
-from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal, automatic
+from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal
 from morembs.reducers.family_search import apart
 from tests.support.meshes import box, steel, where
 
@@ -183,14 +183,13 @@ def test_round_off_is_that_of_the_equilibrated_matrix_before_and_after_a_reducti
 
 @pytest.mark.parametrize("on", [0, 1, 2])
 @pytest.mark.filterwarnings("error")
-def test_a_sample_on_an_undamped_resonance_is_no_trouble(on: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_on_an_undamped_resonance_is_no_trouble(on: int) -> None:
     model = block(1e11)
     tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")
     with Problem(model, [tip]) as problem:
         exact = problem.elastic_modes(count=6).frequencies_hz
-        band = [0.3 * float(exact[0]), 1.1 * float(exact[5])]
-        grid = np.sort(np.append(np.linspace(*band, 40), exact[on]))
-        monkeypatch.setattr(automatic, "band_frequencies", lambda *_, **__: grid)
+        # The ends of a band are samples.
+        band = [float(exact[on]), 1.1 * float(exact[5])]
         body = AutoReducer(band_hz=band, tolerance=1e-3).reduce(problem)
         assert body.recipe["damping_floor"] == 0.01 and body.recipe["certified"] <= 1e-3
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances"):

@@ -59,7 +59,7 @@ def bar(tmp_path_factory):
         times=np.array([0.0, 0.1, 0.25]), coordinates=1e-4 * rng.standard_normal((3, cb.order)),
         loads=1e3 * rng.standard_normal((3, 12)),
     )  # fmt: skip
-    return SimpleNamespace(path=path, source=read_body(path), its=stress, given=given, model=model, cb=cb)
+    return SimpleNamespace(path=path, source=read_body(path), stress=stress, given=given, model=model, cb=cb)
 
 
 def save(path, trajectory):
@@ -102,11 +102,11 @@ def turn(angle, axis):
 def test_expansion_is_basis_times_coordinates(bar):
     body = bar.source.bodies["cb"]
     q = bar.given.coordinates
-    motion = expand(bar.source, body, bar.given, recovery=bar.its)
+    motion = expand(bar.source, body, bar.given, recovery=bar.stress)
     exact = (body.basis() @ q.T).T.reshape(3, -1, 3)
     assert np.abs(motion.displacement - exact).max() < 1e-13 * np.abs(exact).max()
     assert motion.motion is None
-    stress = (bar.its.stress @ q.T + bar.its.correction @ bar.given.loads.T).T.reshape(3, -1, 6)
+    stress = (bar.stress.stress @ q.T + bar.stress.correction @ bar.given.loads.T).T.reshape(3, -1, 6)
     assert np.abs(motion.stress - stress).max() < 1e-9 * np.abs(stress).max()
     # A basis too large to keep is read in blocks of columns, with the same result.
     few = expand(bar.source, body, bar.given, kept_bytes=8 * 3 * len(bar.source.node_ids) * 5)
@@ -123,13 +123,14 @@ def test_a_moving_frame_carries_the_body(bar):
     q = 1e-4 * np.random.default_rng(4).standard_normal((2, floating.elastic.shape[1]))
     given = Trajectory(times=np.array([0.0, 1.0]), coordinates=q, position=p, rotation=A)
     for scale in (1.0, 30.0):
-        motion = expand(bar.source, body, given, recovery=bar.its, scale=scale)
+        motion = expand(bar.source, body, given, recovery=bar.stress, scale=scale)
         for k in range(2):
             u = (body.basis() @ (floating.elastic @ q[k])).reshape(-1, 3)
             wanted = p[k] + (x - floating.origin + scale * u) @ A[k].T
             np.testing.assert_allclose(motion.motion[k] + x, wanted, rtol=0, atol=1e-13)
             np.testing.assert_allclose(motion.displacement[k], u, rtol=0, atol=1e-15)
-    same = expand(bar.source, body, Trajectory(times=given.times, coordinates=q @ floating.elastic.T), recovery=bar.its)
+    elastic = Trajectory(times=given.times, coordinates=q @ floating.elastic.T)
+    same = expand(bar.source, body, elastic, recovery=bar.stress)
     np.testing.assert_allclose(motion.stress, same.stress, rtol=0, atol=1e-9 * np.abs(same.stress).max())
     # Position alone, rotation alone: the other stays as it is in the file.
     still = expand(bar.source, body, Trajectory(times=given.times, coordinates=0 * q, position=p))
@@ -165,7 +166,7 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
     wanted = expand(bar.source, body, given, recovery=stored_recovery(bar.path, "cb"))
     times, steps = steps_of(tmp_path / "out.vtkhdf")
     np.testing.assert_array_equal(times, given.times)
-    inner = np.setdiff1d(bar.source.node_ids, bar.its.points)
+    inner = np.setdiff1d(bar.source.node_ids, bar.stress.points)
     skin = np.flatnonzero(~np.isin(bar.source.node_ids, inner))
     assert len(steps) == 3 and len(inner)
     for k, (points, cells, kind, data) in enumerate(steps):
@@ -181,7 +182,7 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
         close(data["von_mises"][skin], von_mises(wanted.stress[k]))
     size = von_mises(wanted.stress)
     step, point = np.unravel_index(np.argmax(size), size.shape)
-    assert result.peak == (pytest.approx(size.max()), bar.its.points[point], given.times[step])
+    assert result.peak == (pytest.approx(size.max()), bar.stress.points[point], given.times[step])
     assert (result.steps, result.nodes, result.body) == (3, len(bar.source.node_ids), "cb")
     assert any(f"{len(inner)} of" in note for note in result.notes)
 
@@ -189,8 +190,8 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
 def test_blocks_of_steps_are_the_whole(bar):
     many = Trajectory(times=np.arange(7.0), coordinates=np.sin(np.outer(np.arange(7.0), np.ones(bar.cb.order))))
     body = bar.source.bodies["cb"]
-    whole = expand(bar.source, body, many, recovery=bar.its, scale=2.0)
-    blocks = list(Expander(bar.source, body, bar.its, 2.0, block_bytes=1).blocks(many))
+    whole = expand(bar.source, body, many, recovery=bar.stress, scale=2.0)
+    blocks = list(Expander(bar.source, body, bar.stress, 2.0, block_bytes=1).blocks(many))
     assert len(blocks) == 7
     for name in ("times", "displacement", "motion", "stress"):
         close(np.concatenate([getattr(block, name) for block in blocks]), getattr(whole, name))

@@ -62,11 +62,11 @@ def test_the_tolerance_holds(name, damping):
 @pytest.mark.parametrize(("number", "measure"), [(6, "pointwise"), (14, "envelope")])
 def test_a_tolerance_that_a_body_just_holds_is_not_refused(number, measure):
     """Limits that are sharp to a few per cent lay above tolerances that the search had found to hold."""
-    its = campaign.drawn(np.random.default_rng([1, number]), number)
-    with its.problem as problem:
-        body = AutoReducer(band_hz=[0.0, its.high], tolerance=1e-2, measure=measure).reduce(problem)
+    case = campaign.drawn(np.random.default_rng([1, number]), number)
+    with case.problem as problem:
+        body = AutoReducer(band_hz=[0.0, case.high], tolerance=1e-2, measure=measure).reduce(problem)
         assert 0.99e-2 < body.recipe["certified"] <= 1e-2
-        omega, error = campaign.dense_errors(problem, body, (0.0, its.high))
+        omega, error = campaign.dense_errors(problem, body, (0.0, case.high))
         assert len(omega) > 20_000 and error[:, MEASURES.index(measure)].max() <= 1e-2
 
 

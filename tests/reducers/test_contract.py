@@ -43,7 +43,7 @@ OPTIONS = LISTED + [
     for name in REDUCERS.own if name not in dict(LISTED)
 ]  # fmt: skip
 RAYLEIGH = Damping(alpha=3.0, beta=2e-6)
-ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda one: one if isinstance(one, str) else "")
+ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda value: value if isinstance(value, str) else "")
 
 
 def problem_of(damping: Damping = RAYLEIGH, cells: int = 5) -> Problem:

@@ -10,12 +10,11 @@ import scipy.sparse as sp
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
-from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.sparse.solver import LinearSolver
 from morembs.problem import Damping, Problem
 from morembs.reducers.krylov import Krylov
 from morembs.responses.loads import inertia_loads
 from tests.support.meshes import box, ends, steel, where
+from tests.support.solvers import CountingSolver
 
 
 def bar(n=(6, 1, 1)):
@@ -259,42 +258,23 @@ def test_a_shift_on_an_eigenfrequency_moves_and_says_so(beside):
             Krylov(shifts_hz=[1e-6]).reduce(problem)
 
 
-@pytest.fixture
-def counted(monkeypatch):
-    """How often a pencil was factorised and a pattern analysed."""
-    count = {"factorize": 0, "analyse": 0}
-    numeric, symbolic = DynamicStiffness.factorize, LinearSolver.analyse
+def test_one_factorisation_for_each_shift_and_one_analysis_for_all():
+    model, solver = bar(), CountingSolver()
 
-    def factorize(self, *args):
-        count["factorize"] += 1
-        return numeric(self, *args)
+    def counted():
+        return len(solver.factorisations), solver.analyses.total()
 
-    def analyse(self, *args):
-        # A solver that chooses among others asks them in turn.
-        monkeypatch.setattr(LinearSolver, "analyse", symbolic)
-        count["analyse"] += 1
-        analysis = symbolic(self, *args)
-        monkeypatch.setattr(LinearSolver, "analyse", analyse)
-        return analysis
-
-    monkeypatch.setattr(DynamicStiffness, "factorize", factorize)
-    monkeypatch.setattr(LinearSolver, "analyse", analyse)
-    return count
-
-
-def test_one_factorisation_for_each_shift_and_one_analysis_for_all(counted):
-    model = bar()
-    with Problem(model, ends(model)) as problem:
+    with Problem(model, ends(model), solver=solver) as problem:
         assert problem.statics.factor is not None
-        counted.update(factorize=0, analyse=0)
+        before = np.array(counted())
         shifts = [0.0, *np.linspace(300.0, 3000.0, 9).tolist()]
         first = Krylov(shifts_hz=shifts, real_shifts=[3000.0], order=20).reduce(problem)
-        assert counted == {"factorize": 10, "analyse": 1}
+        assert tuple(counted() - before) == (10, 1)
         again = Krylov(shifts_hz=shifts[:4], moments=1).reduce(problem)
-        assert counted == {"factorize": 10, "analyse": 1}
+        assert tuple(counted() - before) == (10, 1)
         longer = Krylov(shifts_hz=[300.0], moments=3).reduce(problem)
-        assert counted == {"factorize": 11, "analyse": 1}
-    with Problem(model, ends(model)) as problem:
+        assert tuple(counted() - before) == (11, 1)
+    with Problem(model, ends(model), solver=CountingSolver()) as problem:
         fresh = Krylov(shifts_hz=[300.0], moments=3).reduce(problem)
         short = Krylov(shifts_hz=shifts[:4], moments=1).reduce(problem)
     assert first.order == 26

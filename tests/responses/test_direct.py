@@ -29,14 +29,14 @@ def dense_response(problem, omega, D):
     """H (nf, m, m) of the body held to motions u with Z'M u = 0 by forces M Z."""
     K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
     MZ = M @ problem.rigid
-    r, found = MZ.shape[1], []
+    r, responses = MZ.shape[1], []
     for w in omega:
         A = np.block([[K + 1j * w * D - w**2 * M, MZ], [MZ.T, np.zeros((r, r))]])
         # One unit for displacements and for the forces that hold the mean axes.
         s = np.concatenate([1 / np.sqrt(np.diag(K)), np.full(r, np.sqrt(np.diag(K).max()))])
         U = s[:, None] * np.linalg.solve(s[:, None] * A * s, s[:, None] * np.vstack([B, np.zeros((r, B.shape[1]))]))
-        found.append(B.T @ U[: len(K)])
-    return np.array(found)
+        responses.append(B.T @ U[: len(K)])
+    return np.array(responses)
 
 
 def off(H, true):
@@ -76,14 +76,15 @@ def test_bodies_of_a_model_with_dampers_are_certified_by_an_estimate():
         hz = band_frequencies(problem, [0, 2500], 30)
         true = dense_response(problem, 2 * np.pi * hz, problem.D.toarray())
         scale = np.outer(problem.motion_scale, problem.motion_scale)
-        for body, its in zip(bodies, certify(problem, bodies, [0, 2500], points=30), strict=True):
-            assert its.bound_kind == "estimate"
+        for body, certificate in zip(bodies, certify(problem, bodies, [0, 2500], points=30), strict=True):
+            assert certificate.bound_kind == "estimate"
             size = np.linalg.norm(true * scale, axis=(1, 2))
-            assert its.full == pytest.approx(size, rel=1e-6)
-            assert its.kind == "estimate" and (its.error <= its.bound).all(), body.name
+            assert certificate.full == pytest.approx(size, rel=1e-6)
+            assert certificate.kind == "estimate" and (certificate.error <= certificate.bound).all(), body.name
             reached = np.linalg.norm((reduced_response(body, 2 * np.pi * hz) - true) * scale, axis=(1, 2)) / size
-            assert np.abs(its.error - reached).max() < 1e-6 and reached.max() <= its.limits["pointwise"].upper
-        assert its.limit.upper <= 1e-3
+            assert np.abs(certificate.error - reached).max() < 1e-6
+            assert reached.max() <= certificate.limits["pointwise"].upper
+        assert certificate.limit.upper <= 1e-3
 
 
 def test_an_undamped_resonance_is_named():

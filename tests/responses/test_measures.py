@@ -51,18 +51,18 @@ def test_no_value_of_the_band_lies_above_its_limit(seed, symmetric):
     limits, blocks, cells = compare(standard, body, 0.0, high)
     assert cells.edges[0, 0] == 0 and cells.edges[-1, 1] == high
     assert np.array_equal(cells.edges[1:, 0], cells.edges[:-1, 1])
-    w = np.unique(np.append(w, [2 * np.pi * one.at_hz for one in limits.values()]))
+    w = np.unique(np.append(w, [2 * np.pi * limit.at_hz for limit in limits.values()]))
     own = np.clip(np.searchsorted(cells.edges[:, 0], w, side="right") - 1, 0, len(cells.edges) - 1)
     E, H = standard.layout.norms(standard.H.at(w) - body.terms.at(w)), standard.layout.norms(standard.H.at(w))[:, 0]
     e = standard.modes.moduli(w)[0] @ standard.sizes
     for q, (name, true) in enumerate({"envelope": E[:, 0] / e[:, 0], "peak": E[:, 0] / H.max(),
                                       "pointwise": E[:, 0] / H}.items()):  # fmt: skip
-        its = limits[name]
-        assert (true <= cells.upper[own, q] * (1 + 1e-9)).all() and true.max() <= its.upper, name
+        limit = limits[name]
+        assert (true <= cells.upper[own, q] * (1 + 1e-9)).all() and true.max() <= limit.upper, name
         # The frequency of the largest value is one of those above.
-        assert its.lower <= true.max() * (1 + 1e-9), name
-        if its.lower > 1e-7:
-            assert its.upper <= 1.05 * its.lower, name
+        assert limit.lower <= true.max() * (1 + 1e-9), name
+        if limit.lower > 1e-7:
+            assert limit.upper <= 1.05 * limit.lower, name
     for number, (i, j) in enumerate(standard.layout.pairs):
         true = (E[:, number + 1] / e[:, number + 1]).max()
         assert true <= blocks[i, j] <= 1.08 * true + 1e-9

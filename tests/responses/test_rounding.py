@@ -40,8 +40,9 @@ def test_couplings_of_modes_move_no_block_beyond_its_limit(seed, symmetric):
 
 def test_beyond_a_resonance_that_round_off_may_reach_there_is_no_limit():
     layout = Layout(1, [slice(0, 1)], True)
-    one = Rounding.of(layout, np.ones((1, 1)), np.ones((1, 1)), np.array([0.1]), np.array([0.1]))
-    assert np.isfinite(one.at(np.array([99.0])).size()).all() and np.isinf(one.at(np.array([100.0])).size()).all()
+    rounding = Rounding.of(layout, np.ones((1, 1)), np.ones((1, 1)), np.array([0.1]), np.array([0.1]))
+    below, above = (rounding.at(np.array([omega])).size() for omega in (99.0, 100.0))
+    assert np.isfinite(below).all() and np.isinf(above).all()
 
 
 def test_products_and_what_an_eigensolver_leaves():

@@ -57,8 +57,8 @@ def test_what_the_body_files_hold(unpacked: Path) -> None:
 
 def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """They were errors at samples, and are told as such beside those that hold at every frequency."""
-    one = read_body(unpacked / "symmetric.h5")
-    for body in one.bodies.values():
+    stored = read_body(unpacked / "symmetric.h5")
+    for body in stored.bodies.values():
         values = body.certificate
         assert values is not None and "version" not in values and "limits" not in values
         assert values["bound_kind"] == "bound" and (values["error"] <= values["bound"]).all()

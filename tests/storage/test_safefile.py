@@ -2,10 +2,13 @@
 
 import errno
 import os
+import platform
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -61,7 +64,7 @@ def test_the_next_run_removes_what_killed_ones_left_and_nothing_of_live_ones(tmp
 @pytest.mark.skipif(scratch.fcntl is None, reason="without locks nothing is known to be left over")
 def test_what_may_be_of_another_machine_or_program_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / ".a.tmp-1").write_bytes(b"of another program")
-    for name, text in (("other", b"another machine"), ("mine", scratch._machine())):
+    for name, text in (("other", b"another machine"), ("mine", platform.node().encode())):
         (tmp_path / f"{PREFIX}{name}").mkdir()
         (tmp_path / f"{PREFIX}{name}" / "owner.lock").write_bytes(text)
     # A disk without locks: nobody can know whether the owner lives.
@@ -120,10 +123,13 @@ def test_a_link_of_another_user_in_a_folder_for_all_is_refused(tmp_path: Path) -
     assert (tmp_path / "mine").read_bytes() == b"precious" and names(shared) == ["out"]
 
 
-@pytest.mark.parametrize("call", ["mkdtemp", "_lock"])
-def test_no_room_for_the_folder_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+@pytest.mark.parametrize(("holder", "call"), [(tempfile, "mkdtemp"), (os, "write")])
+def test_no_room_for_the_folder_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, holder: ModuleType, call: str
+) -> None:
+    """Nor for its mark."""
     full = OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr(scratch.tempfile if call == "mkdtemp" else scratch, call, lambda *_, **__: raising(full)())
+    monkeypatch.setattr(holder, call, lambda *_, **__: raising(full)())
     for write in (lambda: check_writable(tmp_path / "a"), lambda: replacing(tmp_path / "a").__enter__()):
         with pytest.raises(OutputError, match=r"a could not be written .*No space left on device; free space there"):
             write()

@@ -104,7 +104,7 @@ class _Level:
         return int(self.inverse.nbytes) + sum(_bytes(matrix) for matrix in (self.A, self.P, self.R))
 
 
-class _Hierarchy:
+class Hierarchy:
     """The levels of A (n, n), and the dense Cholesky factor of the coarsest."""
 
     def __init__(self, A: sp.csr_array, near: Floats | None, starts: Ints) -> None:
@@ -224,9 +224,9 @@ def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr
 
 
 class _AmgFactor(Factorization):
-    """The hierarchy, and the matrix in double precision."""
+    """The hierarchy, and the matrix in double precision; ``levels`` are the rows of its levels, finest first."""
 
-    def __init__(self, A: sp.csr_array, hierarchy: _Hierarchy, budget: int | None, stats: FactorStats) -> None:
+    def __init__(self, A: sp.csr_array, hierarchy: Hierarchy, budget: int | None, stats: FactorStats) -> None:
         super().__init__(stats)
         self._A, self._hierarchy = A, hierarchy
         self._norm = float(abs(A).sum(axis=1).max())
@@ -234,7 +234,8 @@ class _AmgFactor(Factorization):
         if budget is not None:
             self._columns = min(_BLOCK, max(1, (budget - stats.memory_bytes) // (_WORK * self.n)))
         self.steps = 0
-        log.debug("multigrid with levels of %s rows", [level.A.shape[0] for level in hierarchy.levels])
+        self.levels = [level.A.shape[0] for level in hierarchy.levels]
+        log.debug("multigrid with levels of %s rows", self.levels)
 
     def _solve(self, B: Values) -> Values:
         """Raises SolverError where the iteration does not converge."""
@@ -289,7 +290,7 @@ class _AmgAnalysis(Analysis):
             memory=peak, kept=kept,
         )  # fmt: skip
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         """Both triangles of ``A`` are held in double precision, which the forecast counts.
 
         Raises SingularMatrixError (also where not positive definite) or SolverError (no hierarchy).
@@ -300,7 +301,7 @@ class _AmgAnalysis(Analysis):
         indices, indptr = (index.astype(np.int32, copy=False) for index in (whole.indices, whole.indptr))
         rows = sp.csr_array((whole.data, indices, indptr), shape=whole.shape)
         del whole
-        hierarchy = _Hierarchy(rows, self.solver.near_nullspace, self._starts)
+        hierarchy = Hierarchy(rows, self.solver.near_nullspace, self._starts)
         kept = hierarchy.nbytes + (int(rows.data.nbytes) if hierarchy.levels else _bytes(rows))
         stats = self._stats(start, hierarchy.entries, memory_bytes=kept)
         return _AmgFactor(rows, hierarchy, self.solver.memory, stats)

@@ -43,7 +43,7 @@ class _CholmodAnalysis(SessionAnalysis):
             memory=held + matrix + 8 * int(factor.maxcsize), kept=held,
         )  # fmt: skip
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         news = f"factorising ({self._forecast.flops:.2g} operations)"
         self.session.factorize(sparse(self.session.library, A), self.solver.progress, news)

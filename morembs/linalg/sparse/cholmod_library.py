@@ -30,9 +30,10 @@ HINT = "sudo apt-get install libsuitesparse-dev"
 # Values of the enumerations of CHOLMOD, the same in all its releases.
 LONG, REAL, GIVEN, SUPERNODAL, NOT_POSITIVE_DEFINITE = 2, 1, 1, 2, 1
 
-_FOLDERS = ("/usr/local/include/suitesparse", "/usr/include/suitesparse", "/usr/local/include", "/usr/include")
+# Folders of the headers of the system.
+FOLDERS = ("/usr/local/include/suitesparse", "/usr/include/suitesparse", "/usr/local/include", "/usr/include")
 # Releases up to CHOLMOD 3 define the structures in the first, later ones in the second.
-_HEADERS = ("cholmod_core.h", "cholmod.h")
+HEADERS = ("cholmod_core.h", "cholmod.h")
 _TYPES: dict[str, Any] = {
     "double": ctypes.c_double, "float": ctypes.c_float, "int": ctypes.c_int, "size_t": ctypes.c_size_t,
     "SuiteSparse_long": ctypes.c_int64, "int64_t": ctypes.c_int64,
@@ -159,11 +160,11 @@ def _openmp(library: ctypes.CDLL) -> tuple[Any, Any] | None:
 
 
 @cache
-def cholmod_library() -> Library | str:
-    """The CHOLMOD of the system, or why there is none."""
+def cholmod_library(folders: tuple[str, ...] = FOLDERS) -> Library | str:
+    """The CHOLMOD of the system, whose headers are in one of ``folders``, or why there is none."""
     path = find_library("cholmod")
     if path is None:
         return f"no CHOLMOD library (libcholmod) was found; get it with: {HINT}"
-    headers = [header for folder in _FOLDERS for name in _HEADERS if (header := Path(folder) / name).is_file()]
+    headers = [header for folder in folders for name in HEADERS if (header := Path(folder) / name).is_file()]
     headers = [path for path in headers if "cholmod_common_struct" in path.read_text(encoding="latin-1")]
-    return with_header(path, headers, lambda header: _open(path, header), _HEADERS[0], HINT)
+    return with_header(path, headers, lambda header: _open(path, header), HEADERS[0], HINT)

@@ -42,10 +42,10 @@ class _MixedAnalysis(Analysis):
         rough = (self._double or self._rough).forecast
         return rough if self._double else replace(rough, backend=self.solver.name, precision=self.solver.described())
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         if self._double is None:
             try:
-                rough = self._rough._factorize(A)
+                rough = self._rough.factorize_unchecked(A)
             except SingularMatrixError:
                 # Perhaps in single precision only: the factor in double precision will tell.
                 return self.in_double(A)
@@ -65,7 +65,7 @@ class _MixedAnalysis(Analysis):
         self._rough.close()
         if self._double is None:
             self._double = self.solver.exact().analyse(A, self.structure)
-        return self._double._factorize(A)
+        return self._double.factorize_unchecked(A)
 
     def _release(self) -> None:
         self._rough.close()

@@ -67,7 +67,7 @@ class _MumpsSolver(LinearSolver):
         if isinstance(type(self).library("float64"), str):
             return super()._inertia(A, what)
         # Backward stable by its choice of pivots, so the count holds for a matrix next to this one.
-        with self._counting().analyse(A, "symmetric", what) as analysis, analysis._factorize(A) as factor:
+        with self._counting().analyse(A, "symmetric", what) as analysis, analysis.factorize_unchecked(A) as factor:
             return factor.negative_pivots()
 
     def _inertia_forecast(self, A: Lower) -> Forecast:
@@ -219,7 +219,7 @@ class MumpsAnalysis(Analysis):
         """The forecast with the factor on disk."""
         return self._demand(26)
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         self._eliminate(A)
         instance = self.instance

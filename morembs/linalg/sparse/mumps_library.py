@@ -8,6 +8,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -44,6 +45,8 @@ ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c
 LOCK = threading.RLock()
 # A library that is newer than the header writes beyond the structure while it is being tested.
 _PADDING = 1 << 16
+# Folders of the headers of the system.
+FOLDERS = (Path("/usr/local/include"), Path("/usr/include"))
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Library:
     function: Callable[[Any], None]
     # Debian's build clusters with SCOTCH and crashes at random in low-rank mode; builds with METIS do not.
     low_rank: bool = False
+    lock: AbstractContextManager[Any] = LOCK
 
     @property
     def keeps_analysis(self) -> bool:
@@ -64,7 +68,7 @@ class Library:
 
     def call(self, data: Any, job: int) -> None:
         """Run one job; the lock of the interpreter is released meanwhile."""
-        with LOCK:
+        with self.lock:
             data.job = job
             self.function(ctypes.byref(data))
 
@@ -116,7 +120,7 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
     library = Library(path, version, layout, function, low_rank)
-    with LOCK:
+    with library.lock:
         library.call(data, -1)
         loaded = data.version_number.decode("latin-1").strip()
         data.icntl[:4] = [0] * 4
@@ -133,19 +137,20 @@ def _own_build() -> Path | None:
 
 
 @cache
-def system_library(dtype: str = "float64") -> Library | str:
+def system_library(dtype: str = "float64", folders: tuple[Path, ...] = FOLDERS) -> Library | str:
     """The sequential MUMPS of this environment or else of the system, or why there is none.
 
-    ``dtype`` is that of the factor: float64, complex128, float32 or complex64.
+    ``dtype`` is that of the factor: float64, complex128, float32 or complex64; ``folders`` hold the headers of the
+    system.
     """
     letter = ARITHMETIC[dtype]
     own = _own_build()
     path = str(own) if own else find_library(f"{letter}mumps_seq")
     if path is None:
         return f"no sequential MUMPS library (lib{letter}mumps_seq) was found; get it with: {SYSTEM_HINT}"
-    folders = [Path(sys.prefix) / "include"] if own else [Path("/usr/local/include"), Path("/usr/include")]
     name = f"{letter}mumps_c.h"
-    headers = [folder / sub / name for folder in folders for sub in ("mumps_seq", "MUMPS", "")]
+    places = [Path(sys.prefix) / "include"] if own else folders
+    headers = [folder / sub / name for folder in places for sub in ("mumps_seq", "MUMPS", "")]
     return with_header(
         path, headers, lambda header: _open(path, header.parent, letter, low_rank=own is not None), name, SYSTEM_HINT
     )

@@ -32,7 +32,7 @@ _SAME = 1e-10
 
 
 @cache
-def _metis() -> tuple[Any, type[np.signedinteger[Any]]] | None:
+def metis_library() -> tuple[Any, type[np.signedinteger[Any]]] | None:
     """The METIS library and its integer type, None where there is none of version 5."""
     path = find_library("metis")
     if path is None:
@@ -50,22 +50,23 @@ def _metis() -> tuple[Any, type[np.signedinteger[Any]]] | None:
 
 
 def metis_ordering(A: Lower) -> Ints | None:
-    """As ``_metis_ordering``; the last order is kept, as solvers are compared on the same pattern."""
+    """Order in which to eliminate the rows of a symmetric ``A`` (n, n).
+
+    The last one is kept, as solvers are compared on the same pattern.
+
+    Returns:
+        (n,) row numbers in their order of elimination; None without METIS, or where it is of no use.
+    """
     key, order = _LAST[0]
     if key != A.pattern:
-        order = _metis_ordering(A)
+        order = _ordered(A)
         # One assignment: another thread sees the old pair or the new one.
         _LAST[0] = A.pattern, order
     return order
 
 
-def _metis_ordering(A: Lower) -> Ints | None:
-    """Order in which to eliminate the rows of a symmetric ``A`` (n, n).
-
-    Returns:
-        (n,) row numbers in their order of elimination; None without METIS, or where it is of no use.
-    """
-    metis = _metis()
+def _ordered(A: Lower) -> Ints | None:
+    metis = metis_library()
     n = A.n
     if metis is None or n < _SMALLEST:
         return None

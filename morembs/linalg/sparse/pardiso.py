@@ -241,7 +241,7 @@ class _PardisoAnalysis(SessionAnalysis):
             memory=max(peak + integers, kept), kept=kept,
         )  # fmt: skip
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         news = f"factorising ({self._forecast.flops:.2g} operations)"
         self.session.factorize(A, self.solver.progress, news)

@@ -20,7 +20,7 @@ HINT = "pip install 'morembs[pardiso]'"
 _LP64, _INTEL_THREADS, _GNU_THREADS = 0, 0, 3
 
 
-def _mkl_file() -> str | None:
+def mkl_file() -> str | None:
     """The library with MKL's single entry point, of this environment or else of the system."""
     name = re.compile(r"(lib)?mkl_rt(\.\d+)*\.(so(\.\d+)*|dll|dylib)$")
     paths = [path for path in (Path(sys.prefix) / "lib").glob("libmkl_rt*") if name.match(path.name)]
@@ -37,7 +37,7 @@ def _mkl_file() -> str | None:
 @cache
 def mkl_library() -> ctypes.CDLL | str:
     """MKL, set to 32-bit integers in its plain interface, or why there is none."""
-    path = _mkl_file()
+    path = mkl_file()
     if path is None:
         return f"the library MKL (mkl_rt) was not found; get it with: {HINT}"
     try:

@@ -124,7 +124,7 @@ class AutoSolver(LinearSolver):
         """Configurations in the order in which they are tried."""
 
         def able(name: str) -> bool:
-            return structure in SOLVERS[name].structures and not _lacks(SOLVERS[name], structure)
+            return structure in SOLVERS[name].structures and not lacks(SOLVERS[name], structure)
 
         direct = None if self.memory is None else next(filter(able, DIRECT), None)
         if direct is None or self._has_room(A, structure, direct):
@@ -149,7 +149,7 @@ class AutoSolver(LinearSolver):
             return max(in_core.memory, KEPT * in_core.kept + beside) <= self.memory
 
 
-def _lacks(solver: type[LinearSolver], structure: str) -> str:
+def lacks(solver: type[LinearSolver], structure: str) -> str:
     """Why ``solver`` cannot factorise such a matrix here; empty: it can."""
     if issubclass(solver, Mumps | EmbeddedMumps):
         return solver.lacks("double", structure)

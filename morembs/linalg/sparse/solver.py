@@ -207,8 +207,13 @@ class Analysis(_Resource):
         """What a factorisation of this pattern will need."""
 
     @abstractmethod
-    def _factorize(self, A: Lower) -> Factorization:
-        """Factor of a matrix with the pattern of this analysis."""
+    def factorize_unchecked(self, A: Lower) -> Factorization:
+        """Factor of a matrix with the pattern of this analysis, for those who check it or only count its pivots.
+
+        Raises:
+            SingularMatrixError: the backend came upon a pivot that it cannot take.
+            SolverError: the backend failed.
+        """
 
     @abstractmethod
     def _release(self) -> None:
@@ -257,7 +262,7 @@ class Analysis(_Resource):
         if self._current is not None:
             self._current.replaced()
         start = time.perf_counter()
-        self._current = factor = self._factorize(lower)
+        self._current = factor = self.factorize_unchecked(lower)
         try:
             check_factor(factor, lower, what)
         except BaseException:

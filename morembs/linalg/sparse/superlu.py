@@ -82,7 +82,7 @@ class _SuperLUAnalysis(Analysis):
             memory=_BYTES * entries, kept=_BYTES * entries,
         )  # fmt: skip
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         """Raises SingularMatrixError or SolverError (out of memory)."""
         start = time.perf_counter()
         whole = A.full()

@@ -202,7 +202,7 @@ class _UmfpackAnalysis(SessionAnalysis):
             memory=max(peak + matrix + values, kept), kept=kept,
         )  # fmt: skip
 
-    def _factorize(self, A: Lower) -> Factorization:
+    def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()
         session = self.session
         values = np.ascontiguousarray(A.data[self._source], dtype=np.complex128 if session.complex else np.float64)

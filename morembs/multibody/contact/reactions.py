@@ -169,23 +169,25 @@ class ContactReactions(Reactions):
     def stiffness(self, x: Floats) -> Floats:
         return self.contacts.stiffness(x, self.force, self.friction)
 
-    def solve(self, lu: LU, residual: Floats, x: Floats, it: Iterate) -> Floats:
+    def solve(self, lu: LU, residual: Floats, x: Floats, iterate: Iterate) -> Floats:
         """Newton's change with the contact forces that go with it, near to the last ones."""
         k, group = self.assembly.size, self.contacts
         rows = np.flatnonzero(self.points_closed | group.compliant)
         if not len(rows):
             self._take(rows, NO_FORCES)
-            return super().solve(lu, residual, x, it)
+            return super().solve(lu, residual, x, iterate)
         kinematics = group.kinematics(x)
         N, T = kinematics.N[rows], kinematics.T[rows]
         responses = Responses.solved(lambda columns: sl.lu_solve(lu, columns, check_finite=False), -residual, N, T)
-        turned, y = self.assembly.tangent(N, it.step), responses.y[:k]
+        turned, y = self.assembly.tangent(N, iterate.step), responses.y[:k]
+        sliding = float((np.abs(T) @ np.abs(iterate.v)).max())
         problem = ContactLCP.of(
-            N=turned, T=T, XN=responses.YN[:k], XT=responses.YT[:k], gap=kinematics.gap[rows] / it.c_q + turned @ y,
-            slip=T @ (it.v / it.c_v + y), friction=group.friction[rows],
+            N=turned, T=T, XN=responses.YN[:k], XT=responses.YT[:k],
+            gap=kinematics.gap[rows] / iterate.c_q + turned @ y,
+            slip=T @ (iterate.v / iterate.c_v + y), friction=group.friction[rows],
             pyramid=[group.pyramid(i) for i in rows],
-            compliance=group.flexibility(x, kinematics)[np.ix_(rows, rows)] / it.c_q,
-            noise=(_ROUND * self.size / it.c_q, _ROUND * float((np.abs(T) @ np.abs(it.v)).max()) / it.c_v),
+            compliance=group.flexibility(x, kinematics)[np.ix_(rows, rows)] / iterate.c_q,
+            noise=(_ROUND * self.size / iterate.c_q, _ROUND * sliding / iterate.c_v),
         )  # fmt: skip
         if len(rows) > 1:
             problem = problem.near(self.force[rows], self.friction[rows])

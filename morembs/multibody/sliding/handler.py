@@ -132,9 +132,9 @@ class SlidingSwitch(EventHandler):
             x1[inner : inner + body.extra] = project_in_stiffness(body, old, new, z)
             v1 = project_in_mass(body, x, old, new, v)
             a = old.set.Y @ z
-            gone = ~np.isin(old.set.candidates, new.set.candidates)
+            released = ~np.isin(old.set.candidates, new.set.candidates)
             scale = np.sqrt(body.switching.stiffness[0, old.set.candidates])
-            dropped = float(np.abs(a * scale)[gone].max(initial=0.0) / max(np.abs(a * scale).max(), 1e-300))
+            dropped = float(np.abs(a * scale)[released].max(initial=0.0) / max(np.abs(a * scale).max(), 1e-300))
         none = np.zeros(3)
         (T0, U0), (T1, U1) = body.energy(x, v, none), body.energy(x1, v1, none)
         ids = body.switching.node_ids

@@ -71,6 +71,6 @@ if which in HIDDEN:
     if which == "windows":
         del mmap.MADV_DONTNEED
         loaded, ctypes.CDLL = ctypes.CDLL, library
-        shutil._use_fd_functions = False
+        shutil._use_fd_functions = False  # noqa: SLF001
         for function in ("unlink", "remove", "rename", "replace"):
             setattr(os, function, refusing(getattr(os, function)))
