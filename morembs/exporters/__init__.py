@@ -15,6 +15,7 @@ from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
+from morembs.exporters.modelica import Modelica
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
@@ -34,6 +35,7 @@ _ALL: tuple[type[Exporter], ...] = (
     AbaqusExporter,
     MatrixMarketExporter,
     StateSpaceExporter,
+    Modelica,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
