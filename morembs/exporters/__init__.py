@@ -12,10 +12,12 @@ from morembs.errors import InputError
 from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import ExportContext, Exported, Exporter, choose_body
 from morembs.exporters.dmig import DmigExporter
+from morembs.exporters.extptfm import ExtPtfm
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.modelica import Modelica
+from morembs.exporters.mujoco import MuJoCo
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
@@ -36,6 +38,8 @@ _ALL: tuple[type[Exporter], ...] = (
     MatrixMarketExporter,
     StateSpaceExporter,
     Modelica,
+    ExtPtfm,
+    MuJoCo,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
