@@ -47,6 +47,34 @@ def printed(code, folder):
     return [list(map(float, re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", line))) for line in done.output.splitlines()]
 
 
+@pytest.fixture(scope="module")
+def conrod(tmp_path_factory):
+    """A folder with the body file of the example of the README."""
+    folder = tmp_path_factory.mktemp("conrod")
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    done = python(code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes")), folder)
+    assert done.code == 0, done.errors
+    return folder
+
+
+@pytest.mark.parametrize(("number", "client"), [(0, "control"), (1, "rumoca"), (2, "mujoco")])
+def test_simulator_examples(conrod, number, client):
+    pytest.importorskip(client, reason=f"{client} is not installed: pip install {client}")
+    code, mass = blocks("simulators.md")[number], read_body(conrod / "conrod.h5").mass
+    (values,) = printed(code, conrod)
+    if client == "control":
+        reaction, said, gain = values[:3]
+        assert reaction == pytest.approx(mass, rel=1e-6) and said == pytest.approx(mass)
+        assert gain == pytest.approx(1, rel=0.1)
+    elif client == "rumoca":
+        # Pushed and held against: the ends move apart, the push is elastic.
+        assert 1e-10 < values[0] < 1e-6
+    else:
+        # More than the rigid rod if it were pushed in its centre of mass.
+        time, moved = values
+        assert 1 < moved / (0.5 * 100 * time**2 / mass) < 20
+
+
 def test_switching_example(tmp_path):
     first, second = blocks("switching.md")
     code = first + second + "print(body.inner.size, switching.xyz[0, 0], switching.length)\n"
@@ -145,6 +173,7 @@ RUN = {
     "job.md": {"toml": 3, "python": 1},
     "multibody.md": {"python": 4},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
+    "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},
 }

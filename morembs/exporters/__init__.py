@@ -12,9 +12,12 @@ from morembs.errors import InputError
 from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import ExportContext, Exported, Exporter, choose_body
 from morembs.exporters.dmig import DmigExporter
+from morembs.exporters.extptfm import ExtPtfm
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
+from morembs.exporters.modelica import Modelica
+from morembs.exporters.mujoco import MuJoCo
 from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
@@ -34,17 +37,28 @@ _ALL: tuple[type[Exporter], ...] = (
     AbaqusExporter,
     MatrixMarketExporter,
     StateSpaceExporter,
+    Modelica,
+    ExtPtfm,
+    MuJoCo,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
 )
 # Programs by name, in small letters -> what to export to instead.
 ADVICE: dict[str, str] = {
-    **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib", "modelica", "openmodelica", "dymola"), "take 'sid'"),
-    **dict.fromkeys(("matlab", "simulink"), "take 'simscape', or 'matrix-market' for the matrices alone"),
+    **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib"), "take 'sid'"),
+    **dict.fromkeys(("openmodelica", "dymola"), "take 'modelica', or 'sid' for EMBSlib"),
+    **dict.fromkeys(("matlab", "simulink"), "take 'simscape', 'statespace' for control, or 'matrix-market'"),
+    **dict.fromkeys(("control", "python-control", "state-space"), "take 'statespace'"),
+    **dict.fromkeys(("mjcf", "newton"), "take 'mujoco'"),
+    **dict.fromkeys(("openfast", "fast"), "take 'extptfm'"),
+    **dict.fromkeys(("chrono",), "its modal assembly wants the inner nodes of a model; take 'matrix-market'"),
     **dict.fromkeys(("nastran", "optistruct"), "take 'dmig' or 'op4'"),
     **dict.fromkeys(("mtx", "ansys", "octave", "julia", "scipy"), "take 'matrix-market'"),
-    **dict.fromkeys(("adams", "mnf", "recurdyn"), "modal neutral files (.mnf) are not written; --list names what is"),
+    **dict.fromkeys(
+        ("adams", "mnf", "recurdyn", "rfi"),
+        "modal neutral files (.mnf, .rfi) are closed formats and not written; take 'dmig' for Nastran, or 'sid'",
+    ),
 }
 # Ends of body files that do not belong to their names.
 _BODY_ENDINGS = (".h5", ".hdf5", ".hdf", ".vtkhdf", ".morembs")

@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
 HEADER_BYTES = 116
 RIGID_MOTIONS = 6
+BLOCK = "the Simscape block"
 # Smallest singular value of the interface degrees of freedom, scaled, relative to the largest.
 INDEPENDENT = 1e-10
 
@@ -46,9 +47,15 @@ class Simscape(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         source, body = context.source, context.body
-        _refuse_unfit(body)
-        names, rows = _interfaces(context)
-        K, M, D = _interfaces_first(body, rows)
+        refuse_not_symmetric(body, BLOCK)
+        if body.rigid_count != RIGID_MOTIONS:
+            raise InputError(
+                f"body {body.name!r} has {body.rigid_count} rigid-body motions; {BLOCK} needs a free body with six, "
+                "leave supports to the simulator"
+            )
+        framed_at = framed_rows(context, BLOCK)
+        names, rows = list(framed_at), np.concatenate(list(framed_at.values()))
+        K, M, D = interfaces_first(body, rows, BLOCK)
         framed = [source.interfaces[name] for name in names]
         inside = slice(len(rows), None)
         modes = sl.eigh(K[inside, inside], M[inside, inside], eigvals_only=True) if len(K) > len(rows) else np.zeros(0)
@@ -85,47 +92,50 @@ def write_mat(path: Path, values: Mapping[str, object]) -> None:
         file.check()
 
 
-def _refuse_unfit(body: StoredBody) -> None:
+def refuse_not_symmetric(body: StoredBody, target: str) -> None:
+    """Refuse a body that is none to a ``target`` with symmetric matrices and a mass for each coordinate.
+
+    Raises:
+        InputError: as said.
+    """
     matrices = (body.stiffness_matrix, body.mass_matrix, body.damping_matrix)
     if any(np.abs(A - A.T).max() > 1e-9 * np.abs(A).max() for A in matrices):
         raise InputError(
-            f"body {body.name!r} has matrices that are not symmetric; the Simscape block needs symmetric ones, take a "
-            "one-sided reduction"
+            f"body {body.name!r} has matrices that are not symmetric; {target} needs symmetric ones, take a one-sided "
+            "reduction"
         )
     if (np.diag(body.mass_matrix) <= 0).any():
         raise InputError(f"mass_matrix of body {body.name!r} is not positive on its diagonal; reduce it again")
-    if body.rigid_count != RIGID_MOTIONS:
-        raise InputError(
-            f"body {body.name!r} has {body.rigid_count} rigid-body motions; the Simscape block needs a free body with "
-            "six, leave supports to the simulator"
-        )
 
 
-def _interfaces(context: ExportContext) -> tuple[list[str], NDArray[np.int64]]:
-    """Interfaces with six degrees of freedom, and their rows of the output matrix."""
-    source, names = context.source, []
-    rows: list[int] = []
+def framed_rows(context: ExportContext, target: str) -> dict[str, list[int]]:
+    """Rows of the output matrix for each interface with a frame, in the order of its six degrees of freedom.
+
+    Raises:
+        InputError: there is none, or one that does not expose all six.
+    """
+    source = context.source
+    rows: dict[str, list[int]] = {}
     for number, (name, interface) in enumerate(source.interfaces.items()):
         if not interface.kind.framed:
             continue
         if tuple(interface.components) != tuple(range(6)):
             given = ", ".join(str(c) for c in interface.components)
             raise InputError(
-                f"interface {name!r} exposes the degrees of freedom {given}; the Simscape block needs all six, leave "
-                "components out in the job"
+                f"interface {name!r} exposes the degrees of freedom {given}; {target} needs all six, leave components "
+                "out in the job"
             )
-        names.append(name)
         at = np.flatnonzero(source.input_interface == number)
-        rows += at[np.argsort(source.input_component[at], kind="stable")].tolist()
-    if not names:
+        rows[name] = at[np.argsort(source.input_component[at], kind="stable")].tolist()
+    if not rows:
         raise InputError(
-            "the Simscape block needs at least one interface with a frame; the file has none "
+            f"{target} needs at least one interface with a frame; the file has none "
             '(direct interfaces have no frame), take coupling = "rigid" or "average"'
         )
-    return names, np.array(rows, dtype=np.int64)
+    return rows
 
 
-def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+def interfaces_first(body: StoredBody, rows: NDArray[np.int64], target: str) -> tuple[Floats, Floats, Floats]:
     """K, M, D of the coordinates [interface degrees of freedom; modes with the interfaces at rest], of the same body.
 
     Both are K-orthogonal, so that rigid motion is that of the interfaces, without any mode.
@@ -143,7 +153,7 @@ def _interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats
     if n < count or not size.all() or values[-1] <= INDEPENDENT * values[0]:
         raise InputError(
             f"body {body.name!r} with {n} coordinates cannot move its {count // 6} interfaces in all {count} ways "
-            "independently, as the Simscape block needs; take method = craig-bampton, or more modes"
+            f"independently, as {target} needs; take method = craig-bampton, or more modes"
         )
     N = scale[:, None] * Vt[count:].T
     X = scale[:, None] * sl.lstsq(scaled, np.eye(count))[0]

@@ -120,7 +120,10 @@ def _notes(system: StateSpace, step: float | None) -> list[str]:
     """Size, poles and static gain, for the log."""
     poles = system.poles()
     notes = [f"{len(poles)} states, {system.B.shape[1]} inputs, {len(system.C)} outputs"]
-    upper = poles[poles.imag >= 0]
+    rigid = int((np.abs(poles) <= 1e-9 * np.abs(poles).max(initial=0.0)).sum())
+    if rigid:
+        notes.append(f"{rigid} poles at zero: what moves freely, or with a support")
+    upper = poles[rigid:][poles[rigid:].imag >= 0]
     if len(upper):
         shown = [f"{abs(pole) / (2 * np.pi):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
         notes.append(f"poles and their damping: {', '.join(shown[:SHOWN])}{' ...' if len(shown) > SHOWN else ''}")

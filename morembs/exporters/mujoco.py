@@ -1,0 +1,198 @@
+"""MuJoCo: an MJCF model whose modal coordinates are slides tied to the interfaces by tendons.
+
+MuJoCo has no modes. In mean axes rigid and elastic motion exchange no momentum to first order, so that each normal mode
+can be a slide of its own with the mass 1 and the stiffness of the mode, and the frame a rigid body. Interfaces are
+bodies on it that move by six joints; a fixed tendon holds each of these at its sum of modes, and by the same row forces
+at the interface reach the modes. The interfaces take a part of the mass of the body, which is taken off elsewhere:
+rigid and elastic inertia of the whole stay as they were. Coriolis and centrifugal forces on the modes are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.sid import normal_coordinates
+from morembs.exporters.simscape import quaternion
+from morembs.floating.frame import FloatingFrame
+from morembs.model import skew
+from morembs.storage.safefile import replacing
+
+Floats = NDArray[np.float64]
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+DIRECTIONS = ("1 0 0", "0 1 0", "0 0 1")
+# Steps in a radian of the fastest mode; explicit steps are stable from half a step on.
+STEPS = 10.0
+# What a tendon follows its modes by: the hardest that MuJoCo allows.
+IMPEDANCE = 0.9999
+
+
+@dataclass(frozen=True, kw_only=True)
+class MuJoCo(Exporter):
+    """``highest_hz`` leaves out faster modes, which need short steps, as far as the static compliance of the interfaces
+    stays within ``tolerance``; ``share`` is the part of the mass that each interface takes.
+    """
+
+    name: ClassVar[str] = "mujoco"
+    suffix: ClassVar[str] = ".mujoco.xml"
+    about: ClassVar[str] = "MuJoCo (MJCF): rigid body and modal coordinates, tied to interfaces by tendons"
+    lossless: ClassVar[bool] = True
+    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
+
+    highest_hz: float | None = None
+    tolerance: float = 0.05
+    share: float = 0.01
+
+    def _write(self, context: ExportContext) -> Exported:
+        context.markers("MuJoCo")
+        for key, value in (("tolerance", self.tolerance), ("share", self.share)):
+            if not 0 < value < 1:
+                raise InputError(f"{key} = {value} was given; expected a part between 0 and 1")
+        frame = _lightened(context.frame, self.share)
+        kept = self._kept(frame)
+        omega = np.sqrt(np.diag(frame.Ke))
+        step = float(1 / (STEPS * omega[kept[-1]]))
+        with replacing(context.path) as file:
+            for line in _lines(context, frame, kept, step, self.share):
+                file.write(f"{line}\n".encode())
+            file.check()
+        crossed = np.abs(frame.De - np.diag(np.diag(frame.De))).max(initial=0.0)
+        notes = [
+            f"{len(kept)} of {frame.count} modes, up to {omega[kept[-1]] / (2 * np.pi):.5g} Hz: the time step is "
+            f"{step:.3g} s; highest_hz takes fewer, within the tolerance",
+            "Coriolis and centrifugal forces on the modes are left out; deflections must be small and spin slow",
+            "mean axes: the body of the file is at the origin of the frame, whatever the frame of the body file is",
+        ]
+        if crossed > 1e-6 * np.abs(frame.De).max(initial=0.0):
+            notes.append(f"damping between different modes, of up to {crossed:.3g} 1/s, is left out")
+        return Exported(paths=(context.path,), notes=tuple(notes))
+
+    def _kept(self, frame: FloatingFrame) -> list[int]:
+        """Modes up to the limit.
+
+        Raises:
+            InputError: what is left out carries too much of the compliance of the interfaces.
+        """
+        squares = np.diag(frame.Ke)
+        limit = np.inf if self.highest_hz is None else (2 * np.pi * self.highest_hz) ** 2
+        kept = np.flatnonzero(squares <= limit).tolist()
+        rows = np.vstack([marker.motion for marker in frame.markers.values()])
+        each = rows**2 / squares
+        lost = 1 - each[:, kept].sum(axis=1) / np.where(each.any(axis=1), each.sum(axis=1), 1.0)
+        if not kept or lost.max() > self.tolerance:
+            worst = int(lost.argmax())
+            name, axis = list(frame.markers)[worst // 6], AXES[worst % 6]
+            raise InputError(
+                f"highest_hz = {self.highest_hz} was given; the modes beyond carry {100 * lost[worst]:.3g} % of the "
+                f"static compliance of {name!r} along {axis}, and the tolerance is {100 * self.tolerance:.3g} %; take "
+                "more modes, or raise the tolerance"
+            )
+        return kept
+
+
+def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:
+    """Normal modes in mean axes of what is left when each interface took its mass.
+
+    Raises:
+        InputError: the interfaces take more than moves with them.
+    """
+    integrals = frame.integrals
+    mass, turning = _taken(frame, share)
+    x_phi, phi_phi = integrals.x_phi.copy(), integrals.phi_phi.copy()
+    first, second, inertia = integrals.first.copy(), integrals.second.copy(), integrals.inertia.copy()
+    Ct, Cr, Me = integrals.Ct.copy(), integrals.Cr.copy(), integrals.Me.copy()
+    for marker in frame.markers.values():
+        point, phi, psi = marker.point, marker.motion[:3], marker.motion[3:]
+        first -= mass * point
+        second -= mass * np.outer(point, point)
+        inertia -= mass * skew(point).T @ skew(point) + turning * np.eye(3)
+        Ct -= mass * phi.T
+        Cr -= mass * (skew(point) @ phi).T + turning * psi.T
+        Me -= mass * phi.T @ phi + turning * psi.T @ psi
+        x_phi -= mass * np.einsum("a,bl->abl", point, phi)
+        phi_phi -= mass * np.einsum("ak,bl->abkl", phi, phi)
+    left = replace(
+        integrals, mass=integrals.mass - mass * len(frame.markers), first=first, second=second, inertia=inertia, Ct=Ct,
+        Cr=Cr, Me=Me, x_phi=x_phi, phi_phi=phi_phi,
+    )  # fmt: skip
+    light = replace(frame, integrals=left, stiffening=None).in_frame("mean-axes")
+    if np.linalg.eigvalsh(left.rigid)[0] <= 0 or np.linalg.eigvalsh(light.integrals.Me)[0] <= 0:
+        raise InputError(
+            f"share = {share} takes more mass for the interfaces than moves with some mode; take a smaller share, as "
+            f"by --set share={share / 10:g}"
+        )
+    return normal_coordinates(light)[0]
+
+
+def _taken(frame: FloatingFrame, share: float) -> tuple[float, float]:
+    """Mass in kg and rotary inertia in kg m2 that each interface takes."""
+    integrals = frame.integrals
+    central = np.linalg.eigvalsh(integrals.about(integrals.center).inertia)
+    return share * integrals.mass, share * float(central[0])
+
+
+def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: float, share: float) -> Iterator[str]:
+    name, integrals = context.body.name, frame.integrals
+    mass, turning = _taken(context.frame, share)
+    center = integrals.center
+    J = integrals.about(center).inertia
+    full = _numbers([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])
+    firm = f'solref="{2 * step!r} 1" solimp="{IMPEDANCE} {IMPEDANCE} 0.001 0.5 2"'
+    yield f"<mujoco model={quoteattr(name)}>"
+    yield f'  <option timestep="{step!r}" integrator="implicitfast"/>'
+    # Frames of the model are taken as they are.
+    yield '  <compiler angle="radian" balanceinertia="false" boundmass="0"/>'
+    yield "  <worldbody>"
+    yield f"    <body name={quoteattr(name)} pos={_text(frame.origin)}>"
+    yield f"      <freejoint name={quoteattr(f'{name}:free')}/>"
+    yield f'      <inertial pos={_text(center)} mass="{integrals.mass!r}" fullinertia="{full}"/>'
+    for at, marker in frame.markers.items():
+        yield f"      <body name={quoteattr(f'{name}:{at}')} pos={_text(marker.point)}>"
+        for number, axis in enumerate(AXES):
+            kind = "slide" if number < 3 else "hinge"
+            yield (f"        <joint name={quoteattr(f'{name}:{at}:{axis}')} type=\"{kind}\" "
+                   f'axis="{DIRECTIONS[number % 3]}"/>')  # fmt: skip
+        yield f'        <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{_numbers([turning] * 3)}"/>'
+        turn = quaternion(context.source.interfaces[at].axes.T)
+        yield f"        <site name={quoteattr(f'{name}:{at}:frame')} quat={_text(turn)}/>"
+        yield "      </body>"
+    yield "    </body>"
+    for mode in kept:
+        spring = f'stiffness="{float(frame.Ke[mode, mode])!r}" damping="{max(float(frame.De[mode, mode]), 0.0)!r}"'
+        yield f"    <body name={quoteattr(f'{name}:q{mode + 1}')} gravcomp=\"1\">"
+        yield f"      <joint name={quoteattr(f'{name}:q{mode + 1}')} type=\"slide\" axis=\"1 0 0\" {spring}/>"
+        yield '      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        yield "    </body>"
+    yield "  </worldbody>"
+    yield "  <tendon>"
+    for at, marker in frame.markers.items():
+        for row, axis in enumerate(AXES):
+            yield f"    <fixed name={quoteattr(f'{name}:{at}:{axis}')}>"
+            yield f"      <joint joint={quoteattr(f'{name}:{at}:{axis}')} coef=\"-1\"/>"
+            for mode in kept:
+                if marker.motion[row, mode]:
+                    coefficient = float(marker.motion[row, mode])
+                    yield f"      <joint joint={quoteattr(f'{name}:q{mode + 1}')} coef=\"{coefficient!r}\"/>"
+            yield "    </fixed>"
+    yield "  </tendon>"
+    yield "  <equality>"
+    for at in frame.markers:
+        for axis in AXES:
+            yield f"    <tendon tendon1={quoteattr(f'{name}:{at}:{axis}')} {firm}/>"
+    yield "  </equality>"
+    yield "</mujoco>"
+
+
+def _numbers(values: Floats | list[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _text(values: Floats) -> str:
+    return f'"{_numbers(values)}"'

@@ -1,0 +1,95 @@
+"""The MuJoCo model, run by MuJoCo, against the simulator of morembs."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from morembs import elastic_body, make_part, read_body, write_body
+from morembs.errors import InputError
+from morembs.exporters import export_body
+from morembs.floating.frame import floating_frame
+from morembs.interface import make_interface
+from morembs.multibody import FlexibleBody, PointLoad, System, simulate
+from morembs.problem import Damping, Problem
+from morembs.reducers import CraigBampton
+from tests.support.meshes import box, steel, where
+
+INSTALL = "MuJoCo is not installed: pip install mujoco"
+
+
+@pytest.fixture(scope="module")
+def rod(tmp_path_factory):
+    """A soft rod, stored in a tangent frame."""
+    model = steel(box("hex8", (6, 1, 1), (0.5, 0.02, 0.02)), young=2e9)
+    faces = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.5))]
+    with Problem(model, faces, damping=Damping(beta=1e-5)) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        frame = floating_frame(problem, reduced, kind="tangent", interfaces=("left",), origin=(0.1, 0.0, 0.01))
+        body = elastic_body(problem, reduced, make_part(problem), floating=frame)
+    return write_body(tmp_path_factory.mktemp("rod") / "rod.h5", [body])
+
+
+def test_a_pushed_rod_moves_and_bends_as_it_should(rod, tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason=INSTALL)
+    done = export_body(rod, "mujoco", path=tmp_path / "rod.xml")
+    model = mujoco.MjModel.from_xml_path(str(done.paths[0]))
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0
+    push, end, step = np.array([0.0, 0.0, 5.0]), 0.02, model.opt.timestep
+    tip = model.body("cb:right").id
+    data.xfrc_applied[tip, :3] = push
+    times, places = [], []
+    while data.time < end:
+        mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+        times.append(data.time)
+        places.append(data.xpos[tip].copy())
+    stored = read_body(rod).bodies["cb"].floating
+    system = System(gravity=(0, 0, 0))
+    body = system.add(FlexibleBody(stored.in_frame("mean-axes"), position=stored.origin))
+    system.add(PointLoad(body.marker("right"), force=push))
+    result = simulate(system, end=end + 2 * step, step=2e-5)
+    # Under a constant force the steps of MuJoCo are half a step ahead.
+    ahead = np.array(times) + 0.5 * step
+    wanted = np.stack([np.interp(ahead, result.time, values) for values in result.position(body.marker("right")).T], 1)
+    bent = np.abs(stored.in_frame("mean-axes").markers["right"].motion[:3] @ result.elastic(body).T).max()
+    assert 4e-5 < bent < 6e-5 and wanted[-1, 2] - wanted[0, 2] > 2e-3
+    assert np.abs(np.array(places) - wanted).max() < 1e-3 * bent
+
+
+def test_mass_and_inertia_are_those_of_the_part(rod, tmp_path):
+    """What the interfaces take is taken off elsewhere."""
+    mujoco = pytest.importorskip("mujoco", reason=INSTALL)
+    source = read_body(rod)
+    model = mujoco.MjModel.from_xml_path(str(export_body(rod, "mujoco", path=tmp_path / "rod.xml").paths[0]))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moved = range(1, 4)
+    masses = model.body_mass[list(moved)]
+    assert masses.sum() == pytest.approx(source.mass, rel=1e-9)
+    assert masses @ data.xipos[list(moved)] / masses.sum() == pytest.approx(source.center_of_mass, abs=1e-9)
+    J = np.zeros((3, 3))
+    for body in moved:
+        R, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - source.center_of_mass
+        J += R @ np.diag(model.body_inertia[body]) @ R.T
+        J += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    assert pytest.approx(source.inertia, abs=1e-9 * np.trace(source.inertia)) == J
+
+
+def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path):
+    whole = export_body(rod, "mujoco", path=tmp_path / "all.xml")
+    assert whole.notes[0].startswith("10 of 10 modes")
+    options = {"highest_hz": 2000.0, "tolerance": 0.2}
+    fewer = export_body(rod, "mujoco", path=tmp_path / "few.xml", options=options)
+    step = [float(ElementTree.parse(done.paths[0]).find("option").get("timestep")) for done in (whole, fewer)]
+    assert step[1] > 1.5 * step[0]
+    for highest in (400.0, 10.0):
+        with pytest.raises(InputError, match=r"the modes beyond carry .* % of the static compliance of '(left|right)'"):
+            export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"highest_hz": highest})
+    for key in ("share", "tolerance"):
+        with pytest.raises(InputError, match=f"{key} = 1.5 was given; expected a part between 0 and 1"):
+            export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
+    with pytest.raises(InputError, match="takes more mass for the interfaces than moves with some mode"):
+        export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})
+    assert not (tmp_path / "x.xml").exists()
