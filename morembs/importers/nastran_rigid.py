@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from morembs.errors import InputError
 from morembs.importers.imported import PointMass
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
+from morembs.importers.nastran_motions import Motion, Motions, components
 from morembs.importers.nastran_properties import Rows, labels_of, padded
 from morembs.model.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# A component of a grid along its own axes: row of the grid, 0 to 5.
-Motion = tuple[int, int]
 _ALL = (0, 1, 2, 3, 4, 5)
 _MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
-# The smallest pivot of equations, over the largest.
-_SINGULAR = 1e-9
-
-
-def components(text: str, what: str) -> tuple[int, ...]:
-    """Components 0 to 5 of digits 1 to 6."""
-    if not text or not set(text) <= set("123456"):
-        raise InputError(f"{what}: {text!r} was given as components; expected digits of 1 to 6")
-    return tuple(sorted({int(digit) - 1 for digit in text}))
 
 
 class Ties:
@@ -42,21 +30,13 @@ class Ties:
 
     def __init__(self, grids: Grids, systems: Systems, scale: float, solid: NDArray[np.bool_] | None = None) -> None:
         self.grids, self.systems, self.scale = grids, systems, scale
+        self.motions = Motions(grids, systems)
         self.solid = np.ones(len(grids.ids), dtype=bool) if solid is None else solid
         self.rigid: list[RigidElement] = []
         self.average: list[AverageElement] = []
         self.equations: list[Equations] = []
         self.masses: list[PointMass] = []
         self.notes: list[str] = []
-
-    def _row(self, text: str, what: str) -> int:
-        return int(self._rows([integer(text, what)], what)[0])
-
-    def _rows(self, labels: list[int], what: str) -> Ints:
-        return self.grids.rows(np.array(labels, dtype=np.int64), what)
-
-    def _direction(self, motion: Motion) -> Floats:
-        return self.systems.direction(*motion, self.grids)
 
     def rbe2(self, row: list[str]) -> None:
         """RBE2: grids that follow one grid, in some directions."""
@@ -68,8 +48,8 @@ class Ties:
                 self.notes.append(f"RBE2 {row[0]}: its thermal expansion {texts[-1]} is not carried over.")
             texts = texts[:-1]
         which = components(padded(row, 3)[2], what)
-        master = self._row(padded(row, 2)[1], what)
-        slaves = np.unique(self._rows(labels_of(texts, what, self.grids.ids), what))
+        master = self.motions.row(padded(row, 2)[1], what)
+        slaves = np.unique(self.motions.rows(labels_of(texts, what, self.grids.ids), what))
         self._add_rigid(what, f"RBE2_{row[0]}", master, slaves, which)
 
     def rbar(self, row: list[str]) -> None:
@@ -88,36 +68,33 @@ class Ties:
         # The first field of each further line is blank or UM.
         words = [text for text in row[1:] if text and "." not in text]
         at = [text.upper() for text in words].index("UM") if "UM" in map(str.upper, words) else len(words)
-        self._rigid_equations(what, self._motions(words[:at], what), self._motions(words[at + 1 :], what))
+        self._add_body(what, self.motions.pairs(words[:at], what), self.motions.pairs(words[at + 1 :], what))
 
-    def _motions(self, words: list[str], what: str) -> list[Motion]:
-        if len(words) % 2:
-            raise InputError(f"{what} names a grid without components; expected pairs of them")
-        return [
-            (self._row(label, what), c)
-            for label, text in zip(words[::2], words[1::2], strict=True)
-            for c in components(text, what)
-        ]
+    def _add_body(self, what: str, independent: list[Motion], dependent: list[Motion]) -> None:
+        self.equations.append(self.motions.rigid_equations(what, independent, dependent))
+
+    def _add(self, what: str, A: Floats, motions: list[Motion], dependent: list[Motion]) -> None:
+        self.equations.append(self.motions.solved(what, A, motions, dependent))
 
     def rrod(self, row: list[str]) -> None:
         """RROD: the distance of two grids stays, one component (CMA or CMB) depends."""
         row = padded(row, 5)
         what = f"{self.grids.file}: RROD {row[0]}"
-        a, b = self._row(row[1], what), self._row(row[2], what)
+        a, b = self.motions.row(row[1], what), self.motions.row(row[2], what)
         along = self.grids.xyz[b] - self.grids.xyz[a]
         if bool(row[3]) == bool(row[4]) or len(row[3] + row[4]) != 1 or not np.linalg.norm(along) > 0:
             raise InputError(f"{what}: expected two grids apart and one component, in CMA or in CMB")
         motions = [(grid, c) for grid in (a, b) for c in range(3)]
         A = np.concatenate([-along, along])[None, :] / np.linalg.norm(along)
-        basic = np.array([self._direction(motion)[:3] for motion in motions])
+        basic = np.array([self.motions.direction(motion)[:3] for motion in motions])
         A = np.hstack([A[:, 3 * i : 3 * i + 3] @ basic[3 * i : 3 * i + 3].T for i in range(2)])
         dependent = (a, components(row[3], what)[0]) if row[3] else (b, components(row[4], what)[0])
-        self._add_equations(what, A, motions, [dependent])
+        self._add(what, A, motions, [dependent])
 
     def _rigid_grids(self, name: str, grids: list[str], kept: list[str], led: list[str]) -> None:
         """Grids of one rigid body with independent components ``kept`` and dependent ones ``led``, blank: the rest."""
         what = f"{self.grids.file}: {name}"
-        rows = [self._row(label, what) for label in grids]
+        rows = [self.motions.row(label, what) for label in grids]
         if any(text.upper() in ("0", "") for text in kept):
             kept = ["" if text == "0" else text for text in kept]
         given = [components(text, what) if text else () for text in kept]
@@ -130,7 +107,7 @@ class Ties:
             master, slave, which = (rows[0], rows[1], dependent[1]) if first else (rows[1], rows[0], dependent[0])
             self._add_rigid(what, name.replace(" ", "_"), master, np.array([slave]), which)
             return
-        self._rigid_equations(
+        self._add_body(
             what,
             [(row, c) for row, own in zip(rows, given, strict=True) for c in own],
             [(row, c) for row, own in zip(rows, dependent, strict=True) for c in own],
@@ -144,64 +121,13 @@ class Ties:
             return
         independent = [(master, c) for c in _ALL]
         for slave in slaves.tolist():
-            self._rigid_equations(what, independent, [(slave, c) for c in which])
-
-    def _rigid_motion(self, motions: Sequence[Motion], x: Floats) -> Floats:
-        """Parts (k, 6) of rigid motion about ``x`` in the motions of grids."""
-        R = np.array([self._direction(motion) for motion in motions])
-        arms = np.array([self.grids.xyz[row] - x for row, _ in motions])
-        R[:, 3:] += np.cross(arms, R[:, :3])
-        return R
-
-    def _rigid_equations(self, what: str, independent: Sequence[Motion], dependent: Sequence[Motion]) -> None:
-        """Dependent motions of one rigid body, whose six independent ones determine it."""
-        if len(independent) != 6 or not dependent or set(independent) & set(dependent):
-            raise InputError(
-                f"{what} has {len(independent)} independent and {len(dependent)} dependent components; expected six "
-                "independent ones, and others that depend on them"
-            )
-        x = self.grids.xyz[independent[0][0]]
-        R = self._rigid_motion([*independent, *dependent], x)
-        size = max(float(np.abs(self.grids.xyz[[row for row, _ in (*independent, *dependent)]] - x).max()), 1e-300)
-        scaled = R[:6] / np.array([1.0, 1.0, 1.0, size, size, size])
-        if not np.linalg.cond(scaled) < 1e8:
-            raise InputError(f"{what}: its independent components do not determine rigid motion; check them")
-        T = np.linalg.solve(R[:6].T, R[6:].T).T
-        self._add_equations(what, np.hstack([-T, np.eye(len(dependent))]), [*independent, *dependent], dependent)
-
-    def _add_equations(self, what: str, A: Floats, motions: Sequence[Motion], dependent: Sequence[Motion]) -> None:
-        """A u = 0 of motions of grids, solved for as many components of the ``dependent`` ones along the basic axes."""
-        parts: dict[Motion, Floats] = {}
-        for column, motion in zip(A.T, motions, strict=True):
-            direction = self._direction(motion)
-            for c in np.flatnonzero(np.abs(direction) > 1e-14).tolist():
-                key = motion[0], c
-                parts[key] = parts.get(key, np.zeros(len(A))) + direction[c] * column
-        led = [(motion[0], self._direction(motion)) for motion in dependent]
-        candidates = {(row, c) for row, part in led for c in np.flatnonzero(np.abs(part) > 1e-14).tolist()}
-        keys = sorted(parts, key=lambda key: key not in candidates)
-        B, count = np.array([parts[key] for key in keys]).T, sum(key in candidates for key in keys)
-        # Pivots that are along the axes as given come first, so that plain cards keep their own dependent components.
-        _, r, order = qr(B[:, :count], mode="economic", pivoting=True)
-        pivots = np.abs(np.diag(r))
-        if len(pivots) < len(B) or not pivots[len(B) - 1] > _SINGULAR * pivots[0]:
-            raise InputError(f"{what}: its dependent components do not follow from the others; check them")
-        chosen = order[: len(B)].tolist()
-        B = np.linalg.solve(B[:, chosen], B)
-        rest = [i for i in range(len(keys)) if i not in set(chosen)]
-        tiny = 1e-14 * np.abs(B).max()
-        sums = []
-        for line, lead in zip(B, chosen, strict=True):
-            terms = [(*keys[lead], 1.0)]
-            terms += [(*keys[i], float(line[i])) for i in rest if abs(line[i]) > tiny]
-            sums.append((what, terms))
-        self.equations.append(solved_for_first(what.rpartition(": ")[2], sums))
+            self._add_body(what, independent, [(slave, c) for c in which])
 
     def rbe3(self, row: list[str]) -> None:
         """RBE3: the motion of a reference as the mean of others."""
         row = padded(row, 7)
         what = f"{self.grids.file}: RBE3 {row[0]}"
-        reference, which = self._row(row[2], what), components(row[3], what)
+        reference, which = self.motions.row(row[2], what), components(row[3], what)
         words = [text.upper() for text in row]
         end = next((i for i in range(4, len(row)) if words[i] in ("UM", "ALPHA")), len(row))
         stop = words.index("ALPHA") if "ALPHA" in words[end:] else len(row)
@@ -222,7 +148,7 @@ class Ties:
                 )
             )
             return
-        led = self._motions([text for text in row[end + 1 : stop] if text], what) if "UM" in words[end:] else []
+        led = self.motions.pairs([text for text in row[end + 1 : stop] if text], what) if "UM" in words[end:] else []
         if led and len(led) != len(which):
             raise InputError(f"{what} names {len(led)} components behind UM; expected {len(which)}, as REFC has")
         self._mean_equations(what, reference, which, weights, led)
@@ -234,7 +160,7 @@ class Ties:
         starts = [i for i in range(len(words)) if i == 0 or "." in words[i]]
         for first, last in zip(starts, [*starts[1:], len(words)], strict=True):
             weight, moving = real(words[first], what), components(padded(words[first:last], 2)[1], what)
-            rows = self._rows(labels_of(words[first + 2 : last], what, self.grids.ids), what)
+            rows = self.motions.rows(labels_of(words[first + 2 : last], what, self.grids.ids), what)
             groups.append((weight, moving, rows))
         if (
             not sum(len(rows) for *_, rows in groups)
@@ -261,18 +187,18 @@ class Ties:
         rows = np.unique([row for row, _ in motions])
         length = float(np.linalg.norm(self.grids.xyz[rows] - x, axis=1).mean()) or 1.0
         w = np.array([weight[motion] * (length**2 if motion[1] > 2 else 1.0) for motion in motions])
-        R = self._rigid_motion(motions, x) / np.array([1.0, 1.0, 1.0, length, length, length])
+        R = self.motions.rigid_motion(motions, x) / np.array([1.0, 1.0, 1.0, length, length, length])
         normal = R.T @ (w[:, None] * R)
         if not np.linalg.cond(normal) < 1e12:
             raise InputError(
                 f"{what}: its grids and components do not determine the motion of its reference; give it more of them"
             )
-        own = np.array([self._direction((reference, c)) for c in which])
+        own = np.array([self.motions.direction((reference, c)) for c in which])
         own[:, 3:] /= length
         G = own @ np.linalg.solve(normal, R.T * w)
         lead = [(reference, c) for c in which]
         A = np.hstack([np.eye(len(which)), -G])
-        self._add_equations(what, A, [*lead, *motions], led or lead)
+        self._add(what, A, [*lead, *motions], led or lead)
 
     def mpc(self, cards: Rows, adds: Rows, head: str) -> None:
         """The equations of MPC that the case control asks for, all of one set where there is none."""
@@ -288,8 +214,8 @@ class Ties:
                 if label:
                     if component not in ("1", "2", "3", "4", "5", "6"):
                         raise InputError(f"{what} names the component {component or 0}; expected 1 to 6 of a grid")
-                    grid = self._row(label, what)
-                    part = real(value, what) * self._direction((grid, int(component) - 1))
+                    grid = self.motions.row(label, what)
+                    part = real(value, what) * self.motions.direction((grid, int(component) - 1))
                     order = np.argsort(-np.abs(part), kind="stable").tolist()
                     # A first coefficient of zero is to be seen.
                     terms += [(grid, c, float(part[c])) for c in order if part[c]] or [(grid, int(component) - 1, 0.0)]
@@ -315,7 +241,7 @@ class Ties:
         """CONM2: a mass with inertia at a grid."""
         row = padded(row, 14)
         what = f"{self.grids.file}: CONM2 {row[0]}"
-        node = self._row(row[1], what)
+        node = self.motions.row(row[1], what)
         system = integer(row[2], what)
         mass, *offset = (real(text, what) for text in row[3:7])
         i11, i21, i22, i31, i32, i33 = (real(text, what) for text in row[8:14])
