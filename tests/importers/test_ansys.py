@@ -622,21 +622,26 @@ MP_STEEL = "MPDATA,UNBL,1,EX,1,1,2.1e11\nMPDATA,UNBL,1,PRXY,1,1,0.3\nMPDATA,UNBL
 LOOSE = "NBLOCK,3,,1,1\n(1i9,3e20.13)\n      201 3.0000000000000E+00 0.5000000000000E+00 0.5000000000000E+00\n-1\n"
 
 
+BEAMS = hex_deck(
+    before=f"{MP_STEEL}ET,2,184\nKEYOPT,2,1,1\n{LOOSE}",
+    extra=[(10 + k, 2, 1, 1, [201, node]) for k, node in enumerate((103, 106, 109, 112))],
+)
+BOTH = f"{MP_STEEL}ET,2,14\nET,3,14\nKEYOPT,3,2,2\nR,5,100.0,2.0\n{LOOSE}"
+ENDS = [(10, 2, 1, 5, [103, 201]), (11, 3, 1, 5, [201, 103])]
+SPRINGS = hex_deck(before=BOTH, extra=ENDS)
+
+
 def test_rigid_beams_and_springs(tmp_path):
     """Four rigid beams from a node in front of the body, which leads, and springs along and across their ends."""
-    beams = [(10 + k, 2, 1, 1, [201, node]) for k, node in enumerate((103, 106, 109, 112))]
-    text = hex_deck(before=f"{MP_STEEL}ET,2,184\nKEYOPT,2,1,1\n{LOOSE}", extra=beams)
-    imported = import_ansys_cdb(write(tmp_path, text))
+    imported = import_ansys_cdb(write(tmp_path, BEAMS))
     (body,) = imported.rigid
     assert imported.nodes.ids[body.master] == 201 and imported.nodes.ids[body.slaves].tolist() == [103, 106, 109, 112]
     model = model_of(imported)
     R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
     assert abs(model.dependent.S @ R - R).max() < 1e-12 and len(model.nodes) == 13
     with pytest.raises(InputError, match=r"4 elements MPC184 with KEYOPT.1. = 0 .*--skip MPC184"):
-        import_ansys_cdb(write(tmp_path, text.replace("KEYOPT,2,1,1\n", "")))
-    ends = [(10, 2, 1, 5, [103, 201]), (11, 3, 1, 5, [201, 103])]
-    both = f"{MP_STEEL}ET,2,14\nET,3,14\nKEYOPT,3,2,2\nR,5,100.0,2.0\n{LOOSE}"
-    found = import_ansys_cdb(write(tmp_path, hex_deck(before=both, extra=ends))).discrete
+        import_ansys_cdb(write(tmp_path, BEAMS.replace("KEYOPT,2,1,1\n", "")))
+    found = import_ansys_cdb(write(tmp_path, SPRINGS)).discrete
     along, across = ([each for each in found if label in each.name] for label in ("14 10", "14 11"))
     a = np.array([3.0, 0.5, 0.5]) - box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)).nodes.xyz[2]
     a /= np.linalg.norm(a)
@@ -644,12 +649,12 @@ def test_rigid_beams_and_springs(tmp_path):
     assert [(each.matrix, each.values[0, 0]) for each in across] == [("K", 100.0), ("D", 2.0)]
     assert across[0].components.tolist() == [1, 1]
     for change, words in (
-        ({"before": both.replace("R,5,100.0,2.0", "R,6,1.0")}, "real constants 5, which are not there"),
-        ({"before": both.replace("R,5,100.0,2.0", "R,5,1.0,1.0,1.0")}, "nonlinear damping"),
-        ({"before": both.replace("KEYOPT,3,2,2", "KEYOPT,3,3,2")}, "expected a linear spring in space"),
+        ({"before": BOTH.replace("R,5,100.0,2.0", "R,6,1.0")}, "real constants 5, which are not there"),
+        ({"before": BOTH.replace("R,5,100.0,2.0", "R,5,1.0,1.0,1.0")}, "nonlinear damping"),
+        ({"before": BOTH.replace("KEYOPT,3,2,2", "KEYOPT,3,3,2")}, "expected a linear spring in space"),
     ):
         with pytest.raises(InputError, match=words):
-            import_ansys_cdb(write(tmp_path, hex_deck(extra=ends, **change)))
+            import_ansys_cdb(write(tmp_path, hex_deck(extra=ENDS, **change)))
 
 
 def test_tetrahedra_with_pressure_are_plain_and_warned_of(tmp_path):
