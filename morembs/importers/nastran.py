@@ -123,7 +123,7 @@ def import_nastran(
         masses=on_rows(ties.masses, row),
         discrete=on_rows(springs.found, row),
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
-        warnings=(*skipped, *cold, *said),
+        warnings=(*skipped, *cold, *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,
     )
 

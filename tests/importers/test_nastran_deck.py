@@ -278,8 +278,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
          "by way of itself"),
         ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
-        ("PSOLID,1,1\nMAT1,1,1.,,,1.\n", "gives 1 of E, G and NU"),
-        ("PSOLID,1,1\nMAT1,1,1.,3.,.3,1.\n", "contradict"),
+        ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
         ("GRID,11,,0.,zero,0.\n", "GRID card"),
         ("GRID    11              0.5 1   0.      0.\n", "not one number"),
         ("=,*(1),=\n", "line 11: cards with continuations"),
@@ -433,6 +432,11 @@ def test_materials_and_text_as_strangers_have_them(bulk):
         set="PSOLID_1", young=(2e11, 1e11, 0.5e11), poisson=(0.3, 0.2, 0.1), shear=(4e10, 3e10, 2e10), density=7850.0
     )
     assert np.allclose(found.materials[0].stiffness, given.stiffness, rtol=1e-14)
+    # Of E, G and NU solids take E and NU, E alone means NU = 0.
+    for card, nu, words in (("1.,3.,.3", 0.3, "does not fit"), ("1.,,", 0.0, "gives E only")):
+        odd = bulk(CUBE + f"PSOLID,1,1\nMAT1,1,{card},1.\n")
+        expected = isotropic(set="PSOLID_1", young=1.0, poisson=nu, density=1.0).stiffness
+        assert np.array_equal(odd.materials[0].stiffness, expected) and any(words in each for each in odd.warnings)
     assert any("given twice" in note for note in found.notes) and any("superelements" in note for note in found.notes)
     assert len(found.nodes) == 8
 
