@@ -27,11 +27,13 @@ from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
 from morembs.importers.dmig import DmigMatrix
+from morembs.importers.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
 from morembs.model import FEModel
 from tests.importers import test_abaqus_deck as abaqus_decks
 from tests.importers import test_ansys as ansys_files
 from tests.importers import test_nastran_deck as nastran_decks
+from tests.importers import test_unv as universal_files
 from tests.support import decks
 from tests.support.meshes import box, steel
 
@@ -80,13 +82,19 @@ class _Workshop:
         nastran = [nastran_decks.FULL.replace("RBAR,3,500,600,123456,,,\n", "")]
         for form in ("small", "large", "free"):
             nastran.append(grids + nastran_decks.written(hexes, form) + "ENDDATA\n")
+        nastran += [nastran_decks.WEIGHTED + ",UM,600,123,10,1,20,23\n", nastran_decks.TIED]
         archives = [ansys_files.deck(hexes, form=form, plain=plain) for form, plain in
                     (("(3i9,6e21.13e3)", False), ("(3i8,6e20.13)", True))]  # fmt: skip
+        universal = [universal_files.universal(mesh, old=old) for mesh, old in ((hexes, False), (tets, True))]
         seeds = {
+            "unv": [_imported({"part.unv": text.encode()}, "part.unv", "--material", STEEL) for text in universal],
             "abaqus": [_imported({"part.inp": text.encode()}, "part.inp") for text in abaqus],
             "nastran": [_imported({"part.bdf": text.encode()}, "part.bdf") for text in nastran],
             "ansys": [_imported({"part.cdb": text.encode()}, "part.cdb", "--material", STEEL) for text in archives],
         }
+        seeds["ansys"] += [
+            _imported({"part.cdb": text.encode()}, "part.cdb") for text in (ansys_files.BEAMS, ansys_files.SPRINGS)
+        ]
         seeds["abaqus"].append(_imported({"part.inp": main.encode(), "nodes.inc": nodes.encode()}, "part.inp"))
         others = ("nastran", "finetools/twoblocks.nas", "--material", STEEL), ("ansys", "mapdl_reader/HexBeam.cdb")
         for name, where, *more in others:
@@ -112,7 +120,7 @@ class _Workshop:
         # MED turns its bricks the other way round.
         turned = meshio.Mesh(mesh.nodes.xyz, [("hexahedron", mesh.blocks[0].nodes[:, [0, 3, 2, 1, 4, 7, 6, 5]])])
         data = self.written("part.med", lambda path: meshio.write(path, turned))
-        seeds["med"] = [_imported({"part.med": data}, "part.med", "--material", STEEL)]
+        seeds["med"] = [_imported({name: data}, name, "--material", STEEL) for name in ("part.med", "part.rmed")]
         for small in ("wedge.msh", "block.msh"):
             data = (ROOT / "data" / "small_meshes" / small).read_bytes()
             seeds["msh"].append(_imported({small: data}, small, "--material", STEEL))
@@ -219,12 +227,17 @@ class _Workshop:
         for name, A in (("k.npz", K), ("m.npz", M)):
             archives[name] = self.written(name, lambda path, A=A: sp.save_npz(path, sp.csc_array(A)))
         versions = {"format": "4"}, {}, {"do_compression": True}
+        B, C = np.eye(len(dense["K"]), 2), np.eye(1, len(dense["K"]), 5)
+        system = from_matrices(K, M, D=1e-5 * K, B=B, C=C, names={"B": ["drive", "brake"], "C": ["path"]})
+        named = ("--set", "B=B", "--set", "C=C", "--set", "B_names=drive,brake")
         return {
             "npz": [imported("a.npz", lambda path: np.savez(path, **dense)),
                     _imported(archives, "--stiffness", "k.npz", "--mass", "m.npz")],
             "matlab": [imported("a.mat", saved(**options)) for options in versions],
             "hdf5": [imported("a.h5", groups)], "exudyn": [imported("fem.h5", exudyn, "--format", "exudyn")],
             "native": [imported("a.model.h5", lambda path: write_model(path, self.model))],
+            "inputs": [imported("a.model.h5", lambda path: write_model(path, system)),
+                       imported("a.mat", lambda path: scipy.io.savemat(path, {**dense, "B": B, "C": C}), *named)],
         }  # fmt: skip
 
     def bodies(self) -> dict[str, list[Seed]]:
@@ -307,11 +320,11 @@ def _as_command(work: Callable[[], object]) -> Callable[[], None]:
 
 # Formats by the method that makes their files.
 _MAKERS: dict[Callable[[_Workshop], dict[str, list[Seed]]], tuple[str, ...]] = {
-    _Workshop.decks: ("abaqus", "nastran", "ansys"),
+    _Workshop.decks: ("abaqus", "nastran", "ansys", "unv"),
     _Workshop.meshes: ("msh", "vtk", "vtu", "mesh", "med", "xdmf"),
     _Workshop.matrices: ("matrix-market", "dofs", "abaqus-matrix", "calculix-matrix", "op4", "dmig"),
     _Workshop.ansys: ("ansys-full", "ansys-matrices"),
-    _Workshop.binary: ("npz", "matlab", "hdf5", "exudyn", "native"),
+    _Workshop.binary: ("npz", "matlab", "hdf5", "exudyn", "native", "inputs"),
     _Workshop.bodies: ("job", "motion", "body"),
     _Workshop.gmp: ("gmp",),
 }

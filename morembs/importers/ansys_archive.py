@@ -271,7 +271,7 @@ def _take_material(archive: Archive, command: str, fields: list[str]) -> None:
     if command == "MP":
         _set(archive, fields[1], int(fields[2]), fields[3:4] + [w for w in fields[4:8] if w and _number(w)])
         return
-    at = 3 if fields[1].upper().startswith("R") and "." in fields[1] else 1
+    at = 3 if fields[1].upper() == "UNBL" or (fields[1].upper().startswith("R") and "." in fields[1]) else 1
     _set(archive, fields[at], int(fields[at + 1]), [word for word in fields[at + 3 :] if word])
 
 

@@ -134,7 +134,7 @@ def _numbers(table: NDArray[np.bytes_], width: int, kind: type, lines: list[byte
     try:
         return words.astype(kind)
     except (ValueError, OverflowError):
-        pass
+        words = words.reshape(len(lines), -1)  # refused below, by the line at fault
     for line, row in zip(lines, words, strict=True):
         try:
             row.astype(kind)
@@ -183,7 +183,10 @@ def element_block(lines: Lines, fields: list[str]) -> tuple[bool, Ints]:
     if form.real:
         raise InputError(f"{lines.name}: EBLOCK has a format with reals; expected one such as (19i8)")
     parts = [columns(c, form, "EBLOCK", lines.name)[0] for c in _chunks(lines, "EBLOCK", (b"-1",))]
-    solid = len(fields) > 2 and fields[2].upper() == "SOLID"
+    key = fields[2].upper() if len(fields) > 2 else ""
+    if key == "COMPACT":
+        raise InputError(f"{lines.name} has an EBLOCK in the compact form; write it again (CDWRITE,DB,model,cdb)")
+    solid = key == "SOLID"
     least = 12 if solid else 6
     if form.whole < least:
         raise InputError(f"{lines.name}: EBLOCK has {form.whole} columns; expected {least} or more")

@@ -17,8 +17,9 @@ from morembs.errors import InputError
 Ints = NDArray[np.int64]
 
 # Number of the element -> nodes of its full form.
-SOLIDS = {45: 8, 185: 8, 95: 20, 186: 20, 92: 10, 187: 10}
-MASS, RIGID = 21, 184
+SOLIDS = {45: 8, 185: 8, 95: 20, 186: 20, 92: 10, 187: 10, 285: 4}
+# Masses, springs and rigid beams.
+HANGING = MASS, SPRING, RIGID = 21, 14, 184
 # They have neither stiffness nor mass of a structure: meshing facets, and surfaces that carry loads.
 CARRIERS = {
     152: "SURF152", 153: "SURF153", 154: "SURF154", 200: "MESH200", 201: "FOLLW201",
@@ -29,7 +30,7 @@ NAMES = {
     21: "MASS21", 63: "SHELL63", 181: "SHELL181", 281: "SHELL281", 188: "BEAM188", 189: "BEAM189", 4: "BEAM4",
     14: "COMBIN14", 169: "TARGE169", 170: "TARGE170", 171: "CONTA171", 172: "CONTA172", 173: "CONTA173",
     174: "CONTA174", 175: "CONTA175", 176: "CONTA176", 177: "CONTA177", 178: "CONTA178", 184: "MPC184", 190: "SOLSH190",
-    250: "COMBI250", 285: "SOLID285", 93: "SHELL93", 43: "SHELL43", 44: "BEAM44", 73: "SOLID73", 72: "SOLID72",
+    250: "COMBI250", 93: "SHELL93", 43: "SHELL43", 44: "BEAM44", 73: "SOLID73", 72: "SOLID72",
     179: "PRETS179", 90: "SOLID90", 70: "SOLID70", 87: "SOLID87", 8: "LINK8", 180: "LINK180", 182: "PLANE182",
     183: "PLANE183", 42: "PLANE42", 82: "PLANE82",
 }  # fmt: skip
@@ -105,17 +106,18 @@ def _picked(chosen: NDArray[np.bool_], ids: Ints, nodes: Ints, material: Ints, r
 
 
 def solids(routine: int, elements: Elements, name: str) -> dict[str, tuple[Ints, Ints]]:
-    """Type of morembs -> (rows of ``elements``, node labels (k, n) in VTK order).
+    """Type of morembs -> (rows of ``elements``, node labels (k, n) in VTK order, 0 for a middle node left out).
 
     Raises:
-        InputError: pyramids, elements with some middle nodes but not all, or other repeated nodes.
+        InputError: pyramids, or other repeated nodes.
     """
     nodes, full = elements.nodes, SOLIDS[routine]
-    if (nodes[:, full:] != 0).any() or (nodes[:, : 4 if full == 10 else 8] <= 0).any() or (nodes < 0).any():
-        short = (nodes[:, full:] != 0).any(axis=1) | (nodes[:, : 4 if full == 10 else 8] <= 0).any(axis=1)
+    least = 8 if full in (8, 20) else 4
+    if (nodes[:, full:] != 0).any() or (nodes[:, :least] <= 0).any() or (nodes < 0).any():
+        short = (nodes[:, full:] != 0).any(axis=1) | (nodes[:, :least] <= 0).any(axis=1)
         bad = elements.ids[short | (nodes < 0).any(axis=1)][0]
         raise InputError(f"{name}: element {bad} does not have the nodes of {element_name(routine)}; it is damaged")
-    if full == 10:
+    if least == 4:
         shapes = {"tet": np.arange(len(nodes))}
         corners: dict[str, tuple[int, ...]] = {"tet": (0, 1, 2, 3)}
         middles: dict[str, tuple[int, ...]] = {"tet": tuple(range(10))}
@@ -128,14 +130,8 @@ def solids(routine: int, elements: Elements, name: str) -> dict[str, tuple[Ints,
     result: dict[str, tuple[Ints, Ints]] = {}
     for shape, rows in shapes.items():
         middle = nodes[rows][:, middles[shape][len(corners[shape]) :]] if full > 8 else np.zeros((len(rows), 1))
-        bare, whole = (middle == 0).all(axis=1), (middle != 0).all(axis=1)
-        if not (bare | whole).all():
-            bad = elements.ids[rows[~(bare | whole)][0]]
-            raise InputError(
-                f"{name}: element {bad} ({element_name(routine)}) has some of its middle nodes but not all, which is "
-                "not supported; mesh with all of them, or with none"
-            )
-        for kind, which, picked in ((linear, bare, corners), (quadratic, whole, middles)):
+        bare = (middle == 0).all(axis=1)
+        for kind, which, picked in ((linear, bare, corners), (quadratic, ~bare, middles)):
             if which.any():
                 chosen = nodes[rows[which]][:, picked[shape]]
                 _refuse_repeated(chosen, elements.ids[rows[which]], routine, name)
@@ -167,7 +163,8 @@ def _shapes(nodes: Ints, ids: Ints, routine: int, name: str) -> dict[str, Ints]:
 
 
 def _refuse_repeated(nodes: Ints, ids: Ints, routine: int, name: str) -> None:
-    repeated = (np.diff(np.sort(nodes, axis=1), axis=1) == 0).any(axis=1)
+    ordered = np.sort(nodes, axis=1)
+    repeated = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] > 0)).any(axis=1)
     if repeated.any():
         _refuse(ids[repeated][0], routine, name)
 

@@ -1,4 +1,4 @@
-"""Materials and point masses of ANSYS archives, from MP, MPDATA and real constants."""
+"""Materials of ANSYS archives, from MP and MPDATA."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from morembs.errors import InputError
-from morembs.importers.ansys_elements import Elements
-from morembs.importers.imported import Lacking, PointMass
+from morembs.importers.imported import Lacking
 from morembs.model.material import Material, isotropic, orthotropic
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
@@ -70,38 +69,3 @@ def material(
     return orthotropic(
         set=name, young=(e1, e2, e3), poisson=(nu[0], nu[1], nu[2]), shear=shear, density=given["DENS"]
     )  # fmt: skip
-
-
-def point_masses(
-    elements: Elements, options: Mapping[int, int], reals: Mapping[int, list[float]], row: Mapping[int, int], name: str
-) -> list[PointMass]:  # fmt: skip
-    """Point masses of MASS21 elements with their key ``options`` and real constants; ``row`` of each node label.
-
-    Raises:
-        InputError: missing constants or nodes, masses that differ by direction, or forms for plane models.
-    """
-    form = options.get(3, 0)
-    if form not in (0, 2) or options.get(1, 0):
-        raise InputError(
-            f"{name}: MASS21 with KEYOPT(1) = {options.get(1, 0)}, KEYOPT(3) = {form} is not supported; expected a "
-            "mass in space, KEYOPT(1) = 0 and KEYOPT(3) = 0 or 2"
-        )
-    masses = []
-    for label, node, real, system in zip(
-        elements.ids, elements.nodes[:, 0], elements.real, elements.system, strict=True
-    ):
-        if int(real) not in reals:
-            raise InputError(f"{name}: MASS21 {label} names the real constants {real}, which are not there")
-        values = [*reals[int(real)], *[0.0] * 6]
-        if int(node) not in row:
-            raise InputError(f"{name}: MASS21 {label} names the node {node}, which is not defined")
-        x, y, z, ixx, iyy, izz = (values[0],) * 3 + (0.0,) * 3 if form == 2 else tuple(values[:6])
-        if min(x, y, z, ixx, iyy, izz) < 0 or not x == y == z:
-            raise InputError(
-                f"{name}: MASS21 {label} has the masses {x:g}, {y:g}, {z:g} and inertias {ixx:g}, {iyy:g}, {izz:g}; "
-                "expected one mass for all directions (MASSX = MASSY = MASSZ), none negative"
-            )
-        if not ixx == iyy == izz and (system or options.get(2, 0)):
-            raise InputError(f"{name}: the inertia of MASS21 {label} is given in turned axes, which is not supported")
-        masses.append(PointMass(name=f"MASS21 {label}", node=row[int(node)], mass=x, inertia=np.diag([ixx, iyy, izz])))
-    return masses

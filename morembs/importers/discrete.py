@@ -51,7 +51,8 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
     Rotations that a node of solids lacks take no moment: springs between them are condensed (K_ee - K_ef K_ff^+ K_fe).
 
     Raises:
-        InputError: a mass or damper on a rotation that its node does not have.
+        InputError: a mass or damper on a rotation that its node does not have, or a spring that would not
+            resist some displacement because of that.
     """
     if not elements:
         return model, ()
@@ -66,7 +67,7 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
                 "have (a solid has none); couple the node by a rigid element"
             )
     if floating:
-        plain += _condensed(floating, table)
+        plain += _condensed(floating, table, model)
         notes = (f"{len(floating)} springs act on rotations of solids, which have none: these rotations are free.",)
     matrices: dict[str, sp.csr_array | None] = {"K": model.K, "M": model.M, "D": model.D}
     for name in matrices:
@@ -82,7 +83,7 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
     return replace(model, K=matrices["K"], M=matrices["M"], D=matrices["D"]), notes
 
 
-def _condensed(elements: Sequence[DiscreteElement], table: Ints) -> list[DiscreteElement]:
+def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel) -> list[DiscreteElement]:
     """The springs, those that share rotations without a dof as one each, without these rotations."""
     width = table.shape[1]
     codes = [width * element.nodes + element.components for element in elements]
@@ -104,5 +105,14 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints) -> list[Discret
         values = A[np.ix_(kept, kept)] - inner @ A[np.ix_(~kept, kept)]
         name = elements[members[0]].name
         nodes, components = own[kept] // width, own[kept] % width
+        moving = np.ix_(components < 3, components < 3)
+        before, after = A[np.ix_(kept, kept)][moving], values[moving]
+        tiny = 1e-9 * np.abs(before).max(initial=0.0)
+        if np.linalg.matrix_rank(after, tiny) < np.linalg.matrix_rank(before, tiny):
+            label = model.nodes.ids[own[~kept][0] // width]
+            raise InputError(
+                f"{name!r} acts across the distance of its ends, which must turn with it, and node {label} of "
+                "solids has no rotations; couple its ends by rigid elements, or put them at one place"
+            )
         condensed.append(DiscreteElement(name=name, matrix="K", nodes=nodes, components=components, values=values))
     return condensed

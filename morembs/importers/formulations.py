@@ -223,5 +223,6 @@ def _solid95(keys: Mapping[int, int], shape: str) -> Meaning:
 
 
 _ANSYS: dict[int, Callable[[Mapping[int, int], str], Meaning]] = {
-    45: _solid45, 95: _solid95, 185: _solid185, 186: _solid186
+    45: _solid45, 95: _solid95, 185: _solid185, 186: _solid186,
+    285: lambda keys, shape: Meaning(differs=f"softer, as the pressure is an unknown there; {_UNSEEN}"),
 }  # fmt: skip

@@ -118,7 +118,9 @@ def _read(path: Path) -> meshio.Mesh:
     words = io.StringIO()
     try:
         with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words), _bounded_tags():
-            return meshio.read(path, file_format="med" if path.suffix.lower() in _MED else None)
+            if path.suffix.lower() in _MED:
+                return meshio.read(_without_results(path), file_format="med")
+            return meshio.read(path)
     except (SystemExit, Exception) as error:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
         reason = " ".join(said.split())[:300] or type(error).__name__
@@ -126,6 +128,21 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio reads "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
         ) from error
+
+
+def _without_results(path: Path) -> Path | io.BytesIO:
+    """A MED file, or a copy of its mesh in memory where it holds fields: those of some of the elements stop meshio."""
+    import h5py
+
+    with h5py.File(path) as file:
+        if "CHA" not in file:
+            return path
+        copy = io.BytesIO()
+        with h5py.File(copy, "w") as mesh:
+            for name in set(file) - {"CHA", "PROFILS"}:
+                file.copy(name, mesh)
+    copy.seek(0)
+    return copy
 
 
 @contextlib.contextmanager

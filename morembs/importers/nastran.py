@@ -15,121 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_keywords import Card
 from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
 from morembs.importers.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
 from morembs.importers.imported import Imported, nodes_of, on_rows
-from morembs.importers.nastran_cards import real, tables
-from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems, card_of
-from morembs.importers.nastran_properties import Materials, Rows, Ties, labels_of, padded
-from morembs.importers.nastran_springs import SCALARS, Springs
-from morembs.importers.nastran_text import BulkText
-from morembs.importers.problems import Problem, Problems
+from morembs.importers.missing_middles import filled, middle_equations
+from morembs.importers.nastran_bulk import Bulk
+from morembs.importers.nastran_geometry import card_of
+from morembs.importers.nastran_names import OF_TEMPERATURE, RESTRAINTS, RIGID, SCALARS
+from morembs.importers.nastran_properties import Materials, labels_of, padded
+from morembs.importers.nastran_rigid import Ties
+from morembs.importers.nastran_springs import Springs
+from morembs.importers.problems import Problem
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.constraints import Equations
 
 Ints = NDArray[np.int64]
-_SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
-_READ = (
-    "PSOLID", "MAT1", "MAT9", "RBE2", "RBE3", "RBAR", "CONM1", "CONM2", "PARAM", "SET1", "GRDSET", "MPC", "MPCADD",
-    "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *_SYSTEMS,
-)  # fmt: skip
-_RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
-# Neither stiffness nor mass of the model depends on these; they are left out with a note.
-_NOTED = {
-    *_RESTRAINTS, "EIGRL", "EIGR", "EIGB", "EIGC", "EIGP", "FORCE", "FORCE1", "MOMENT", "MOMENT1", "PLOAD", "PLOAD1",
-    "PLOAD2", "PLOAD4", "GRAV", "RFORCE", "LOAD", "DLOAD", "LSEQ", "DAREA", "RLOAD1", "RLOAD2", "TLOAD1", "TLOAD2",
-    "TABLED1", "TABLED2", "TABDMP1", "FREQ", "FREQ1", "FREQ2", "FREQ3", "FREQ4", "TSTEP", "TEMP", "TEMPD", "TEMPP1",
-    "PLOTEL", "ASET", "ASET1", "QSET", "QSET1", "BSET", "BSET1", "CSET", "CSET1", "OMIT", "OMIT1", "SPOINT", "ECHOON",
-    "ECHOOFF", "NLPARM", "SET3", "MDLPRM", "TABLEM1", "PBAR", "PBARL", "PBEAM", "PBEAML", "PSHELL", "PROD", "SPCOFF",
-    "SPCOFF1", "SPCR", "SPCAX", "SPCD2", "USET", "USET1", "RELEASE", "EPOINT", "SEQGP", "SEQEP", "MATT2", "MATT3",
-    "MATT8", "MATS1", "TABLES1", "TABLEST", "TABLED3", "TABLED4", "TABLEM2", "TABLEM3", "TABLEM4", "TABLE3D",
-    "TABRND1", "RANDPS", "TSTEPNL", "TSTEP1", "NLPCI", "NLSTEP", "NLCNTL", "NLCNTL2", "FREQ5", "DPHASE", "DELAY",
-    "ACSRCE", "PRESAX", "MOMAX", "FORCE2", "MOMENT2", "PLOADB3", "PLOADX1", "PLOAD3", "PLOADE1", "SLOAD", "DEFORM",
-    "ACCEL", "ACCEL1", "TEMPRB", "TEMPP2", "TEMPP3", "TEMPAX", "TEMPF", "TEMPG", "TEMPBC", "MAT2", "MAT3", "MAT4",
-    "MAT5", "MAT8", "MAT10", "MATT4", "MATT5", "PCOMP", "PCOMPG", "PSHEAR", "PTUBE", "PBCOMP", "PBEND", "PBMSECT",
-    "PBRSECT", "PBEAM3", "PGAP", "PBUSH1D", "PBUSHT", "PELAST", "PDAMPT", "PVISC", "PWELD", "PFAST", "PAERO1",
-    "CAERO1", "SPLINE1", "SPLINE2", "AERO", "AEROS", "FLUTTER", "FLFACT", "MKAERO1", "MKAERO2", "SET2", "AESURF",
-    "AELIST", "AESTAT", "TRIM", "GUST", "DESVAR", "DRESP1", "DRESP2", "DRESP3", "DVPREL1", "DVPREL2", "DVMREL1",
-    "DVCREL1", "DVGRID", "DCONSTR", "DCONADD", "DEQATN", "DLINK", "DOPTPRM", "DSCREEN", "DTABLE", "DDVAL", "TOPVAR",
-    "DMI", "DMIJ", "DMIJI", "DTI", "EIGRLX", "MODTRAK", "SUPAX", "CBARAO", "SNORM", "BAROR", "BEAMOR", "CONVM",
-    "CHBDYE", "CHBDYG", "CHBDYP", "QBDY1", "QBDY2", "QBDY3", "QHBDY", "QVECT", "QVOL", "RADBC", "RADM", "RADMT",
-    "RADSET", "VIEW", "VIEW3D", "CONV", "PCONV", "TOPOPT", "BCPARA", "BCPROP", "BSURF", "BSURFS", "BCBODY", "BCPARM",
-    "TICD", "TIC", "RESPONSE", "OUTPUT", "ENDDATA", "TABLEH1", "TABLEHT", "UXVEC", "DIVERG", "CSSCHD", "MONPNT1",
-    "MONDSP1", "SEBULK", "PARTN", "USRDAT", "BLSEG", "STREAM", "TEMPB3", "ACCMETR", "TOMVAR", "ROTORG", "ROTORD",
-    "UNBALNC", "RSPINR", "RSPINT",
-}  # fmt: skip
-# Materials that vary with temperature; the values of the material itself hold.
-_OF_TEMPERATURE = ("MATT1", "MATT9")
-_PARAM = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*(\w+)[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
 # Values of PARAM COUPMASS that leave the mass lumped.
 OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
-
-
-class _Bulk:
-    """The cards of a file, sorted by what they are; those that cannot be carried are problems."""
-
-    def __init__(self, path: Path, *, outside: bool, options: DeckOptions | None = None) -> None:
-        self.file, self.options = path.name, options or DeckOptions()
-        self.problems = Problems(path.name, self.options.flags)
-        self.skipped: dict[str, int] = {}
-        self.grids, self.solids, self.systems = Grids(path.name), Solids(path.name), Systems(path.name)
-        self.rows: dict[str, Rows] = {name: [] for name in _READ}
-        self.noted: dict[str, int] = {}
-        refused: dict[str, int] = {}
-        self.text = BulkText(path, outside=outside)
-        for table in tables(self.text):
-            if table.name == "GRID":
-                self.grids.add(table)
-            elif table.name in SOLIDS:
-                self.solids.add(table)
-            elif self.options.skips(table.name):
-                self.skipped[table.name] = self.skipped.get(table.name, 0) + len(table)
-            elif table.name in self.rows:
-                self.rows[table.name] += table.rows()
-            elif table.name in _NOTED or table.name in _OF_TEMPERATURE:
-                self.noted[table.name] = self.noted.get(table.name, 0) + len(table)
-            else:
-                refused[table.name] = refused.get(table.name, 0) + len(table)
-        if refused:
-            # Lines of a file that is no deck have names with other characters; they are not shown.
-            listed = ", ".join(f"{count} {name if name.isalnum() else '(no name)'}" for name, count in refused.items())
-            named = [name for name in refused if name.isalnum()]
-            cure = f", or leave them out with --skip {','.join(named)}," if named else ""
-            what = (
-                f"{path.name} has cards that cannot be carried: {listed}; expected solids ({', '.join(SOLIDS)}), rigid "
-                f"elements (RBE2, RBE3, RBAR), MPC, springs (CELAS1, CELAS2, CBUSH), dampers and masses (CONM1, CONM2, "
-                f"CMASS1, CMASS2); take the others out{cure} if the model is right without them"
-            )
-            flags = tuple(f"--skip {name}" for name in named) if len(named) == len(refused) else ()
-            self.problems.add(Problem(what=what, file=path.name, keyword=next(iter(refused)), flags=flags))
-        if len(self.rows["GRDSET"]) > 1:
-            raise InputError(f"{path.name} has {len(self.rows['GRDSET'])} cards GRDSET; expected one")
-        self.grids.sort(self.rows["GRDSET"][0] if self.rows["GRDSET"] else [])
-        for name in _SYSTEMS:
-            for row in self.rows[name]:
-                self.systems.add(name, padded(row, 4))
-        self.grids.place(self.systems)
-
-    def mass_scale(self) -> float:
-        """PARAM WTMASS."""
-        value = real(self.parameter("WTMASS", "1."), f"{self.file}: PARAM WTMASS")
-        if not value > 0:
-            raise InputError(f"{self.file}: PARAM WTMASS = {value:g} was given; expected a positive number")
-        return value
-
-    def parameter(self, name: str, default: str) -> str:
-        """Value of a PARAM, in the bulk data or above them.
-
-        Raises:
-            InputError: it is given twice with different values.
-        """
-        cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.text.head))]
-        given = {padded(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
-        if len(given) > 1:
-            raise InputError(f"{self.file} gives PARAM {name} as {' and as '.join(sorted(given))}; expected one value")
-        return given.pop() if given else default
 
 
 def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
@@ -138,13 +41,16 @@ def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
     Raises:
         InputError: not bulk data, or cards that a mesh cannot carry.
     """
-    bulk = _Bulk(path, outside=allow_includes_outside)
-    ties = [name for name in ("RBE2", "RBE3", "RBAR", "CONM1", "CONM2", "MPC", "CBUSH", *SCALARS) if bulk.rows[name]]
+    bulk = Bulk(path, outside=allow_includes_outside)
+    ties = [name for name in (*RIGID, "CONM1", "CONM2", "MPC", "CBUSH", *SCALARS) if bulk.rows[name]]
     if ties:
         what = f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
         bulk.problems.add(Problem(what=what, file=bulk.file, keyword=ties[0]))
     bulk.problems.refuse()
-    return _mesh(bulk, np.empty(0, dtype=np.int64), [])[0]
+    parts, middles = _parts(bulk)
+    if middles:
+        raise InputError(f"{bulk.file} has edges without middle nodes, which a mesh cannot carry; import it all")
+    return _mesh(bulk, parts, np.empty(0, dtype=np.int64), [])[0]
 
 
 def import_nastran(
@@ -168,17 +74,27 @@ def import_nastran(
         DeckError: all that keeps the file from becoming a model: an ``InputError`` with ``problems``.
     """
     options = deck_options(density, "refuse", skip)
-    bulk = _Bulk(Path(path), outside=allow_includes_outside, options=options)
+    bulk = Bulk(Path(path), outside=allow_includes_outside, options=options)
     notes: list[str] = []
     with bulk.problems.ending():
         scale = bulk.mass_scale()
-        ties, springs = Ties(bulk.grids, bulk.systems, scale), Springs(bulk.grids, bulk.systems, bulk.rows, scale)
-        equations = _ties(bulk, ties, springs, notes)
+        parts, middles = list[_Part](), None
+        with bulk.problems.collected():
+            parts, middles = _parts(bulk)
+        solid = np.zeros(len(bulk.grids.ids), dtype=bool)
+        for part in parts:
+            solid[part.nodes] = True
+        ties = Ties(bulk.grids, bulk.systems, scale, solid)
+        springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
+        _take_ties(bulk, ties, springs)
+        if not parts:
+            bulk.problems.refuse()
+        equations = (*ties.equations, *([middles] if middles else []))
         everything = Imported(
             source=bulk.file, rigid=tuple(ties.rigid), average=tuple(ties.average), masses=tuple(ties.masses),
             equations=equations, discrete=tuple(springs.found),
         )  # fmt: skip
-        mesh, nodes, row = _mesh(bulk, nodes_of(everything.ties), notes)
+        mesh, nodes, row = _mesh(bulk, parts, nodes_of(everything.ties), notes)
         pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
         materials = Materials(bulk.file, scale)
         assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
@@ -193,7 +109,7 @@ def import_nastran(
     ]
     cold = [
         f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
-        for name in _OF_TEMPERATURE
+        for name in OF_TEMPERATURE
         if name in bulk.noted
     ]
     return Imported(
@@ -207,25 +123,24 @@ def import_nastran(
         masses=on_rows(ties.masses, row),
         discrete=on_rows(springs.found, row),
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
-        warnings=(*skipped, *cold, *said),
+        warnings=(*skipped, *cold, *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,
     )
 
 
-def _ties(bulk: _Bulk, ties: Ties, springs: Springs, notes: list[str]) -> tuple[Equations, ...]:
-    """Rigid elements, masses and springs into ``ties`` and ``springs``, and the equations; faults are problems."""
+def _take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
+    """Rigid elements, equations, masses and springs into ``ties`` and ``springs``; faults are problems."""
     readers: dict[str, Callable[[list[str]], None]] = {
-        "RBE2": ties.rbe2, "RBE3": ties.rbe3, "RBAR": ties.rbar, "CONM2": ties.conm2, "CONM1": springs.conm1,
-        "CBUSH": springs.bush, **{name: partial(springs.scalar, name) for name in SCALARS},
+        "RBE1": ties.rbe1, "RBE2": ties.rbe2, "RBE3": ties.rbe3, "RBAR": ties.rbar, "RROD": ties.rrod,
+        "RTRPLT": ties.rtrplt, "CONM2": ties.conm2, "CONM1": springs.conm1, "CBUSH": springs.bush,
+        **{name: partial(springs.scalar, name) for name in SCALARS},
     }  # fmt: skip
     for name, take in readers.items():
-        for card in bulk.rows[name]:
-            with bulk.problems.collected(Card(name, {}, bulk.file), (f"--skip {name}",)):
-                take(card)
-    equations = None
-    with bulk.problems.collected(Card("MPC", {}, bulk.file), ("--skip MPC",)):
-        equations = springs.mpc(bulk.text.head, notes)
-    return (equations,) if equations else ()
+        for row, card in bulk.cards(name):
+            with bulk.problems.collected(card, (f"--skip {name}",)):
+                take(row)
+    with bulk.problems.collected(next((card for _, card in bulk.cards("MPC")), None), ("--skip MPC",)):
+        ties.mpc(bulk.rows["MPC"], bulk.rows["MPCADD"], bulk.text.head)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,18 +154,22 @@ class _Part:
     nodes: Ints
 
 
-def _parts(bulk: _Bulk) -> list[_Part]:
-    """All solids; ``bulk.solids`` gives them up."""
+def _parts(bulk: Bulk) -> tuple[list[_Part], Equations | None]:
+    """All solids, and equations of the middle nodes that they lack; ``bulk.solids`` gives them up."""
     full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := padded(row, 6))]
-    parts = []
-    for kind, ids, pids, nodes in bulk.solids.blocks(bulk.grids):
-        whole = np.isin(pids, full)
+    parts, first = [], len(bulk.grids.ids)
+    blocks = bulk.solids.blocks(bulk.grids)
+    whole, pairs = filled([(kind, nodes) for kind, *_, nodes in blocks], first)
+    if len(pairs):
+        bulk.grids.add_middles(pairs)
+    for (kind, ids, pids, _), nodes in zip(blocks, whole, strict=True):
+        asked = np.isin(pids, full)
         of = {given: nastran_meaning(card_of(kind), nodes.shape[1], full=given) for given in (False, True)}
         for meaning in dict.fromkeys(of.values()):
-            rows = np.flatnonzero(np.where(whole, of[True] == meaning, of[False] == meaning))
+            rows = np.flatnonzero(np.where(asked, of[True] == meaning, of[False] == meaning))
             if len(rows):
                 parts.append(_Part(type=kind, meaning=meaning, ids=ids[rows], pids=pids[rows], nodes=nodes[rows]))
-    return parts
+    return parts, middle_equations(pairs, first) if len(pairs) else None
 
 
 def _is_full(words: list[str]) -> bool:
@@ -258,7 +177,7 @@ def _is_full(words: list[str]) -> bool:
     return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
 
 
-def _warnings(bulk: _Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
+def _warnings(bulk: Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
     """What the element types mean otherwise in Nastran, and what the text warns of."""
     names = ((f"{card_of(part.type)} with {part.nodes.shape[1]} nodes", len(part.ids), part.meaning) for part in parts)
     consistent = bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF
@@ -266,10 +185,9 @@ def _warnings(bulk: _Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
     return (*warnings_of("Nastran", names), *mass, *bulk.text.warnings)
 
 
-def _mesh(bulk: _Bulk, extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
+def _mesh(bulk: Bulk, parts: Sequence[_Part], extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
     """Mesh, its nodes with ``extra`` rows behind them, and the row among these of all grids (or -1)."""
     grids = bulk.grids
-    parts = _parts(bulk)
     used = np.zeros(len(grids.ids), dtype=bool)
     for part in parts:
         used[part.nodes] = True
@@ -305,7 +223,7 @@ def _mesh(bulk: _Bulk, extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints
 
 
 def _sets(
-    bulk: _Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]],
+    bulk: Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]],
     notes: list[str],
 ) -> dict[str, Ints]:  # fmt: skip
     """Node sets of SET1 and of case control; a set of case control that fits elements only goes to ``element_sets``."""
@@ -340,16 +258,25 @@ def _sets(
     return sets
 
 
-def _notes(bulk: _Bulk, scale: float) -> list[str]:
+def _notes(bulk: Bulk, scale: float) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
     if bulk.text.head.strip():
         notes.append("Executive and case control are not carried over, sets of labels excepted.")
     for name, count in bulk.noted.items():
-        reason = "not applied; the body is free" if name in _RESTRAINTS else "not carried over"
+        reason = "not applied; the body is free" if name in RESTRAINTS else "not carried over"
         notes.append(f"{count} {name}: {reason}.")
     if bulk.grids.fixed:
         notes.append("Permanent restraints of grids (PS) are not applied; the body is free.")
+    if bulk.grids.repeated:
+        notes.append(f"{bulk.grids.repeated} grids are given twice in the same way.")
+    if bulk.grids.superelements:
+        notes.append(f"{bulk.grids.superelements} grids belong to superelements (SEID); all of the file is one model.")
+    if bulk.grids.middles:
+        notes.append(
+            f"{bulk.grids.middles} edges of quadratic elements have no middle node; nodes with labels from "
+            f"{bulk.grids.ids[-bulk.grids.middles]} were added, which move as the means of their corners."
+        )
     turned = int((bulk.grids.cd != 0).sum())
     if turned:
         notes.append(f"{turned} grids have axes of their own (CD); here all motions are along the basic axes.")

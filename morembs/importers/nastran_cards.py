@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,13 @@ _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Cards of one name: ``fields`` (cards, fields, 24) characters from the field behind the name on."""
+    """Cards of one name: ``fields`` (cards, fields, 24) characters from the field behind the name on, and the ``lines``
+    (cards,) of the file that they begin on."""
 
     name: str
     fields: Bytes
     file: str
+    lines: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.fields)
@@ -131,9 +133,13 @@ class Cards:
             if line[LINE:].strip() and not (full[i] and b"," in line):
                 text.unread(piece.file, piece.above + i + 1, line[LINE:].decode("latin-1").strip())
         lines, self.starts, self.lengths = lines[full], starts[full], lengths[full]
+        self.number = piece.above + 1 + np.flatnonzero(full)
         self.lines = lines
         first = lines[:, 0]
-        begins = ((first & 0xDF) >= ord("A")) & ((first & 0xDF) <= ord("Z"))
+        # A name may stand behind blanks within its eight columns.
+        named = lines[np.arange(len(lines)), (lines[:, :8] != 32).argmax(axis=1)] & 0xDF
+        begins = (named >= ord("A")) & (named <= ord("Z"))
+        begins[1:] &= ~((first[1:] == 32) & (lines[:-1, 73:80] == lines[1:, 1:8]).all(axis=1))
         odd = np.flatnonzero(~begins & ~np.isin(first, np.frombuffer(b"+* ,", dtype=np.uint8)))
         if len(odd) or (len(lines) and not begins[0]):
             words = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
@@ -161,7 +167,7 @@ class Cards:
             if len(cards):
                 parts = [self._fields(self.heads[cards] + k) for k in range(int(self.size[cards[0]]))]
                 name = unique[kind[cards[0]]].decode("latin-1")
-                yield Table(name, np.concatenate(parts, axis=1), self.file)
+                yield Table(name, np.concatenate(parts, axis=1), self.file, self.number[self.heads[cards]])
 
     def fours(self, name: bytes) -> tuple[Table, Ints]:
         """Fields of all cards of a name, in the order of the file and in groups of four, and the card of each group."""
@@ -233,8 +239,10 @@ def _star_in_first(lines: Bytes) -> NDArray[np.bool_]:
 
 
 def _names(lines: Bytes) -> NDArray[np.bytes_]:
-    """Names (k,) of cards in capitals, without star."""
+    """Names (k,) of cards in capitals, without star and blanks in front."""
     heads = lines[:, :8].copy()
+    for i in np.flatnonzero(heads[:, 0] == 32).tolist():
+        heads[i] = np.frombuffer(bytes(heads[i]).lstrip().ljust(8), dtype=np.uint8)
     stop = np.cumsum((heads == 44) | (heads == ord("*")) | (heads == 32), axis=1) > 0
     heads[stop] = 0
     small = (heads >= ord("a")) & (heads <= ord("z"))

@@ -86,6 +86,29 @@ class Systems:
             xyz = np.column_stack([out * np.cos(around), out * np.sin(around), xyz[:, 0] * np.cos(polar)])
         return xyz if number == 0 else xyz @ axes + origin
 
+    def axes(self, number: int, x: Floats, grids: Grids) -> Floats:
+        """The axes (3, 3) of a system at a point (3,) as rows in the basic system."""
+        if number <= 0:
+            return np.eye(3)
+        kind, origin, axes = self.frame(number, grids)
+        if kind == "R":
+            return axes
+        local = axes @ (x - origin)
+        around = np.arctan2(local[1], local[0])
+        c, s = np.cos(around), np.sin(around)
+        out, turning, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0]), np.array([0.0, 0.0, 1.0])
+        if kind == "C":
+            return np.array([out, turning, up]) @ axes
+        polar = np.arctan2(np.hypot(local[0], local[1]), local[2])
+        p, q = np.sin(polar), np.cos(polar)
+        return np.array([p * out + q * up, q * out - p * up, turning]) @ axes
+
+    def direction(self, row: int, component: int, grids: Grids) -> Floats:
+        """A component, 0 to 5, along the axes (CD) of the grid in a row, as parts (6,) along the basic axes."""
+        part, turn = np.zeros(6), 3 * (component // 3)
+        part[turn : turn + 3] = self.axes(int(grids.cd[row]), grids.xyz[row], grids)[component % 3]
+        return part
+
 
 @dataclass
 class Grids:
@@ -97,14 +120,16 @@ class Grids:
     cp: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     cd: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     fixed: int = 0
+    superelements: int = 0
+    repeated: int = 0
+    middles: int = 0
     _pieces: list[tuple[Ints, Floats, Ints, Ints]] = field(default_factory=list)
     _systems: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] = field(default_factory=list)
 
     def add(self, table: Table) -> None:
         """GRID cards: label, CP, three coordinates, CD, PS, SEID."""
         ids = table.integers(0, 1)[:, 0]
-        if table.integers(7, 8).any():
-            raise InputError(f"{self.file} has grids of superelements (SEID), which are not supported")
+        self.superelements += int((table.integers(7, 8) != 0).sum())
         permanent = table.integers(6, 7)[:, 0]
         self.fixed += int((permanent != 0).sum())
         systems = table.integers(1, 2)[:, 0], table.integers(5, 6)[:, 0]
@@ -131,9 +156,17 @@ class Grids:
         self.ids, self.xyz = ids[order], xyz[order]
         self.cp, self.cd = np.where(given_cp, cps, cp)[order], np.where(given_cd, cds, cd)[order]
         twice = np.flatnonzero(np.diff(self.ids) == 0)
-        if len(twice) or self.ids[0] < 1:
-            at = self.ids[twice[0]] if len(twice) else self.ids[0]
+        same = (
+            (self.xyz[twice] == self.xyz[twice + 1]).all(axis=1)
+            & (self.cp[twice] == self.cp[twice + 1]) & (self.cd[twice] == self.cd[twice + 1])
+        )  # fmt: skip
+        if not same.all() or self.ids[0] < 1:
+            at = self.ids[twice[~same][0]] if not same.all() else self.ids[0]
             raise InputError(f"{self.file} defines the grid {at} twice, or below 1; expected unique labels")
+        if len(twice):
+            self.repeated = len(twice)
+            for name in ("ids", "xyz", "cp", "cd"):
+                setattr(self, name, np.delete(getattr(self, name), twice, axis=0))
 
     def place(self, systems: Systems) -> None:
         """Coordinates in the basic system."""
@@ -148,6 +181,13 @@ class Grids:
         self.xyz, self.cp = placed, np.zeros_like(self.cp)
         if not (np.abs(self.xyz) < LARGEST).all():
             raise InputError(f"{self.file}: coordinates are too large; check the grids and coordinate systems")
+
+    def add_middles(self, pairs: Ints) -> None:
+        """Grids behind all others in the middle of two, given by rows (m, 2)."""
+        self.middles, count = len(pairs), len(pairs)
+        self.ids = np.concatenate([self.ids, self.ids[-1] + 1 + np.arange(count)])
+        self.xyz = np.concatenate([self.xyz, self.xyz[pairs].mean(axis=1)])
+        self.cp, self.cd = (np.concatenate([part, np.zeros(count, dtype=np.int64)]) for part in (self.cp, self.cd))
 
     def rows(self, labels: Ints, who: str) -> Ints:
         """Rows of labels (any shape)."""
@@ -179,14 +219,15 @@ class Solids:
         beyond = table.given(2 + total, max(table.width, 2 + total))
         numbers = table.integers(0, 2 + total)
         middle = filled[:, corners:]
-        wrong = ~filled[:, :corners].all(axis=1) | (middle.any(axis=1) & ~middle.all(axis=1)) | beyond.any(axis=1)
+        wrong = ~filled[:, :corners].all(axis=1) | beyond.any(axis=1)
         if wrong.any():
             at = np.flatnonzero(wrong)[0]
             raise InputError(
-                f"{self.file}: {table.name} {numbers[at, 0]} has {int(filled[at].sum())} nodes; expected {corners} or "
-                f"{total}, and nothing behind them"
+                f"{self.file}: {table.name} {numbers[at, 0]} has {int(filled[at].sum())} nodes; expected {corners} "
+                f"corners, up to {total - corners} middle nodes, and nothing behind them"
             )
-        full = middle.all(axis=1)
+        # A middle node is left out by a blank field or a zero.
+        full = (middle & (numbers[:, 2 + corners :] != 0)).any(axis=1)
         for kind, chosen, nodes in ((low, ~full, np.arange(corners)), (high, full, np.array(order))):
             if chosen.any():
                 cards = numbers[chosen]
@@ -195,11 +236,16 @@ class Solids:
                 self._pieces.setdefault(kind, []).append((cards[:, 0], pid, cards[:, 2:][:, nodes]))
 
     def blocks(self, grids: Grids) -> list[tuple[str, Ints, Ints, Ints]]:
-        """Type, labels, property ids and rows of grids of each type; what was added is given up."""
+        """Type, labels, property ids and rows of grids of each type, -1 for middle nodes that are not there; what was
+        added is given up.
+        """
         blocks = []
         for kind in list(self._pieces):
             ids, pids, nodes = (np.concatenate(part) for part in zip(*self._pieces.pop(kind), strict=True))
-            blocks.append((kind, ids, pids, grids.rows(nodes, f"an element {kind}")))
+            there = nodes != 0
+            rows = np.full(nodes.shape, -1, dtype=np.int64)
+            rows[there] = grids.rows(nodes[there], f"an element {kind}")
+            blocks.append((kind, ids, pids, rows))
         if not blocks:
             raise InputError(f"{self.file} has no solid elements; expected {', '.join(SOLIDS)}")
         labels = np.sort(np.concatenate([ids for _, ids, *_ in blocks]))

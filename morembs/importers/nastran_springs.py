@@ -1,8 +1,6 @@
-"""Springs, dampers, masses by direction and multipoint constraints of Nastran bulk data."""
+"""Springs, dampers and masses by direction of Nastran bulk data."""
 
 from __future__ import annotations
-
-import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +11,13 @@ from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
+from morembs.importers.nastran_names import SCALARS
 from morembs.importers.nastran_properties import Rows, padded
 from morembs.model import skew
-from morembs.model.constraints import Equations, Term, solved_for_first
 
 Floats = NDArray[np.float64]
-# Cards of one value between two components: the matrix, the card of their property or none.
-SCALARS = {
-    "CELAS1": ("K", "PELAS"), "CELAS2": ("K", ""), "CMASS1": ("M", "PMASS"), "CMASS2": ("M", ""),
-    "CDAMP1": ("D", "PDAMP"), "CDAMP2": ("D", ""),
-}  # fmt: skip
 # Fields of each property on one card.
 _PROPERTY = {"PELAS": 4, "PMASS": 2, "PDAMP": 2}
-_MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 
 
 class Springs:
@@ -35,34 +27,6 @@ class Springs:
         self.grids, self.systems, self.rows, self.scale = grids, systems, rows, scale
         self.found: list[DiscreteElement] = []
         self._properties: dict[str, dict[int, list[str]]] = {}
-
-    def part(self, row: int, component: int) -> Floats:
-        """Direction (6,) in basic components of a component along the axes (CD) of a grid."""
-        part = np.zeros(6)
-        turn = 3 * (component // 3)
-        part[turn : turn + 3] = self.axes(row)[component % 3]
-        return part
-
-    def axes(self, row: int) -> Floats:
-        """The axes (3, 3) of a grid as rows."""
-        return self.at(int(self.grids.cd[row]), self.grids.xyz[row])
-
-    def at(self, system: int, x: Floats) -> Floats:
-        """The axes (3, 3) of a system at a point as rows."""
-        if system <= 0:
-            return np.eye(3)
-        kind, origin, axes = self.systems.frame(system, self.grids)
-        if kind == "R":
-            return axes
-        local = axes @ (x - origin)
-        around = np.arctan2(local[1], local[0])
-        c, s = np.cos(around), np.sin(around)
-        out, turning, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0]), np.array([0.0, 0.0, 1.0])
-        if kind == "C":
-            return np.array([out, turning, up]) @ axes
-        polar = np.arctan2(np.hypot(local[0], local[1]), local[2])
-        p, q = np.sin(polar), np.cos(polar)
-        return np.array([p * out + q * up, q * out - p * up, turning]) @ axes
 
     def scalar(self, name: str, row: list[str]) -> None:
         """CELAS1, CELAS2, CMASS1, CMASS2, CDAMP1 or CDAMP2."""
@@ -85,7 +49,7 @@ class Springs:
                     "are not carried, leave it out with --skip " + name
                 )
             grid = int(self.grids.rows(np.array([integer(label, what)]), what)[0])
-            ends.append((grid, sign * self.part(grid, int(component) - 1)))
+            ends.append((grid, sign * self.systems.direction(grid, int(component) - 1, self.grids)))
         if not ends:
             raise InputError(f"{what} is on no grid; expected one or two")
         self.found.append(spring(f"{name}_{row[0]}", matrix, ends, value * (self.scale if matrix == "M" else 1.0)))
@@ -150,13 +114,14 @@ class Springs:
     def _bush_axes(self, what: str, row: list[str], a: int, b: int, values: list[Floats]) -> Floats:
         """Its axes as rows: of a system, or along its grids in a plane with a vector or a third grid."""
         if row[7]:
-            return self.at(integer(row[7], what), self.grids.xyz[a])
+            return self.systems.axes(integer(row[7], what), self.grids.xyz[a], self.grids)
         along = self.grids.xyz[b] - self.grids.xyz[a]
         if row[4] and not any(row[5:7]) and "." not in row[4]:
             other = int(self.grids.rows(np.array([integer(row[4], what)]), what)[0])
             plane = self.grids.xyz[other] - self.grids.xyz[a]
         elif any(row[4:7]):
-            plane = np.array([real(text, what) for text in row[4:7]]) @ self.axes(a)
+            own = self.systems.axes(int(self.grids.cd[a]), self.grids.xyz[a], self.grids)
+            plane = np.array([real(text, what) for text in row[4:7]]) @ own
         else:
             sideways = any(v[[1, 2, 4, 5]].any() for v in values)
             alike = all(np.ptp(v[:3]) == 0 and np.ptp(v[3:]) == 0 for v in values)
@@ -177,49 +142,10 @@ class Springs:
         M = np.zeros((6, 6))
         M[np.tril_indices(6)] = [real(text, what) for text in row[3:24]]
         M = M + np.tril(M, -1).T
-        T = np.kron(np.eye(2), self.at(integer(row[2], what), self.grids.xyz[node]))
+        T = np.kron(np.eye(2), self.systems.axes(integer(row[2], what), self.grids.xyz[node], self.grids))
         self.found.append(
             DiscreteElement(
                 name=f"CONM1_{row[0]}", matrix="M", nodes=np.full(6, node), components=np.arange(6),
                 values=self.scale * T.T @ M @ T,
             )
         )  # fmt: skip
-
-    def mpc(self, head: str, notes: list[str]) -> Equations | None:
-        """The equations of MPC that the case control asks for, all of one set where there is none."""
-        rows = self.rows["MPC"]
-        if not rows:
-            return None
-        chosen = self._chosen(head, notes)
-        sums: list[tuple[str, list[Term]]] = []
-        for row in rows:
-            what = f"{self.grids.file}: MPC {padded(row, 1)[0]} of grid {padded(row, 2)[1]}"
-            if chosen is not None and integer(padded(row, 1)[0], what) not in chosen:
-                continue
-            terms: list[Term] = []
-            for at in [i for line in range(0, len(row), 8) for i in (line + 1, line + 4)]:
-                label, component, value = padded(row[at : at + 3], 3)
-                if label:
-                    if component not in ("1", "2", "3", "4", "5", "6"):
-                        raise InputError(f"{what} names the component {component or 0}; expected 1 to 6 of a grid")
-                    grid = int(self.grids.rows(np.array([integer(label, what)]), what)[0])
-                    part = real(value, what) * self.part(grid, int(component) - 1)
-                    order = np.argsort(-np.abs(part), kind="stable").tolist()
-                    # A first coefficient of zero is to be seen.
-                    terms += [(grid, c, float(part[c])) for c in order if part[c]] or [(grid, int(component) - 1, 0.0)]
-            sums.append((what, terms))
-        return solved_for_first("MPC", sums) if sums else None
-
-    def _chosen(self, head: str, notes: list[str]) -> set[int] | None:
-        """Numbers of the sets that are applied, None for all."""
-        asked = {int(number) for number in _MPC.findall(head)}
-        if not asked and head.strip():
-            notes.append("MPC: not applied, the case control asks for none.")
-            return set()
-        if len(asked) > 1:
-            raise InputError(f"{self.grids.file}: subcases ask for the MPC sets {sorted(asked)}; expected one of them")
-        what = f"{self.grids.file}: MPCADD"
-        for row in self.rows["MPCADD"]:
-            if row and integer(row[0], what) in asked:
-                asked |= {integer(text, what) for text in row[1:] if text}
-        return asked or None

@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from morembs.errors import InputError
 from morembs.importers.includes import Includes, open_text
+from morembs.importers.nastran_replication import BLOCK, replicated
 
 PIECE = 1 << 22
 _LONGEST_CARD = 1 << 28
@@ -88,15 +89,28 @@ class BulkText:
         for text, last in _cards(path, start):
             at = 0
             for match in _INCLUDE.finditer(text) if b"INCLUDE" in text.upper() else ():
-                yield Piece(text[at : match.start()], path.name, above + text.count(b"\n", 0, at))
+                yield from _written_out(text[at : match.start()], path.name, above + text.count(b"\n", 0, at))
                 at = match.end()
                 name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
                 where, folders = f"{path.name}: INCLUDE", (path.parent, self._includes.path.parent)
                 yield from self._pieces(self._includes.take(name, where, folders, outer, _FIRST), outer)
-            yield Piece(text[at:], path.name, above + text.count(b"\n", 0, at))
+            yield from _written_out(text[at:], path.name, above + text.count(b"\n", 0, at))
             above += text.count(b"\n")
             ended = ended or last
         self._ended = self._ended and ended
+
+
+def _written_out(text: bytes, file: str, above: int) -> Iterator[Piece]:
+    """The text as pieces in which replicated cards are written out."""
+    at = 0
+    for match in BLOCK.finditer(text) if b"\n=" in text or b"\n =" in text else ():
+        before = text[at : match.start()]
+        yield Piece(before, file, above + text.count(b"\n", 0, at))
+        card = before.rstrip().rpartition(b"\n")[2]
+        line = above + 1 + text.count(b"\n", 0, match.start())
+        yield Piece(replicated(card, match.group(), f"{file}, line {line}"), file, line - 1)
+        at = match.end()
+    yield Piece(text[at:], file, above + text.count(b"\n", 0, at))
 
 
 @contextmanager

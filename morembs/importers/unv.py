@@ -109,10 +109,11 @@ def _take(number: int, lines: list[str], found: _Found, name: str) -> None:
         step = _NODES[number]
         for at in range(0, len(lines) - step + 1, step):
             words = " ".join(lines[at : at + step]).replace("D", "E").replace("d", "e").split()
-            if len(words) < 7:
+            if len(words) != 7:
                 raise ValueError(f"{lines[at]!r} is no node")
-            found.ids.append(int(words[0]))
-            found.xyz.append([float(word) for word in words[4:7]])
+            label, *_ = (int(word) for word in words[:4])
+            found.ids.append(label)
+            found.xyz.append([float(word) for word in words[4:]])
     elif number in _ELEMENTS:
         _take_elements(lines, found, name)
     elif number in _GROUPS:
@@ -159,6 +160,8 @@ def _take_groups(lines: list[str], found: _Found) -> None:
 def _mesh(found: _Found, name: str) -> Mesh:
     if not found.elements:
         raise InputError(f"{name} has no solid elements (datasets 780 or 2412); expected a mesh of solids")
+    if not found.ids:
+        raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again")
     order = np.argsort(found.ids, kind="stable")
     ids, xyz = np.array(found.ids, dtype=np.int64)[order], np.array(found.xyz)[order]
     twice = ids[1:][np.diff(ids) == 0]

@@ -14,6 +14,7 @@ from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full, read_ansys_full
 from morembs.importers.ansys_text import import_ansys_matrices, read_ansys_matrix
+from morembs.importers.to_model import model_of
 from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
@@ -526,8 +527,12 @@ def test_point_masses(tmp_path, text, izz):
     assert mass.mass == 2 and imported.nodes.ids[mass.node] == 103
     assert mass.inertia.tolist() == (np.diag([3.0, 4.0, 5.0]) if izz else np.zeros((3, 3))).tolist()
     assert [len(block.ids) for block in imported.mesh.blocks] == [2]
-    with pytest.raises(InputError, match="MASS21 9 has the masses 2, 1, 2"):
-        import_ansys_cdb(write(tmp_path, hex_deck(before="ET,2,21\nR,7,2.0,1,2\n", extra=[(9, 2, 1, 7, [103])])))
+    apart = import_ansys_cdb(write(tmp_path, hex_deck(before="ET,2,21\nR,7,2.0,0,3\n", extra=[(9, 2, 1, 7, [103])])))
+    (by_direction,) = apart.discrete
+    assert not apart.masses and by_direction.matrix == "M" and by_direction.components.tolist() == [0, 2]
+    assert np.array_equal(by_direction.values, np.diag([2.0, 3.0]))
+    with pytest.raises(InputError, match="MASS21 9 has the masses 2, -1, 2"):
+        import_ansys_cdb(write(tmp_path, hex_deck(before="ET,2,21\nR,7,2.0,-1,2\n", extra=[(9, 2, 1, 7, [103])])))
     with pytest.raises(InputError, match="names the real constants 8, which are not there"):
         import_ansys_cdb(write(tmp_path, hex_deck(before=f"ET,2,21\n{text}\n", extra=[(9, 2, 1, 8, [103])])))
 
@@ -546,6 +551,9 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"extra": [(7, 3, 1, 1, [101])]}, "type 3, which no ET defines"),
         ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, "1 elements CONTA174 .* --contact skip"),
         ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
+        ({"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]},
+         r"1 elements SHELL181 .first: 7.*Let ANSYS write K and M .*--skip SHELL181"),
+        ({"after": "EBLOCK,10,COMPACT\n(10i9)\n-1\n"}, "compact form"),
         ({"after": "CP,1,TEMP,101,102\n"}, "CP gives no direction of some nodes"),
         ({"after": "CE,1,0,101,TEMP,1.0\n"}, "CE is on the motion 'TEMP'"),
         ({"after": "CE,1,0,101,UX,0.0,102,UX,1.0\n"}, "first coefficient of .* CE is zero"),
@@ -587,22 +595,77 @@ def test_damaged_archives(tmp_path):
         import_ansys_cdb(tmp_path / "no.cdb")
 
 
-def test_some_middle_nodes_are_refused_and_none_is_linear(tmp_path):
+def test_edges_without_middle_nodes_are_linear(tmp_path):
+    """One is left out: a node at its place follows the corners; without any, the element has eight nodes."""
     mesh = box("hex20", (1, 1, 1), (1.0, 1.0, 1.0))
     text = deck(mesh)
     middle = [f"{101 + n:10d}" for n in mesh.blocks[0].nodes[0][8:]]
     at = text.index("EBLOCK")
-    for count, message in ((1, "some of its middle nodes but not all"), (12, None)):
+    found = []
+    for count in (1, 12):
         lines = text[at:]
         for word in middle[:count]:
             lines = lines.replace(word, f"{0:10d}", 1)
-        path = write(tmp_path, text[:at] + lines)
-        if message:
-            with pytest.raises(InputError, match=message):
-                import_ansys_cdb(path)
-        else:
-            imported = import_ansys_cdb(path)
-            assert imported.mesh.blocks[0].type == "hex8" and "12 nodes of no element" in imported.notes[-1]
+        imported = import_ansys_cdb(write(tmp_path, text[:at] + MP_STEEL + lines))
+        found.append((imported, model_of(imported)))
+    (imported, model), (linear, _) = found
+    assert linear.mesh.blocks[0].type == "hex8" and "12 nodes of no element" in linear.notes[-1]
+    assert imported.mesh.blocks[0].type == "hex20" and imported.nodes.ids[-1] == 121 and not imported.incomplete
+    S, R = model.dependent.S, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    gone = mesh.nodes.xyz[mesh.blocks[0].nodes[0][8]]
+    assert np.allclose(imported.nodes.xyz[-1], gone) and abs(S @ R - R).max() < 1e-14
+    assert abs(S.T @ model.K @ (S @ R)).max() < 1e-10 * abs(model.K).max()
+    assert R[:, 0] @ model.M @ R[:, 0] == pytest.approx(7850.0)
+
+
+MP_STEEL = "MPDATA,UNBL,1,EX,1,1,2.1e11\nMPDATA,UNBL,1,PRXY,1,1,0.3\nMPDATA,UNBL,1,DENS,1,1,7850\n"
+LOOSE = "NBLOCK,3,,1,1\n(1i9,3e20.13)\n      201 3.0000000000000E+00 0.5000000000000E+00 0.5000000000000E+00\n-1\n"
+
+
+BEAMS = hex_deck(
+    before=f"{MP_STEEL}ET,2,184\nKEYOPT,2,1,1\n{LOOSE}",
+    extra=[(10 + k, 2, 1, 1, [201, node]) for k, node in enumerate((103, 106, 109, 112))],
+)
+BOTH = f"{MP_STEEL}ET,2,14\nET,3,14\nKEYOPT,3,2,2\nR,5,100.0,2.0\n{LOOSE}"
+ENDS = [(10, 2, 1, 5, [103, 201]), (11, 3, 1, 5, [201, 103])]
+SPRINGS = hex_deck(before=BOTH, extra=ENDS)
+
+
+def test_rigid_beams_and_springs(tmp_path):
+    """Four rigid beams from a node in front of the body, which leads, and springs along and across their ends."""
+    imported = import_ansys_cdb(write(tmp_path, BEAMS))
+    (body,) = imported.rigid
+    assert imported.nodes.ids[body.master] == 201 and imported.nodes.ids[body.slaves].tolist() == [103, 106, 109, 112]
+    model = model_of(imported)
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    assert abs(model.dependent.S @ R - R).max() < 1e-12 and len(model.nodes) == 13
+    with pytest.raises(InputError, match=r"4 elements MPC184 with KEYOPT.1. = 0 .*--skip MPC184"):
+        import_ansys_cdb(write(tmp_path, BEAMS.replace("KEYOPT,2,1,1\n", "")))
+    found = import_ansys_cdb(write(tmp_path, SPRINGS)).discrete
+    along, across = ([each for each in found if label in each.name] for label in ("14 10", "14 11"))
+    a = np.array([3.0, 0.5, 0.5]) - box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)).nodes.xyz[2]
+    a /= np.linalg.norm(a)
+    assert np.allclose(along[0].values, 100 * np.kron([[1, -1], [-1, 1]], np.outer(a, a)))
+    assert [(each.matrix, each.values[0, 0]) for each in across] == [("K", 100.0), ("D", 2.0)]
+    assert across[0].components.tolist() == [1, 1]
+    for change, words in (
+        ({"before": BOTH.replace("R,5,100.0,2.0", "R,6,1.0")}, "real constants 5, which are not there"),
+        ({"before": BOTH.replace("R,5,100.0,2.0", "R,5,1.0,1.0,1.0")}, "nonlinear damping"),
+        ({"before": BOTH.replace("KEYOPT,3,2,2", "KEYOPT,3,3,2")}, "expected a linear spring in space"),
+    ):
+        with pytest.raises(InputError, match=words):
+            import_ansys_cdb(write(tmp_path, hex_deck(extra=ENDS, **change)))
+
+
+def test_tetrahedra_with_pressure_are_plain_and_warned_of(tmp_path):
+    mesh = box("tet4", (1, 1, 1), (1.0, 1.0, 1.0))
+    text = deck(mesh, after=MP_STEEL)
+    head, _, tail = text.partition("(19i10)\n")
+    four = element_lines([(i, 1, 1, 1, 101 + rows) for i, rows in enumerate(mesh.blocks[0].nodes, start=1)])
+    plain = head.replace("ET,1,45", "ET,1,285") + "(19i10)\n" + four + tail[tail.index("        -1\n") :]
+    found = [import_ansys_cdb(write(tmp_path, each)) for each in (text, plain)]
+    assert np.array_equal(found[0].mesh.blocks[0].nodes, found[1].mesh.blocks[0].nodes)
+    assert not found[0].mesh.warnings and "SOLID285" in found[1].mesh.warnings[0]
 
 
 def test_elements_left_out_on_request(tmp_path):

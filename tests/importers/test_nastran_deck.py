@@ -11,6 +11,7 @@ from morembs.importers.nastran_cards import real
 from morembs.importers.nastran_text import PIECE
 from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of
+from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
@@ -251,31 +252,38 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n", "2 CQUAD4, 1 CBAR|1 CBAR, 2 CQUAD4"),
+        ("CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n",
+         "line 11: 2 CQUAD4 .*shells.*line 13: 1 CBAR"),
         ("CELAS2,3,5.,10,0\n", "component 0 of 10"),
         ("CELAS1,3,7,10,1\n", "names the PELAS 7"),
-        ("RBE1,1,10,123456\n", "1 RBE1"),
+        ("RBE1,1,10,123456\n", "6 independent and 0 dependent"),
+        ("RBE1,1,10,123,20,12,30,1\n,UM,40,123\n", "do not determine rigid motion"),
+        ("RBE1,1,10\n,UM,40,123\n", "without components"),
+        ("RROD,1,10,20\n", "one component"),
+        ("RROD,1,10,20,2\n", "do not follow"),
+        ("BEGIN,1\n", "superelements of their own"),
+        ("PLSOLID,1,2\n", "nonlinear materials"),
         ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
         ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
         ("RBE2,1,10,129,20\n", "'129'"),
-        ("RBE3,1,,10,123,1.,12,20\n", "123 or 123456"),
+        ("RBE3,1,,10,123,1.,12,20\n", "do not determine"),
         ("RBE3,1,,10,123456,1.,123,20\n,UM,20,123\n", "UM"),
-        ("RBAR,1,10,20,123,456\n", "123456 at one end"),
-        ("GRID,10,,0.,0.,0.\n", "grid 10 twice"),
+        ("RBAR,1,10,20,123,12\n", "5 independent"),
+        ("GRID,10,,0.,0.,.1\n", "grid 10 twice"),
         ("GRID,11,5,0.,0.,0.\n", "coordinate system 5, which is not defined"),
         ("CTETRA,7,1,10,20,30,50\n", "element 7 twice"),
         ("CTETRA,8,1,10,20,30,55\n", "names the grid 55"),
         ("CTETRA,8,1,10,20,30\n", "CTETRA 8 has 3 nodes"),
-        ("CTETRA,8,1,10,20,30,50,60,70\n", "CTETRA 8 has 6 nodes"),
+        ("CTETRA,8,1,10,20,,50,60,70\n", "CTETRA 8 has 5 nodes"),
         ("CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
          "by way of itself"),
         ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
-        ("PSOLID,1,9\n", "names the material 9"),
-        ("PSOLID,1,1\nMAT1,1,1.,,,1.\n", "gives 1 of E, G and NU"),
-        ("PSOLID,1,1\nMAT1,1,1.,3.,.3,1.\n", "contradict"),
+        ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
         ("GRID,11,,0.,zero,0.\n", "GRID card"),
         ("GRID    11              0.5 1   0.      0.\n", "not one number"),
-        ("=,*(1),=\n", "neither a card"),
+        ("=,*(1),=\n", "line 11: cards with continuations"),
+        ("GRID,90,,1.,2.,3.\n=(3)\n", "repeats no line"),
+        ("CORD2R,x\n=,*1,==\n", "cannot be counted up"),
         ("PARAM,WTMASS,0.\n", "WTMASS"),
         ("\0", "binary"),
         ("PSOLID,1,1", "ends within the line"),
@@ -289,11 +297,148 @@ def test_what_cannot_be_carried_is_refused_by_name(bulk, text, words):
         bulk(CUBE + text)
 
 
-def test_partial_directions_of_turned_grids_are_refused(bulk):
-    turned = CUBE.replace("GRID,20,,1.,0.,0.", "GRID,20,,1.,0.,0.,4") + "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
-    assert bulk(turned + "RBE2,1,10,123,20\n").rigid[0].components == (0, 1, 2)
-    with pytest.raises(InputError, match="turned axes"):
-        bulk(turned + "RBE2,1,10,1,20\n")
+# Of a reference at (.4, .6, -.5) by grids of the unit cube: 10 and 20 with the weight 2 in x, y, z, 30 with .5 in y and
+# z, 50 with 1.5 in x and z; made with pyYeti 1.4.7 (formrbe3).
+MEAN = np.array([
+    [0.541958041958, 0.6, -0.237762237762, 0.541958041958, -0.48, 0.416083916084, -0.12, 0.0, -0.083916083916,
+     -0.178321678322],
+    [-0.073426573427, 0.6, -0.083916083916, -0.073426573427, 0.32, -0.353146853147, 0.08, 0.5, 0.146853146853,
+     -0.062937062937],
+    [-0.07972027972, 0.0, 0.251748251748, -0.07972027972, 0.0, -0.040559440559, 0.0, 0.6, 0.159440559441,
+     0.188811188811],
+    [-0.146853146853, 0.0, -0.167832167832, -0.146853146853, 0.0, -0.706293706294, 0.0, 1.0, 0.293706293706,
+     -0.125874125874],
+    [-0.230769230769, 0.0, 0.307692307692, -0.230769230769, 0.0, -0.538461538462, 0.0, 0.0, 0.461538461538,
+     0.230769230769],
+    [0.0, -1.0, 0.0, 0.0, 0.8, 0.0, 0.2, 0.0, 0.0, 0.0],
+])  # fmt: skip
+WEIGHTED = CUBE + MAT1 + "GRID,600,,.4,.6,-.5\nRBE3,2,,600,123456,2.,123,10,20\n,.5,23,30,1.5,13,50\n"
+TIED = (
+    CUBE + MAT1 + "GRID,600,,.4,.6,-.5\nGRID,601,,.5,.6,-.5\n=,*1,,*.1,==\n=2\nCORD2C,4,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    "RBE1,1,600,123456\n,UM,10,123,20,12\nRTRPLT,2,30,40,50,123,23,3\nRBE2,3,601,123,602,THRU,604\n"
+    "RBAR,4,600,601,123456\nCBUSH,5,5,70,80,,,,0\nPBUSH,5,K,10.\n"
+)
+LEADERS = [(10, 0), (10, 1), (10, 2), (20, 0), (20, 1), (20, 2), (30, 1), (30, 2), (50, 0), (50, 2)]
+
+
+def dof_of(model, label, component):
+    node = np.flatnonzero(model.nodes.ids == label)[0]
+    return int(np.flatnonzero((model.dofs.node == node) & (model.dofs.component == component))[0])
+
+
+def rigid_fault(model):
+    """The largest part of rigid motion that the dependent dofs do not follow, and that strains the body."""
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    S = model.dependent.S
+    K = S.T @ model.K @ S
+    return abs(S @ R - R).max(), abs(K @ R).max() / abs(model.K).max()
+
+
+@pytest.mark.parametrize("behind", ["", ",UM,600,123,10,1,20,23\n"])
+def test_a_mean_of_some_directions_is_that_of_nastran(bulk, behind):
+    """UM only chooses what depends: the reference moves as the same mean of the grids."""
+    model = model_of(bulk(WEIGHTED + behind))
+    S = model.dependent.S.toarray()
+    u = S @ np.random.default_rng(3).normal(size=len(S))
+    reference = [u[dof_of(model, 600, c)] for c in range(6)]
+    assert np.allclose(reference, MEAN @ [u[dof_of(model, *leader)] for leader in LEADERS], atol=1e-9)
+    assert max(rigid_fault(model)) < 1e-12
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        "RBAR,1,10,600,123,456\n", "RBAR,1,600,10,12346,5,,\n", "RBE1,1,600,123456\n,UM,10,123,20,12\n",
+        "RTRPLT,1,10,20,40,123,23,3,\n,,1,12\n", "RBE1,1,10,123,20,23,40,3\n,UM,20,1,40,12\n",
+        "RBE2,1,600,13,10,20\n", "RROD,1,10,20,1\n",
+    ],
+)  # fmt: skip
+def test_rigid_elements_of_any_components_move_as_one_body(bulk, element):
+    """Grid 20 has axes of its own, along those of a cylinder whose axis is turned."""
+    system = "CORD2C,4,,.1,.2,.3,.4,.5,1.\n,1.,.1,.2\n"
+    cube = CUBE.replace("GRID,20,,1.,0.,0.", "GRID,20,,1.,0.,0.,4")
+    model = model_of(bulk(cube + MAT1 + system + "GRID,600,,.4,.6,-.5\n" + element))
+    assert max(rigid_fault(model)) < 1e-12
+    S, x = model.dependent.S, model.nodes.xyz
+    assert (model.dependent.owner >= 0).sum() > 0
+    u = S @ np.random.default_rng(5).normal(size=S.shape[1])
+    if element.startswith("RROD"):
+        return
+    if "RBE2" in element or "UM,10,123,20" in element:  # some directions only
+        return
+    labels = {int(word) for word in element.replace("\n", ",").split(",")[2:] if word.isdigit()} & {10, 20, 40, 600}
+    fixed = [dof_of(model, label, c) for label in sorted(labels) for c in range(3)]
+    R = rigid_motion(x[model.dofs.node[fixed]], model.dofs.component[fixed])
+    assert np.linalg.norm(u[fixed] - R @ np.linalg.lstsq(R, u[fixed])[0]) < 1e-12 * np.linalg.norm(u[fixed])
+
+
+def test_one_body_by_three_kinds_of_elements(bulk):
+    """RBE2 along all directions, RBE1 and RBAR with the same leader give the same matrices."""
+    grid = "GRID,600,,.4,.6,-.5\n"
+    kinds = ["RBE2,1,600,123456,10,20\n", "RBE1,1,600,123456\n,UM,10,123456,20,123456\n",
+             "RBAR,1,600,10,123456\nRBAR,2,600,20,123456\n"]  # fmt: skip
+    matrices = []
+    for text in kinds:
+        model = model_of(bulk(CUBE + MAT1 + grid + text))
+        S = model.dependent.S
+        kept = [dof_of(model, label, c) for label in (30, 40, 50, 600) for c in range(3)]
+        matrices.append((S.T @ model.K @ S).toarray()[np.ix_(kept, kept)])
+    assert all(np.allclose(matrices[0], A, rtol=0, atol=1e-12 * matrices[0].max()) for A in matrices[1:])
+
+
+def test_replicated_cards(bulk):
+    """The cube by counting up, in free and in fixed fields."""
+    cube = (
+        "GRID,10,,0.,0.,0.\nGRID,20,,1.,0.,0.\n=,*(20),=,==\n=,*-10,=,*-1.,*1.,==\nGRID,30,,1.,1.,0.\n"
+        "GRID    50                      0.       1.0-1\n=       *10     ==\n=(2)\n"
+    )
+    found = bulk(cube.replace("GRID,20,,1.,0.,0.\n=,*(20),=,==\n=,*-10,=,*-1.,*1.,==\n", "GRID,20,,1.,0.,0.\n") + (
+        "GRID,1,,0.,0.,0.\n=,*1,,*.1,==\n=3\nCTETRA,1,1,10,20,30,50\n" + MAT1
+    ))  # fmt: skip
+    assert found.nodes.ids.tolist() == [10, 20, 30, 50]
+    chain = bulk("GRID,1,,0.,0.,0.\n=,*1,,*.1,=,*-1.-1\n=3\nGRID,9,,0.,1.,0.\nGRID,10,,0.,0.,1.\n"
+                 "CTETRA,1,1,1,5,9,10\nRBE2,1,1,123,2,THRU,4\n" + MAT1)  # fmt: skip
+    rows = [np.flatnonzero(chain.nodes.ids == label)[0] for label in range(1, 6)]
+    assert np.array_equal(chain.nodes.xyz[rows], [[k / 10, 0, -k / 10] for k in range(5)])
+
+
+def test_edges_without_middle_nodes_are_linear(bulk):
+    """A tet10 with none of its middle nodes on three edges strains as a patch, and one with all gaps is a tet4."""
+    corners = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,0.,1.,0.\nGRID,4,,0.,0.,1.\n"
+    tet10 = "GRID,5,,.5,0.,0.\nGRID,6,,.5,.5,0.\nGRID,7,,0.,.5,0.\nCTETRA,8,1,1,2,3,4,5,6\n,7\n"
+    found = bulk(corners + tet10 + MAT1)
+    assert found.nodes.ids.tolist() == [*range(1, 11)] and any("3 edges" in note for note in found.notes)
+    model = model_of(found)
+    assert max(rigid_fault(model)) < 1e-12
+    S = model.dependent.S
+    assert abs(S.T @ model.M @ S).sum() > 0 and (model.dependent.owner >= 0).sum() == 9
+    # The edge 1-5-2 is quadratic: its reduced element is stiffer than tet10 and softer than tet4.
+    low = model_of(bulk(corners + "CTETRA,8,1,1,2,3,4\n" + MAT1))
+    rows = [dof_of(model, label, c) for label in range(1, 5) for c in range(3)]
+    K = (S.T @ model.K @ S).toarray()
+    inner = [dof_of(model, label, c) for label in (5, 6, 7) for c in range(3)]
+    coupling = K[np.ix_(inner, rows)]
+    condensed = K[np.ix_(rows, rows)] - coupling.T @ np.linalg.solve(K[np.ix_(inner, inner)], coupling)
+    softer = np.linalg.eigvalsh(low.K.toarray() - condensed)
+    assert softer[0] > -1e-12 * softer[-1] and softer[-1] > 1e-3 * condensed.max()
+
+
+def test_materials_and_text_as_strangers_have_them(bulk):
+    """MAT11 along a system, names behind blanks, grids that are there twice, labels of superelements."""
+    orthotropic_card = "MAT11,1,2.+11,1.+11,.5+11,.3,.2,.1,4.+10\n,3.+10,2.+10,7850.\n"
+    text = CUBE.replace("GRID,20,,1.,0.,0.", " GRID,20,,1.,0.,0.,,,2") + "GRID,10,,0.,0.,0.\nPSOLID,1,1\n"
+    found = bulk(text + orthotropic_card)
+    given = orthotropic(
+        set="PSOLID_1", young=(2e11, 1e11, 0.5e11), poisson=(0.3, 0.2, 0.1), shear=(4e10, 3e10, 2e10), density=7850.0
+    )
+    assert np.allclose(found.materials[0].stiffness, given.stiffness, rtol=1e-14)
+    # Of E, G and NU solids take E and NU, E alone means NU = 0.
+    for card, nu, words in (("1.,3.,.3", 0.3, "does not fit"), ("1.,,", 0.0, "gives E only")):
+        odd = bulk(CUBE + f"PSOLID,1,1\nMAT1,1,{card},1.\n")
+        expected = isotropic(set="PSOLID_1", young=1.0, poisson=nu, density=1.0).stiffness
+        assert np.array_equal(odd.materials[0].stiffness, expected) and any(words in each for each in odd.warnings)
+    assert any("given twice" in note for note in found.notes) and any("superelements" in note for note in found.notes)
+    assert len(found.nodes) == 8
 
 
 @pytest.mark.parametrize("line", ["SET1,8,10,THRU\n,40\n", "SET1,8,40,THRU,10\n"])
@@ -399,6 +544,13 @@ def test_bushes_act_at_a_point_between_their_grids(bulk):
     assert K[np.ix_(six, six)] == pytest.approx(condensed[3:, 3:], abs=1e-9)
     with pytest.raises(InputError, match="across its axis and no orientation"):
         bulk(CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.\nCBUSH,1,3,70,90\n")
+    # Both ends of solids turn freely, so that K2 and K3 would do nothing; K1 along the ends acts.
+    second = CUBE + "GRID,11,,3.,0.,0.\nGRID,21,,4.,0.,0.\nGRID,31,,3.,1.,0.\nGRID,41,,3.,0.,1.\n"
+    between = second + MAT1 + "CTETRA,9,1,11,21,31,41\nCBUSH,1,3,20,11,,,,0\nPBUSH,3,K,10.,"
+    with pytest.raises(InputError, match=r"'CBUSH_1' acts across the distance of its ends.*node (11|20) .*rigid el"):
+        model_of(bulk(between + "20.,30.\n"))
+    ends = [dof_of(model := model_of(bulk(between + "0.,0.,40.\n")), label, 0) for label in (20, 11)]
+    assert model.K[ends[0], ends[1]] == pytest.approx(-10.0)
 
 
 def test_multipoint_constraints_of_the_set_that_is_asked_for(bulk):

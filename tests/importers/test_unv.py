@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import h5py
+import meshio
 import numpy as np
 import pytest
 import scipy.io
@@ -114,3 +116,38 @@ def test_first_order_systems_are_refused_with_a_sentence(tmp_path):
     scipy.io.savemat(path, {"A": np.eye(4), "B": np.ones((4, 1)), "C": np.ones((1, 4))})
     with pytest.raises(InputError, match=r"first-order system .* expected a second-order one"):
         import_file(path)
+
+
+def test_results_of_code_aster_are_meshes(tmp_path):
+    """An .rmed with stresses at nodes of elements, for the solids alone, and displacements of a part (a profile)."""
+    mesh = box("hex8", (2, 1, 1), (0.3, 0.2, 0.1))
+    cells = [("hexahedron", mesh.blocks[0].nodes), ("quad", mesh.blocks[0].nodes[:1, :4])]
+    path = tmp_path / "result.rmed"
+    meshio.write(path, meshio.Mesh(mesh.nodes.xyz, cells), file_format="med")
+    bare = read_mesh(path, "mm-t-s")
+    with h5py.File(path, "r+") as file:
+        step = file.create_group("CHA/RESU____SIEF_ELNO/0000000000000000000100000000000000000001")
+        step.attrs["PDT"] = 1.0
+        solid = step.create_group("NOE.HE8")
+        solid.attrs["PFL"] = np.bytes_("MED_NO_PROFILE_INTERNAL")
+        values = solid.create_group("MED_NO_PROFILE_INTERNAL")
+        values.attrs["NBR"], values.attrs["NGA"] = 2, 8
+        values["CO"] = np.zeros(6 * 16)
+    found = read_mesh(path, "mm-t-s")
+    assert np.array_equal(found.nodes.xyz, bare.nodes.xyz) and len(found.blocks) == 1
+    assert np.array_equal(found.blocks[0].nodes, bare.blocks[0].nodes)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.replace("    -1\n  2411", "    -1\n   999"), "has no nodes"),
+        (lambda t: t.replace(f"{1:10d}{1:10d}{1:10d}{11:10d}", f"{1:10d}{1:10d}  x{1:7d}{11:10d}"), "dataset 2411"),
+        (lambda t: t.replace(f"{1:10d}{1:10d}{1:10d}{11:10d}", f"{1:10d}{1:10d}{1:10d}"), "is no node"),
+    ],
+)
+def test_nodes_of_another_form_are_refused(change, words, tmp_path):
+    path = tmp_path / "mesh.unv"
+    path.write_text(change(universal(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)))))
+    with pytest.raises(InputError, match=words):
+        import_unv(path)

@@ -1,0 +1,59 @@
+"""Middle nodes that some edges of quadratic elements do not have.
+
+A middle node that moves as the mean of its two corners makes its edge linear, which is the serendipity element with
+fewer nodes (Bathe 2014, section 5.3.2): so such an edge is given a node that depends on its corners.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.model.constraints import Equations
+from morembs.model.elements import TYPES
+
+Ints = NDArray[np.int64]
+
+
+def filled(blocks: list[tuple[str, Ints]], first: int) -> tuple[list[Ints], Ints]:
+    """Nodes of quadratic elements without gaps, and the corners (m, 2) of the nodes that were added.
+
+    Args:
+        blocks: type, and rows of nodes (k, n) with -1 where there is none.
+        first: row of the first node that is added; elements with the same corners share one.
+    """
+    gaps: list[Ints] = [np.empty((0, 2), dtype=np.int64)]
+    places = []
+    for kind, nodes in blocks:
+        element, middle = np.nonzero(nodes < 0)
+        ends = _corners_of_middles(kind)[middle]
+        places.append((element, middle))
+        gaps.append(np.sort(nodes[element[:, None], ends], axis=1))
+    pairs, which = np.unique(np.concatenate(gaps), axis=0, return_inverse=True)
+    whole, at = [], 0
+    for (_, nodes), (element, middle) in zip(blocks, places, strict=True):
+        nodes = nodes.copy()
+        nodes[element, middle] = first + which.ravel()[at : at + len(element)]
+        at += len(element)
+        whole.append(nodes)
+    return whole, pairs
+
+
+def middle_equations(pairs: Ints, first: int) -> Equations:
+    """Displacements of the nodes from ``first`` on as means of those of the corners in ``pairs`` (m, 2)."""
+    count = 3 * len(pairs)
+    nodes = np.repeat(first + np.arange(len(pairs)), 3)
+    components = np.tile(np.arange(3), len(pairs))
+    return Equations(
+        name="edges without middle nodes", nodes=nodes, components=components, offsets=2 * np.arange(count + 1),
+        term_nodes=np.repeat(pairs, 3, axis=0).ravel(), term_components=np.repeat(components, 2),
+        coefficients=np.full(2 * count, 0.5),
+    )  # fmt: skip
+
+
+def _corners_of_middles(kind: str) -> Ints:
+    """Corners (n, 2) whose mean is each node; those of corners themselves are no edge."""
+    reference = TYPES[kind].reference
+    pairs = np.stack(np.triu_indices(len(reference), 1), axis=1)
+    means = reference[pairs].mean(axis=1)
+    return np.asarray(pairs[np.linalg.norm(means - reference[:, None], axis=2).argmin(axis=1)])

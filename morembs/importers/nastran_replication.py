@@ -1,0 +1,76 @@
+"""Replicated cards of Nastran: fields that are copied or counted up from the card above, as often as asked.
+
+``=`` copies a field and ``==`` all further ones, ``*x`` adds x, and a line ``=n`` or ``=(n)`` applies the line above n
+times more (Quick Reference Guide, replication).
+"""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+
+from morembs.errors import InputError
+
+BLOCK = re.compile(rb"(?:^[ \t]*=[^\n]*\n(?:[ \t]*\n)*)+", re.MULTILINE)
+_AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
+_MOST = 1_000_000
+
+
+def replicated(above: bytes, block: bytes, where: str) -> bytes:
+    """The cards, in free fields, that the lines of a block mean below the card ``above``.
+
+    Raises:
+        InputError: the card above has continuations, or a field cannot be counted up.
+    """
+    card = _fields(above)
+    if not above.strip() or not above[:1].isalpha():
+        raise InputError(f"{where}: cards with continuations are replicated, which is not read; write them out")
+    rule: list[str] = []
+    cards: list[str] = []
+    for line in block.split(b"\n"):
+        fields = _fields(line)
+        again = _AGAIN.fullmatch("".join(fields))
+        if not any(fields):
+            continue
+        if again and not rule:
+            raise InputError(f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out")
+        rule = rule if again else fields
+        count = int(again[1]) if again else 1
+        if len(cards) + count > _MOST:
+            raise InputError(f"{where}: more than {_MOST} cards are replicated; check the count")
+        for _ in range(count):
+            card = _next(card, rule, where)
+            cards.append(",".join(card))
+    return "".join(f"{card}\n" for card in cards).encode("latin-1")
+
+
+def _fields(line: bytes) -> list[str]:
+    text = line.decode("latin-1")
+    parts = text.split(",") if "," in text else [text[at : at + 8] for at in range(0, len(text), 8)]
+    return [part.strip() for part in parts]
+
+
+def _next(card: list[str], rule: list[str], where: str) -> list[str]:
+    result: list[str] = []
+    for at, word in enumerate(rule):
+        given = card[at] if at < len(card) else ""
+        if word == "==":
+            return [*result, *card[at:]]
+        if word == "=":
+            result.append(given)
+        elif word.startswith("*"):
+            result.append(_sum(given, word[1:].strip("()"), where))
+        else:
+            result.append(word)
+    return result
+
+
+def _sum(given: str, step: str, where: str) -> str:
+    numbers = [_NUMBER.fullmatch(text) for text in (given, step)]
+    if None in numbers:
+        raise InputError(f"{where}: {given!r} cannot be counted up by {step!r}; write the cards out")
+    a, b = (Decimal(f"{match[1]}e{match[2] or match[3] or 0}") for match in numbers if match)
+    whole = "." not in given and "." not in step
+    total = a + b
+    return str(int(total)) if whole else f"{float(total)!r}"
