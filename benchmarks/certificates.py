@@ -245,23 +245,29 @@ def trial(seed: int, number: int) -> list[Verdict]:
                 for body in bodies_of(problem, case.high, rng)]  # fmt: skip
 
 
-def main(arguments: list[str]) -> int:
-    """Run trials and print what they found; the number of values above a limit."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def asked(description: str | None, arguments: list[str]) -> tuple[int, Sequence[int], bool]:
+    """Seed and numbers of the trials that a command line asks for, and whether it is one of them alone."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--only", type=int)
     options = parser.parse_args(arguments)
+    alone = options.only is not None
+    return options.seed, [options.only] if alone else range(options.start, options.start + options.count), alone
+
+
+def main(arguments: list[str]) -> int:
+    """Run trials and print what they found; the number of values above a limit."""
+    seed, numbers, alone = asked(__doc__, arguments)
     verdicts = []
-    numbers = range(options.start, options.start + options.count) if options.only is None else [options.only]
     for number in numbers:
-        for verdict in trial(options.seed, number):
+        for verdict in trial(seed, number):
             verdicts.append(verdict)
-            if verdict.above or options.only is not None:
+            if verdict.above or alone:
                 figures = f"{verdict.effectivity}, {verdict.gap}, {verdict.upper}"
                 sys.stdout.write(f"{verdict.words}: {verdict.above} above, {figures}\n")
-        if options.only is None and (number + 1) % 50 == 0:
+        if not alone and (number + 1) % 50 == 0:
             told(verdicts)
             sys.stdout.flush()
     return told(verdicts)

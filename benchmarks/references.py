@@ -10,12 +10,11 @@ is the error over its bound, which must not exceed one, and how large the bound 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import Any, ClassVar
 
 import numpy as np
-from certificates import Drawn, drawn, long_modes
+from certificates import Drawn, asked, drawn, long_modes
 from numpy.typing import NDArray
 
 from morembs.linalg.columns import multiply
@@ -105,15 +104,12 @@ def rounding_of(problem: Problem, high: float, rng: np.random.Generator) -> Floa
 
 def main(arguments: list[str]) -> int:
     """Run trials and print what they found; the number of errors above a bound."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args(arguments)
+    seed, numbers, _ = asked(__doc__, arguments)
     vars(certified)["Residual"] = Kept
     bounds: dict[str, list[Floats]] = {}
     rounding: list[Floats] = []
-    for number in range(options.count):
-        rng = np.random.default_rng([options.seed, number])
+    for number in numbers:
+        rng = np.random.default_rng([seed, number])
         case = drawn(rng, number)
         with case.problem as problem:
             bounds.setdefault(kind_of(case), []).append(bounds_of(problem, case.high, rng))

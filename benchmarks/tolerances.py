@@ -12,14 +12,13 @@ tolerance. A body fails too where its order is above that by more than one in te
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
-from certificates import Drawn, dense_errors, drawn, exact_modes
+from certificates import Drawn, asked, dense_errors, drawn, exact_modes
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
@@ -201,24 +200,18 @@ def told(deliveries: list[Delivered]) -> int:
 
 def main(arguments: list[str]) -> int:
     """Run trials and print what they found; the number of bodies that fail."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--start", type=int, default=0)
-    parser.add_argument("--only", type=int)
-    options = parser.parse_args(arguments)
+    seed, numbers, alone = asked(__doc__, arguments)
     deliveries: list[Delivered] = []
-    numbers = range(options.start, options.start + options.count) if options.only is None else [options.only]
     for number in numbers:
-        case = drawn(np.random.default_rng([options.seed, number]), number)
+        case = drawn(np.random.default_rng([seed, number]), number)
         with case.problem:
             these = judged(case)
         for delivered in these:
             fails = delivered.why or delivered.excess or max(delivered.error, delivered.limit) > 1
-            if fails or options.only is not None:
+            if fails or alone:
                 sys.stdout.write(f"{delivered}\n")
         deliveries += these
-        if options.only is None and (number + 1) % 10 == 0:
+        if not alone and (number + 1) % 10 == 0:
             told(deliveries)
         sys.stdout.flush()
     return told(deliveries)
