@@ -89,11 +89,20 @@ def needs_two_modes_along_the_motion(text):
     assert error < 0.02 and deflection > 0.05
 
 
+def shares_the_load_as_springs_do(text):
+    rows = re.findall(r"^ +\d +(?:\S+ +){3}(\S+) N +(\S+) /s$", text, re.MULTILINE)
+    # With rigid links it falls as exp(sqrt(P / (m l + m_link l)) t), elastic ones are a little faster.
+    falls = (1000 / ((2.0 + 0.9) * 0.5)) ** 0.5
+    assert len(rows) == 3 and all(float(gap) < 1e-5 for gap, _ in rows)
+    assert all(falls < float(growth) < 1.01 * falls for _, growth in rows)
+
+
 PROMISES = {
     "falling_beam": touches_when_it_must,
     "flexible_pendulum": follows_the_full_model,
     "flexible_swing": runs_in_exudyn,
     "moving_load": has_the_factors_of_fryba,
+    "parallelogram": shares_the_load_as_springs_do,
     "slider_crank": runs_in_exudyn,
     "studies.flexible_rail": is_as_good_as_all_dofs,
     "studies.gear_teeth": needs_few_candidates,
