@@ -142,7 +142,7 @@ def _noted(name: str, matrix: AbaqusMatrix) -> str:
 
 
 def import_calculix(path: Path) -> Imported:
-    """job.sti, job.mas and job.dof of CalculiX (MATRIXSTORAGE).
+    """K and M of job.sti and job.mas of CalculiX (MATRIXSTORAGE), their dofs of job.dof, in the units of its deck.
 
     Raises:
         InputError: a file is missing or damaged, or has directions beyond x, y, z.

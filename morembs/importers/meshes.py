@@ -53,7 +53,11 @@ CARRIERS = {
 
 
 def read_with_meshio(path: Path) -> Mesh:
-    """Mesh of any file that meshio reads. Labels are counted from 1, since meshio drops them."""
+    """Mesh of any file that meshio reads, in the units of the file. Labels are counted from 1, since meshio drops them.
+
+    Raises:
+        InputError: a file that meshio cannot read or that is damaged, or elements that are no solids known here.
+    """
     data = _read(path)
     _refuse_damage(path, data)
     # gmsh splits a type by entity; blocks of one type are joined, `place` remembers where each went.

@@ -24,7 +24,15 @@ Floats = NDArray[np.float64]
 
 
 class FloatingBody(Component):
-    """What rigid and elastic bodies share; ``Ke``, ``De`` (n, n), named ``markers``."""
+    """What rigid and elastic bodies share: ``inertia``, ``Ke`` and ``De`` (n, n), named ``markers``.
+
+    A point that lies at x (3,) m in the body is at r0 + R (x + phi q). ``configuration``: r0 (3,) m, R (9,) by rows,
+    q (n,); ``velocity``: that of r0 (3,) m/s along the inertial axes, angular velocity (3,) rad/s along the axes of the
+    body, dq/dt (n,). Rows of ``Ke`` and ``De`` are generalised forces of q.
+
+    Raises:
+        InputError: a mass matrix that is not positive definite, a ``Ke`` or ``De`` that is not symmetric.
+    """
 
     def __init__(
         self, *, name: str, inertia: Inertia, Ke: Floats, De: Floats, configuration: Floats, velocity: Floats
@@ -132,8 +140,9 @@ class FloatingBody(Component):
 
 @dataclass(frozen=True, eq=False)
 class BodyMarker(Marker):
-    """A frame on a body: undeformed ``point`` (3,), ``motion`` (6, n) of displacement and rotation per elastic
-    coordinate, ``axes`` (3, 3) in the body, ``short`` (6, n, n) second-order motion -q' short q / 2."""
+    """A frame on a body: undeformed ``point`` (3,) m, ``motion`` (6, n) of displacement (m) and rotation (rad) per
+    elastic coordinate, ``axes`` (3, 3) in the body as columns, ``short`` (6, n, n) second-order motion -q' short q / 2,
+    None without."""
 
     component: FloatingBody
     name: str
@@ -222,7 +231,11 @@ class RigidBody(FloatingBody):
             self.marker_at(point, name=key)
 
     def marker_at(self, point: ArrayLike, *, axes: ArrayLike | None = None, name: str = "") -> Marker:
-        """Marker at ``point`` (3,) m of the body, with ``axes`` (3, 3) as columns, those of the body unless told."""
+        """Marker at ``point`` (3,) m of the body, with ``axes`` (3, 3) as columns, those of the body unless told.
+
+        Raises:
+            InputError: wrong shapes, or axes that are no rotation.
+        """
         label = f"body {self.name!r}: marker {name!r}"
         where, turn = vector(f"{label}: point", point), checked_rotation(f"{label}: axes", axes)
         return self._add_marker(name, where, np.zeros((6, 0)), axes=turn)
@@ -277,6 +290,9 @@ class FlexibleBody(FloatingBody):
 
         ``point`` (3,) m undeformed position from the origin of the frame; ``motion`` (6, n) displacement and small
         rotation per elastic coordinate, or (3, n) where no rotation is needed; ``axes`` (3, 3) as columns.
+
+        Raises:
+            InputError: wrong shapes, or axes that are no rotation.
         """
         label, n = f"body {self.name!r}: marker {name!r}", self.inertia.n
         where, turn = vector(f"{label}: point", point), checked_rotation(f"{label}: axes", axes)

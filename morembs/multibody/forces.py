@@ -50,6 +50,9 @@ class PointLoad(Force):
     """Force (3,) N and moment (3,) Nm at a marker, constant or functions of time.
 
     Along the inertial axes, or along those of the marker where ``follows``.
+
+    Raises:
+        InputError: a constant that is not (3,) finite numbers.
     """
 
     marker: Marker
@@ -91,6 +94,9 @@ class SpringDamper(Force):
 
     ``stiffness`` N/m, ``damping`` Ns/m, ``length`` m without force (None: the distance at the start). Force and
     damping act along the line of the markers; with length zero along all directions.
+
+    Raises:
+        InputError: a negative number, or markers that coincide at the start where there is a length.
     """
 
     first: Marker
@@ -142,7 +148,11 @@ class SpringDamper(Force):
 class TorsionSpring(Force):
     """Rotational spring and damper about an axis of the first marker, for turns within half a turn.
 
-    ``stiffness`` Nm/rad, ``damping`` Nms/rad, ``angle`` rad without moment, measured from the start.
+    ``axis`` (3,) along the axes of the first marker; ``stiffness`` Nm/rad, ``damping`` Nms/rad, ``angle`` rad without
+    moment, measured from the start.
+
+    Raises:
+        InputError: a negative number, or an axis that is no direction.
     """
 
     first: Marker

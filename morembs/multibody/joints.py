@@ -24,7 +24,7 @@ Rows = tuple[Floats, Floats, Floats]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A prescribed motion: ``value``, ``rate`` and ``acceleration`` as functions of time (s)."""
+    """A prescribed motion: ``value`` (rad or m), its ``rate`` and ``acceleration`` as functions of time (s)."""
 
     value: Callable[[float], float]
     rate: Callable[[float], float]
@@ -32,7 +32,7 @@ class Motion:
 
     @classmethod
     def steady(cls, rate: float, start: float = 0.0) -> Motion:
-        """Constant rate."""
+        """Constant ``rate`` (rad/s or m/s) from the value ``start`` at time zero."""
         return cls(lambda t: start + rate * t, lambda t: rate, lambda t: 0.0)
 
     @classmethod
@@ -40,6 +40,9 @@ class Motion:
         """From ``start`` by ``change`` within ``duration`` along a polynomial of degree five, at rest outside.
 
         Its acceleration has a kink at both ends, where forces of joints err to first order in the step for some steps.
+
+        Raises:
+            InputError: a duration that is not positive.
         """
         if not duration > 0:
             raise InputError(f"duration = {duration} s of a motion was given; expected a positive time")
@@ -167,7 +170,11 @@ class _Aligned(Constraint):
 
 
 class RevoluteJoint(_Aligned):
-    """The markers keep one point and the axis: one rotation is free."""
+    """The markers keep one point and the ``axis`` (3,) along the axes of the first: one rotation is free.
+
+    Raises:
+        InputError: an axis that is no direction; so of all joints with an axis.
+    """
 
     count = 5
 
@@ -176,7 +183,7 @@ class RevoluteJoint(_Aligned):
 
 
 class PrismaticJoint(_Aligned):
-    """The second marker slides along the axis without turning: one translation is free."""
+    """The second marker slides along the ``axis`` (3,) of the first without turning: one translation is free."""
 
     count = 5
 
@@ -195,7 +202,8 @@ class FixedJoint(_Aligned):
 
 @dataclass(frozen=True, eq=False)
 class DrivenAngle(_Aligned):
-    """The angle of the second marker about the axis, zero at the start's place, follows ``motion`` (rad).
+    """The angle of the second marker about the ``axis`` (3,) of the first, zero as it is at the start, follows
+    ``motion`` (rad).
 
     One row: add a joint that keeps the axis.
     """
@@ -213,7 +221,7 @@ class DrivenAngle(_Aligned):
 
 @dataclass(frozen=True, eq=False)
 class DrivenPosition(_Aligned):
-    """The distance of the second marker from the first along the axis follows ``motion`` (m)."""
+    """The distance of the second marker from the first along the ``axis`` (3,) of the first follows ``motion`` (m)."""
 
     motion: Motion = field(kw_only=True)
     count = 1

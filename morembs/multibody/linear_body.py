@@ -14,8 +14,8 @@ Floats = NDArray[np.float64]
 class LinearBody(VectorComponent):
     """M q'' + D q' + K q = loads, in the inertial frame: a body that is held, or whose motion is small.
 
-    ``M``, ``K``, ``D`` (n, n); ``weight`` (n, 3) its loads under unit gravity along each axis; ``start`` and ``rate``
-    (n,) at the startning.
+    Rows of ``M``, ``K``, ``D`` (n, n) are generalised forces of q; ``weight`` (n, 3) are its loads under a gravity of
+    1 m/s2 along each axis; ``start`` and ``rate`` (n,) are q and dq/dt at the start, zero unless given.
 
     Raises:
         InputError: shapes that do not fit, a mass matrix that is not positive definite.

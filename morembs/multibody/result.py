@@ -110,7 +110,11 @@ class Result:
         return np.concatenate(parts)
 
     def configuration(self, component: Component) -> Floats:
-        """(s, .): configuration of a component, as it defines it."""
+        """(s, .): configuration of a component, as it defines it.
+
+        Raises:
+            InputError: a component that changes its coordinates during the run; so do ``speeds`` and ``elastic``.
+        """
         return self._coordinates(component, lambda segment: segment.x, True)
 
     def speeds(self, component: Component) -> Floats:

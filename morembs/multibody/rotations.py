@@ -11,6 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
+
 Floats = NDArray[np.float64]
 _SMALL = 1e-3
 
@@ -48,9 +50,16 @@ def exponential(p: Floats) -> Floats:
 
 
 def rotation(axis: tuple[float, float, float] | Floats, angle: float) -> Floats:
-    """Rotation matrix of ``angle`` (rad) about ``axis`` (3,) of any length but zero."""
+    """Rotation matrix (3, 3) of ``angle`` (rad) about ``axis`` (3,) of any length but zero.
+
+    Raises:
+        InputError: an axis that is no direction.
+    """
     direction = np.asarray(axis, dtype=float)
-    return exponential(angle / np.linalg.norm(direction) * direction)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not 0 < length < np.inf:
+        raise InputError(f"axis = {axis} of a rotation was given; expected a direction (3,) of any length but zero")
+    return exponential(angle / length * direction)
 
 
 def tangent(p: Floats) -> Floats:

@@ -110,6 +110,8 @@ def simulate(
 ) -> Result:  # fmt: skip
     """Integrate from ``begin`` to ``end`` (s) with equal steps of at most ``step``.
 
+    Generalised alpha on Lie groups for constraints of index 3 (Chung and Hulbert 1993; Bruels and Cardona 2010).
+
     Args:
         rho: spectral radius at infinite frequency, 1 no numerical damping, 0 the most.
         tolerance: of Newton's method, relative to the largest velocity in the norm of kinetic energy.

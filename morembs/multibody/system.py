@@ -70,7 +70,11 @@ class System:
 
 
 class Assembly:
-    """A system with its coordinates numbered: configurations x, velocities v (k,) and multipliers (m,)."""
+    """A system with its coordinates numbered: configurations x, velocities v (k,) and multipliers (m,).
+
+    Raises:
+        InputError: a system without bodies.
+    """
 
     def __init__(self, system: System) -> None:
         if not system.components:

@@ -30,6 +30,7 @@ from morembs.storage.safefile import check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
 from tests.support.processes import apart, python
+from tests.support.stored import everything
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = ROOT / "docs" / "schema.md"
@@ -108,20 +109,6 @@ def child(code, folder, **environment):
         [sys.executable, "-c", head + code], cwd=folder, capture_output=True, text=True, timeout=600,
         env={**os.environ, **environment},
     )  # fmt: skip
-
-
-def everything(file):
-    """Type, shape and bytes of every object and attribute outside /provenance."""
-    datasets = {}
-
-    def note(name, item):
-        if name.split("/")[0] == "provenance":
-            return
-        value = (item.dtype.str, item.shape, item[()].tobytes()) if isinstance(item, h5py.Dataset) else "group"
-        datasets[name] = value, {k: (v.dtype.str, v.tobytes()) for k, v in sorted(item.attrs.items())}
-
-    file.visititems(note)
-    return datasets
 
 
 def test_everything_comes_back_to_the_last_bit(bar, stored):

@@ -23,7 +23,7 @@ from morembs.reducers.automatic import unreachable
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
 from morembs.responses.measures import Limit
-from tests.certificate.test_certify import Truth, envelope, norms, response_of
+from tests.support.exact_responses import Truth, envelope, norms, response_of
 from tests.support.meshes import box, steel, where
 
 DAMPED = Damping(alpha=2.0, beta=4e-7)

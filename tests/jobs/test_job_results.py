@@ -16,9 +16,9 @@ from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
 from morembs.linalg.sparse.mumps import EmbeddedMumps
 from morembs.problem import Problem
-from tests.body.test_storage import everything
 from tests.support import decks
 from tests.support.processes import apart, morembs, program
+from tests.support.stored import everything
 
 JOB = """
 [model]

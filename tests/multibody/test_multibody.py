@@ -58,6 +58,12 @@ def test_rotations(angle):
     assert change == pytest.approx(np.cross(rate, np.eye(3)).T, abs=1e-9)
 
 
+@pytest.mark.parametrize("axis", [(0, 0, 0), (1, 0), (1, np.nan, 0)])
+def test_a_rotation_needs_an_axis(axis):
+    with pytest.raises(InputError, match=r"of a rotation was given; expected a direction \(3,\) of any length"):
+        rotation(axis, 0.5)
+
+
 def flexible():
     """An elastic body with made-up integrals: three shapes without coupling to rigid motion."""
     zero = np.zeros

@@ -64,7 +64,11 @@ class ContactSegment:
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactResult(Result):
-    """A run with contact; times of impacts and other restarts occur twice, before and after."""
+    """A run with contact; times of impacts and other restarts occur twice, before and after.
+
+    ``group`` are its contacts, ``touches`` what they did in each segment, ``impacts`` all impacts in their order. What
+    is asked of a contact that was not in the run is an InputError.
+    """
 
     group: Contacts
     touches: tuple[ContactSegment, ...]

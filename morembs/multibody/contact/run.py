@@ -37,6 +37,9 @@ def simulate_contact(
 ) -> ContactResult:  # fmt: skip
     """Integrate a system with contacts from ``begin`` to ``end`` (s) with steps of at most ``step``.
 
+    Generalised alpha as in ``simulate``, with a linear complementarity problem on the level of positions in each step
+    and on that of velocities at impacts (Stewart and Trinkle 1996), with Newton's law of restitution.
+
     A rigid point that touches again within one step of its last impact takes restitution zero there; infinitely many
     rebounds end so.
 

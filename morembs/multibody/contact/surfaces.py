@@ -63,7 +63,11 @@ class NodalSurface(Surface):
 
 @dataclass(frozen=True, eq=False)
 class Plane(Surface):
-    """All that is below ``point`` (3,) against ``normal`` (3,)."""
+    """All that is below ``point`` (3,) m against ``normal`` (3,), which points outside.
+
+    Raises:
+        InputError: wrong shapes, or a normal that is no direction.
+    """
 
     point: ArrayLike = (0.0, 0.0, 0.0)
     normal: ArrayLike = (0.0, 0.0, 1.0)
@@ -84,7 +88,11 @@ class Plane(Surface):
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Surface):
-    """A ball of ``radius`` m about ``center`` (3,), or where ``hollow`` all that is outside."""
+    """A ball of ``radius`` m about ``center`` (3,) m, or where ``hollow`` all that is outside.
+
+    Raises:
+        InputError: a radius that is not positive, a centre of another shape.
+    """
 
     center: ArrayLike
     radius: float
@@ -160,7 +168,13 @@ def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Overhauser curve through ``points`` (n, 3), ``closed`` to a loop or not; u runs from 0 to n - 1 (n)."""
+    """Overhauser curve (1968) through ``points`` (n, 3) m, ``closed`` to a loop or not.
+
+    Its parameter u runs from 0 to n - 1, on a loop to n.
+
+    Raises:
+        InputError: fewer than two points (three of a loop), neighbours that coincide.
+    """
 
     points: ArrayLike
     _: KW_ONLY

@@ -257,7 +257,11 @@ class SwitchingBody(Component):
         return self.inner.deflection(self.split(x)[0])
 
     def path(self, window: int = 0) -> PathMarker:
-        """The path as the slider of that number sees it."""
+        """The path as the slider of that number sees it, for a load, a support or a joint that moves along it.
+
+        Raises:
+            InputError: more sliders than the body was made for.
+        """
         if not 0 <= window < self.windows:
             raise InputError(
                 f"body {self.name!r}: slider {window} was asked for, but it was made for {self.windows}; give at = "

@@ -204,7 +204,8 @@ def simulate_sliding(
     system: System, switch: SlidingSwitch, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0,
     tolerance: float = 1e-9, max_deflection: float | None = 1.0,
 ) -> Result:  # fmt: skip
-    """``simulate`` with a switch; what was integrated is not lost where the run cannot go on.
+    """``simulate`` with a switch, from ``begin`` to ``end`` (s) in steps of at most ``step`` (s) and with its options;
+    what was integrated is not lost where the run cannot go on.
 
     Raises:
         UnfinishedRunError: as ``simulate``, with the time and the place, and the result up to there.

@@ -42,7 +42,12 @@ def _path(place: MarkerState) -> PathState:
 
 @dataclass(frozen=True, eq=False)
 class MovingLoad(Force, Slider):
-    """Force (3,) N along the inertial axes at ``position(t)`` m along a path; it must be zero off the path."""
+    """Force (3,) N along the inertial axes, constant or of time (s), at ``position(t)`` m along a path; it must be zero
+    off the path.
+
+    Raises:
+        InputError: a constant force that is not (3,) finite numbers.
+    """
 
     path: PathMarker
     _: KW_ONLY
@@ -98,7 +103,11 @@ def _checked_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> F
 class PointOnPath(Constraint, Slider):
     """``second`` stays on the path of ``first`` and slides along it freely: two rows, at the place where it is.
 
-    For the dynamic variant: its place then follows the static modes. ``up`` is a direction across the path.
+    For the dynamic variant: its place then follows the static modes. ``up`` (3,) is a direction across the path.
+
+    Raises:
+        InputError: a first marker that is no path, a second one off its path at the start, ``up`` along the path, a
+            body of another variant.
     """
 
     first: PathMarker
@@ -142,6 +151,9 @@ class PathSupport(Force, Slider):
     For the quasi-static variant: with amplitudes equal to loads, the point of the path lies W R W' f below that of
     the constant basis, so the force is that of a spring of this compliance (and of ``compliance`` m/N more).
     Only across the directions of the candidates; others are rigid and belong to joints.
+
+    Raises:
+        InputError: a negative compliance, or what a ``PointOnPath`` refuses.
     """
 
     first: PathMarker

@@ -32,7 +32,7 @@ class LocalResponse:
 def local_response(
     result: Result, body: SwitchingBody, position: Callable[[float], float] | Slider, *, stress: bool = False
 ) -> LocalResponse:
-    """Displacement, and stress, at ``position``: of time, or that of a slider.
+    """Displacement, and stress, at ``position``: m along the path as a function of time (s), or that of a slider.
 
     Raises:
         InputError: a place too far from the loads for the band of the tables, stress that was not stored.
