@@ -125,6 +125,7 @@ def import_nastran(
         notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
         warnings=(*skipped, *cold, *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,
+        seams=True,
     )
 
 

@@ -15,6 +15,7 @@ from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
+from morembs.model.surface import nodal_areas, outer_faces
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.meshes import STEEL, box, fully_integrated, steel
@@ -421,6 +422,41 @@ def test_edges_without_middle_nodes_are_linear(bulk):
     condensed = K[np.ix_(rows, rows)] - coupling.T @ np.linalg.solve(K[np.ix_(inner, inner)], coupling)
     softer = np.linalg.eigvalsh(low.K.toarray() - condensed)
     assert softer[0] > -1e-12 * softer[-1] and softer[-1] > 1e-3 * condensed.max()
+
+
+def test_a_quadratic_element_next_to_a_linear_one(bulk):
+    """Without middle nodes on their common face they fit: a linear field moves the inner nodes of both without forces,
+    and the skin is that of the box. With middle nodes there, and beside two wedges, a warning tells."""
+    text, label = "", {}
+    for i in range(5):
+        for j in range(3):
+            for k in range(3):
+                if (i in (0, 2, 4) and (j != 1 and k != 1)) or (i < 3 and [i % 2, j % 2, k % 2].count(1) == 1):
+                    label[i, j, k] = len(label) + 1
+                    text += f"GRID,{label[i, j, k]},,{i / 2},{j / 2},{k / 2}\n"
+    corners = [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)]
+    edges = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)]
+    middles = [tuple((np.array(corners[a]) + corners[b]) // 2) for a, b in edges]
+
+    def deck(dropped):
+        first = [label[c] for c in corners] + ["" if m[0] == 2 and dropped else label[m] for m in middles]
+        second = [label[i + 2, j, k] for i, j, k in corners]
+        return text + card("CHEXA", ["1", "1", *map(str, first)], "free") + card(
+            "CHEXA", ["2", "1", *map(str, second)], "free"
+        ) + MAT1 + "PARAM,COUPMASS,1\n"
+
+    model = model_of(bulk(deck(True)))
+    assert not any("faces-differ" in each for each in model.warnings)
+    S, x = model.dependent.S, model.nodes.xyz[model.dofs.node]
+    field = (x @ np.random.default_rng(1).normal(size=(3, 3)))[np.arange(len(x)), model.dofs.component]
+    assert abs(S @ field - field).max() < 1e-12
+    assert sum(nodal_areas(model.nodes.xyz, outer_faces(model.mesh))) == pytest.approx(10.0)
+    open_face = bulk(deck(False))
+    assert any("faces-differ" in each for each in model_of(open_face).warnings)
+    with pytest.raises(InputError, match=r"meet at 1 faces .* make it conforming"):
+        assemble(open_face.mesh, open_face.materials)
+    wedges = "GRID,81,,0.,0.,2.\nGRID,82,,1.,0.,2.\nGRID,83,,1.,1.,2.\nCPENTA,8,1,50,60,70,81,82,83\n"
+    assert any("at 1 faces" in each for each in model_of(bulk(CUBE + wedges + MAT1)).warnings)
 
 
 def test_materials_and_text_as_strangers_have_them(bulk):
