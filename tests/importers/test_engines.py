@@ -184,7 +184,7 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     shells = tmp_path / "shells.inp"
     shells.write_text(PLATE)
     other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
-    assert other.exit_code == 2 and "calculix would assemble this deck: --engine calculix" in other.stdout
+    assert other.exit_code == 2 and "CalculiX would read this deck: --engine calculix" in other.stdout
     line += ["--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)]
     done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.stderr

@@ -15,6 +15,8 @@ from typing import Any
 from morembs.errors import InputError
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
+from morembs.importers.engines.mystran import find_mystran
+from morembs.importers.engines.mystran_import import import_with_mystran, readable_by_mystran
 from morembs.importers.engines.run import Program
 from morembs.importers.imported import Imported
 from morembs.options import Text, checked, known
@@ -22,14 +24,18 @@ from morembs.plugins import Registry
 
 # What of the parameters is no option.
 _NO_OPTIONS = ("executable",)
+# What people call decks by their formats.
+_KINDS = {"abaqus": "Abaqus or CalculiX", "nastran": "Nastran bulk data", "ansys": "an archive of ANSYS"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
-    """A program: what it is in one line, the ``formats`` of decks that it reads and what people call them, how it is
-    found (given a path or ""), the function that reads a deck, and one that raises where a deck cannot be for it."""
+    """A ``program`` by the name of people: what it is in one line, the ``formats`` of decks that it reads and what
+    people call them, how it is found (given a path or ""), the function that reads a deck, and one that raises where a
+    deck cannot be for it."""
 
     about: str
+    program: str
     formats: tuple[str, ...]
     decks: str
     find: Callable[[str], Program]
@@ -46,7 +52,11 @@ _OWN: dict[str, Engine] = {
     "calculix": Engine(
         about="CalculiX (ccx) assembles decks of Abaqus and CalculiX", formats=("abaqus",),
         decks="decks of Abaqus or CalculiX", find=find_ccx, read=import_with_calculix,
-        readable=readable_by_calculix,
+        readable=readable_by_calculix, program="CalculiX",
+    ),
+    "mystran": Engine(
+        about="MYSTRAN assembles Nastran bulk data", formats=("nastran",), decks="Nastran bulk data",
+        find=find_mystran, read=import_with_mystran, readable=readable_by_mystran, program="MYSTRAN",
     ),
 }  # fmt: skip
 ENGINES: Registry[Engine] = Registry(
@@ -87,7 +97,7 @@ def import_with_engine(path: Path, format: str, text: str, options: Mapping[str,
     engine, executable = engine_of(text)
     name = text.partition(":")[0]
     if format not in engine.formats:
-        raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is read as {format}")
+        raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is {_KINDS.get(format, format)}")
     given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
     values = checked(
         engine.read, given, f"the engine {name}", where=f"{path.name}: ", hidden=_NO_OPTIONS,

@@ -6,6 +6,8 @@ import os
 import shutil
 import signal
 import subprocess
+import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,8 @@ from morembs.errors import InputError
 _TAIL = 1 << 20
 # Files of a run may not grow beyond this part of the free space of their disk.
 _DISK = 0.8
+# Seconds after which a run looks whether it is to end.
+_PIECE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +53,7 @@ def found(name: str, given: str, variable: str, executables: Sequence[str], cure
 
 def run(
     command: Sequence[str | Path], folder: Path, *, seconds: float, memory: int | None = None,
-    environment: Mapping[str, str] | None = None, late: str,
+    environment: Mapping[str, str] | None = None, late: str, stop: threading.Event | None = None,
 ) -> str:  # fmt: skip
     """Run a program in ``folder`` and return the end of what it printed, whatever its exit status is.
 
@@ -58,9 +62,10 @@ def run(
         memory: bytes of address space that it may have; None for no limit.
         environment: variables beside those of this process.
         late: the message when the time is over.
+        stop: another thread sets it to end the program, None for none.
 
     Raises:
-        InputError: it cannot be started, or did not finish in time.
+        InputError: it cannot be started, did not finish in time, or was ended.
     """
     log = folder / "output.txt"
     disk = int(_DISK * shutil.disk_usage(folder).free)
@@ -84,14 +89,27 @@ def run(
         except OSError as error:
             raise InputError(f"{command[0]} cannot be started ({error.strerror}); check the executable") from error
         try:
-            process.wait(timeout=seconds)
-        except subprocess.TimeoutExpired as error:
-            raise InputError(late) from error
+            _wait(process, seconds, late, stop)
         finally:
             _end(process)
     with log.open("rb") as text:
         text.seek(max(log.stat().st_size - _TAIL, 0))
         return text.read().decode("utf-8", "replace")
+
+
+def _wait(process: subprocess.Popen[bytes], seconds: float, late: str, stop: threading.Event | None) -> None:
+    """Wait for the end of a program, in pieces where another thread may end it."""
+    end = time.monotonic() + seconds
+    while True:
+        left = end - time.monotonic()
+        try:
+            process.wait(timeout=left if stop is None else min(left, _PIECE))
+            return
+        except subprocess.TimeoutExpired as error:
+            if stop is not None and stop.is_set():
+                raise InputError("ended, as another run of the program failed") from error
+            if time.monotonic() >= end:
+                raise InputError(late) from error
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

