@@ -13,6 +13,7 @@ from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.exudyn import Exudyn
+from morembs.exporters.fmu.targets import CSource, Fmu
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.op4 import OP4Exporter
@@ -32,6 +33,8 @@ _ALL: tuple[type[Exporter], ...] = (
     DmigExporter,
     AbaqusExporter,
     MatrixMarketExporter,
+    Fmu,
+    CSource,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
