@@ -50,7 +50,7 @@ def compiled(sources: Mapping[str, str], *flags: str) -> bytes | str:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="ascii")
         units = [name for name in sources if name.endswith(".c")]
-        options = ["-O3", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-pipe", *flags]
+        options = ["-O2", "-ftree-vectorize", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-pipe", *flags]
         try:
             ended = subprocess.run(
                 [*command, *options, *units, "-o", "body.so", "-lm"], cwd=folder, capture_output=True, text=True,

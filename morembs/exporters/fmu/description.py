@@ -110,21 +110,22 @@ def _variable(reference: int, entry: _Entry, *, second: bool) -> str:
 
 
 def _structure(entries: list[_Entry], *, second: bool) -> Iterator[str]:
-    """Outputs with the states that those that are not direct depend on, rates, and what is calculated at the start."""
-    outputs = [k for k, entry in enumerate(entries) if entry.causality == "output"]
-    rates = [k for k, entry in enumerate(entries) if entry.state is not None]
+    """Outputs, rates, and what is calculated at the start, each with what it depends on, as some importers need."""
     # Version 2 counts variables from one.
-    states = " ".join(str(entry.state + second) for entry in entries if entry.state is not None)
-    groups = (("Outputs", "Output", outputs), ("Derivatives", "ContinuousStateDerivative", rates),
-              ("InitialUnknowns", "InitialUnknown", outputs + rates))  # fmt: skip
-    for group, element, references in groups:
-        lines = (
-            f'<Unknown index="{k + 1}"' if second else f'<{element} valueReference="{k}"' for k in references
-        )
-        slow = group == "Outputs"
-        depends = [f' dependencies="{states}"' if slow and not entries[k].variable.direct else "" for k in references]
-        text = [f"{line}{more}/>" for line, more in zip(lines, depends, strict=True)]
-        yield from [f"<{group}>", *text, f"</{group}>"] if second and text else text
+    of = {causality: [k + second for k, entry in enumerate(entries) if entry.causality == causality and entry.state is None]
+          for causality in ("input", "local", "parameter", "output")}  # fmt: skip
+    rates = [k + second for k, entry in enumerate(entries) if entry.state is not None]
+    slow, fast = of["local"], of["input"] + of["local"]
+    outputs = [(k, fast if entries[k - second].variable.direct else slow) for k in of["output"]]
+    groups = {
+        ("Outputs", "Output"): outputs,
+        ("Derivatives", "ContinuousStateDerivative"): [(k, fast) for k in rates],
+        ("InitialUnknowns", "InitialUnknown"): [(k, of["parameter"] + fast) for k in of["output"] + rates],
+    }
+    for (group, element), unknowns in groups.items():
+        head = "Unknown index" if second else f"{element} valueReference"
+        lines = [f'<{head}="{k}" dependencies="{" ".join(map(str, known))}"/>' for k, known in unknowns]
+        yield from [f"<{group}>", *lines, f"</{group}>"] if second and lines else lines
 
 
 def build_description(identifier: str) -> bytes:
