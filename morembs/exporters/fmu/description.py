@@ -112,8 +112,10 @@ def _variable(reference: int, entry: _Entry, *, second: bool) -> str:
 def _structure(entries: list[_Entry], *, second: bool) -> Iterator[str]:
     """Outputs, rates, and what is calculated at the start, each with what it depends on, as some importers need."""
     # Version 2 counts variables from one.
-    of = {causality: [k + second for k, entry in enumerate(entries) if entry.causality == causality and entry.state is None]
-          for causality in ("input", "local", "parameter", "output")}  # fmt: skip
+    of = {
+        kind: [k + second for k, entry in enumerate(entries) if entry.causality == kind and entry.state is None]
+        for kind in ("input", "local", "parameter", "output")
+    }
     rates = [k + second for k, entry in enumerate(entries) if entry.state is not None]
     slow, fast = of["local"], of["input"] + of["local"]
     outputs = [(k, fast if entries[k - second].variable.direct else slow) for k in of["output"]]

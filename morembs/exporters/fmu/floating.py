@@ -17,8 +17,8 @@ from morembs.exporters.fmu.system import (
     VELOCITIES,
     System,
     Variable,
-    coordinates,
     identifiers,
+    oscillators,
     renamed_note,
     stress_rows,
     variables,
@@ -27,8 +27,8 @@ from morembs.floating.frame import FloatingFrame
 
 Floats = NDArray[np.float64]
 _QUATERNION = "wxyz"
-# Deflection per length and error of a step per length that states and steps start from.
-_NOMINAL, _TOLERANCE = 1e-3, 1e-6
+# Error of a step per length of the body, unless another is given.
+_TOLERANCE = 1e-6
 
 
 def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ratio: float) -> System:
@@ -117,8 +117,6 @@ def _length(frame: FloatingFrame) -> float:
 
 def _states(frame: FloatingFrame, length: float) -> tuple[Variable, ...]:
     Me, Ke = np.diag(frame.integrals.Me), np.diag(frame.Ke)
-    size = _NOMINAL * length * np.sqrt(frame.integrals.mass / Me)
-    speed = size * np.maximum(np.sqrt(np.maximum(Ke / Me, 0.0)), 1.0)
     place = [Variable(name=f"position.{a}", unit="m", about="of the frame", start=x, nominal=length)
              for a, x in zip(AXES, frame.origin.tolist(), strict=True)]  # fmt: skip
     turn = [Variable(name=f"quaternion.{a}", unit="1", about="rotation of the frame", start=float(a == "w"))
@@ -126,6 +124,6 @@ def _states(frame: FloatingFrame, length: float) -> tuple[Variable, ...]:
     velocity = [Variable(name=f"velocity.{a}", unit="m/s", about="of the frame", start=0.0) for a in AXES]
     spin = [Variable(name=f"angular_velocity.{a}", unit="rad/s", about="of the frame, along its axes", start=0.0)
             for a in AXES]  # fmt: skip
-    q = coordinates("q", "elastic coordinate", size)
-    rate = coordinates("q_rate", "rate of an elastic coordinate", speed)
-    return (*place, *turn, *q, *velocity, *spin, *rate)
+    omega = np.sqrt(np.maximum(Ke / Me, 0.0))
+    both = oscillators(length * np.sqrt(frame.integrals.mass / Me), omega, "elastic coordinate")
+    return (*place, *turn, *both[: len(omega)], *velocity, *spin, *both[len(omega) :])

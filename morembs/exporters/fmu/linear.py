@@ -19,8 +19,8 @@ from morembs.exporters.fmu.system import (
     StressRows,
     System,
     Variable,
-    coordinates,
     labels,
+    oscillators,
     renamed_note,
     stress_rows,
     variables,
@@ -34,8 +34,6 @@ Ints = NDArray[np.int64]
 _REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
 # Smallest part of a rigid motion, by singular values, that the held degrees of freedom must have to hold it.
 _HELD = 1e-8
-# Deflection per length that the nominal values of states stand for.
-_NOMINAL = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,11 +136,14 @@ def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
         values, inner = graded_modes(K, M) if N.shape[1] else (np.zeros(0), np.zeros((0, 0)))
         Y = N @ inner
     values[:rigid] = 0.0
-    if (values < 0).any():
+    if (values[rigid:] <= 0).any():
         raise InputError(
-            f"body {body.name!r} has {int((values < 0).sum())} modes of negative stiffness beside its {rigid} rigid "
-            "motions and would run away; reduce it again"
+            f"body {body.name!r} has {int((values[rigid:] <= 0).sum())} modes without stiffness beside its {rigid} "
+            "rigid motions and would run away; reduce it again"
         )
+    # Motions of the held degrees of freedom take the body along at rest.
+    soft, elastic = Y[:, rigid:], values[rigid:, None]
+    X = X - soft @ ((soft.T @ body.stiffness_matrix @ X) / elastic)
     return _Coordinates(X=X, Y=Y, omega=np.sqrt(values), notes=notes)
 
 
@@ -187,10 +188,7 @@ def _tables(
 def _states(context: ExportContext, omega: Floats) -> tuple[Variable, ...]:
     nodes = context.source.coordinates
     length = float(np.linalg.norm(np.ptp(nodes, axis=0))) if len(nodes) > 1 else 1.0
-    size = _NOMINAL * max(length, 1e-9) * float(np.sqrt(max(context.source.mass, 1e-12)))
-    speeds = np.maximum(omega, 1.0)
-    return (*coordinates("q", "normal coordinate", np.full(len(omega), size)),
-            *coordinates("q_rate", "rate of a normal coordinate", size * speeds))  # fmt: skip
+    return oscillators(length * np.sqrt(max(context.source.mass, 1e-12)), omega, "normal coordinate")
 
 
 def state_space(system: System) -> tuple[Floats, Floats]:

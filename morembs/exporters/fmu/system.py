@@ -22,6 +22,8 @@ LOADS = (("force", "N"), ("moment", "N.m"))
 MOTIONS = (("displacement", "m"), ("rotation", "rad"))
 VELOCITIES = (("velocity", "m/s"), ("angular_velocity", "rad/s"))
 ACCELERATIONS = (("acceleration", "m/s2"), ("angular_acceleration", "rad/s2"))
+# Part of the length of a body by which nominal values deflect it.
+_DEFLECTION = 1e-3
 _TENSOR = ("xx", "yy", "zz", "xy", "yz", "zx")
 # Keywords of C, and files beside which those of a body lie.
 _KEYWORDS = frozenset((
@@ -67,10 +69,15 @@ GRAVITY = tuple(
 )
 
 
-def coordinates(name: str, about: str, nominal: Floats) -> tuple[Variable, ...]:
-    """``name``[1], ``name``[2], ... that start at rest."""
-    return tuple(Variable(name=f"{name}[{k + 1}]", unit="1", about=about, start=0.0, nominal=size)
-                 for k, size in enumerate(nominal.tolist()))  # fmt: skip
+def oscillators(unit: Floats | float, omega: Floats, about: str) -> tuple[Variable, ...]:
+    """Coordinates q[1], q[2], ... and then their rates, at rest; nominal values are those of one energy in all modes,
+    that of a deflection of ``unit`` times ``_DEFLECTION`` in the slowest."""
+    speed = _DEFLECTION * np.broadcast_to(unit, omega.shape) * np.min(omega[omega > 0], initial=np.inf)
+    speed = np.where(np.isfinite(speed), speed, 1.0)
+    size = speed / np.where(omega > 0, omega, np.min(omega[omega > 0], initial=np.inf))
+    sizes = (("q", about, np.where(size > 0, size, 1.0)), ("q_rate", f"rate of a {about}", speed))
+    return tuple(Variable(name=f"{name}[{k + 1}]", unit="1", about=text, start=0.0, nominal=value)
+                 for name, text, values in sizes for k, value in enumerate(values.tolist()))  # fmt: skip
 
 
 def identifier(name: str) -> str:
