@@ -264,6 +264,13 @@ def certificates(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def fmu(spec: Spec) -> Row:
+    """See fmus.py."""
+    from fmus import measure
+
+    return measure(spec)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -278,7 +285,7 @@ def part(spec: Spec) -> Row:
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "job": write_job, "interpolation": interpolation, "frames": frames,
-    "switching": switching, "certify": certificates, "part": part,
+    "switching": switching, "certify": certificates, "fmu": fmu, "part": part,
 }  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import budgets
 import certify
+import fmus
 import frames
 import jobs
 import krylov
@@ -30,7 +31,7 @@ from measure import HERE, Settings, required
 
 CASES = {
     **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
-    **startup.CASES, **certify.CASES,
+    **startup.CASES, **certify.CASES, **fmus.CASES,
 }  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")

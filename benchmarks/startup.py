@@ -24,7 +24,7 @@ STARTS = 5
 
 def startup(settings: Settings) -> None:
     """--version, --help and info of a small body file; the target of info is 1.3 times the libraries."""
-    body = _body(settings.folder / "startup.h5")
+    body = bar_body(settings.folder / "startup.h5", modes=10)
     commands = {
         BARE: ["-c", "pass"], LIBRARIES: ["-c", LIBRARIES], "morembs --version": ["-m", "morembs", "--version"],
         "morembs --help": ["-m", "morembs", "--help"], "morembs info": ["-m", "morembs", "info", str(body)],
@@ -40,7 +40,7 @@ def startup(settings: Settings) -> None:
     report.write()
 
 
-def _body(path: Path) -> Path:
+def bar_body(path: Path, modes: int) -> Path:
     """A body file of one reduction: a steel bar with an interface at each end."""
     points, cells = box((0.5, 0.05, 0.03), (6, 1, 1))
     nodes = Nodes(ids=np.arange(1, len(points) + 1), xyz=points)
@@ -50,7 +50,7 @@ def _body(path: Path) -> Path:
     ends = {name: np.flatnonzero(np.isclose(points[:, 0], x)) for name, x in (("left", 0.0), ("right", 0.5))}
     interfaces = [make_interface(model, name=name, nodes=rows) for name, rows in ends.items()]
     with Problem(model, interfaces) as problem:
-        reduced = CraigBampton(modes=10).reduce(problem, "cb")
+        reduced = CraigBampton(modes=modes).reduce(problem, "cb")
         return write_body(path, [elastic_body(problem, reduced, make_part(problem))])
 
 

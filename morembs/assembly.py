@@ -144,7 +144,7 @@ class _Placed:
         source, body = part.bodies, choose_body(part.bodies, part.reduction, f"part {part.name!r}")
         turn, place = _rotation(part), np.asarray(part.position, dtype=float)
         _refuse(part.name, source, body)
-        T, _ = to_interfaces(body)
+        T, _ = to_interfaces(body, body.output_matrix)
         ports = ports_of_file(source)
         m, n = len(ports), T.shape[1]
         keys = list(dict.fromkeys((port.interface, port.node) for port in ports))

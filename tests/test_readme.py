@@ -1,6 +1,7 @@
 """What README and documents show runs as it stands."""
 
 import re
+import subprocess
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -15,6 +16,7 @@ from morembs.importers.model_file import read_model, write_model
 from morembs.jobs.schema import JobTables
 from morembs.reducers import REDUCERS
 from scripts.schema import job_keys
+from tests.support.fmus import needs_compiler
 from tests.support.meshes import box, steel
 from tests.support.processes import morembs, python
 
@@ -122,6 +124,28 @@ def test_solver_example(tmp_path):
     assert int(done.output.split()[-1]) == int((exact < 0.5).sum())
 
 
+@needs_compiler
+def test_fmu_examples(tmp_path):
+    """The connecting rod through both targets; the FMU and the C program of the page give the same."""
+    make, simulate = blocks("fmu.md")
+    done = python(make, tmp_path)
+    assert done.code == 0 and "sources only" not in done.output, done.errors
+    (main,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "fmu.md").read_text(), re.DOTALL)
+    (tmp_path / "main.c").write_text(main)
+    flags = ["-Wall", "-Wextra", "-Werror", "-O2"]
+    subprocess.run(["cc", *flags, "main.c", "rod.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
+    bent, reaction = map(float, subprocess.run(tmp_path / "main", check=True, capture_output=True).stdout.split())
+    # Some periods later it swings about the place of a cantilever, with the load on its support.
+    assert bent > 0 and -2000 < reaction < 0
+    pytest.importorskip("fmpy", reason="FMPy is not here: pip install fmpy")
+    (z,), found = printed(simulate, tmp_path)
+    # The centre of mass flies freely: turned about the origin at the start, then falling. The end is near it.
+    rod = read_body(tmp_path / "conrod.h5")
+    center = rod.center_of_mass[2] - 50.0 * rod.center_of_mass[0] * 0.1 - 0.5 * 9.81 * 0.1**2
+    assert abs(z - center) < np.linalg.norm(np.ptp(rod.coordinates, axis=0))
+    assert found == pytest.approx([bent, reaction], rel=1e-8)
+
+
 def test_a_model_file_is_read_with_h5py_alone(tmp_path, monkeypatch):
     """The Python of docs/formats.md."""
     monkeypatch.chdir(tmp_path)
@@ -169,6 +193,7 @@ RUN = {
     "contact.md": {"python": 2},
     "extending.md": {"toml": 1, "python": 2},
     "formats.md": {"": 3, "toml": 2, "python": 1},
+    "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {"python": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 3, "python": 1},
     "multibody.md": {"python": 4},

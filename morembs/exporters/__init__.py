@@ -14,6 +14,7 @@ from morembs.exporters.base import ExportContext, Exported, Exporter, choose_bod
 from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.extptfm import ExtPtfm
 from morembs.exporters.exudyn import Exudyn
+from morembs.exporters.fmu.targets import CSource, Fmu
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.modelica import Modelica
@@ -40,6 +41,8 @@ _ALL: tuple[type[Exporter], ...] = (
     Modelica,
     ExtPtfm,
     MuJoCo,
+    Fmu,
+    CSource,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")

@@ -176,7 +176,7 @@ class Exporter(ABC):
         lost = (*context.lost(self.holds), *([reason] if reason else []))
         try:
             if self.needs_frame:
-                _refuse_rigid(context)
+                refuse_rigid(context)
             written = self._write(context)
         except np.linalg.LinAlgError as error:
             raise InputError(
@@ -212,8 +212,12 @@ def _same(path: Path, other: Path) -> bool:
         return False
 
 
-def _refuse_rigid(context: ExportContext) -> None:
-    """The floating frame carries rigid motion; elastic coordinates must not contain it."""
+def refuse_rigid(context: ExportContext) -> None:
+    """The floating frame carries rigid motion; elastic coordinates must not contain it.
+
+    Raises:
+        InputError: they do, or Ke or Me is no matrix of a body.
+    """
     frame = context.frame
     Ke, Me = frame.Ke, frame.integrals.Me
     if not (np.isfinite(Ke).all() and np.isfinite(Me).all() and (np.diag(Me) > 0).all()):

@@ -67,18 +67,14 @@ def on_interfaces(
                 f"the {name} of body {body.name!r} has no entries (it holds rigid-body motion only), and this target "
                 'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"'
             )
-    if not np.array_equal(body.output_matrix, body.input_matrix.T):
-        raise InputError(
-            f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
-            'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
-        )
+    refuse_two_sided(body)
     if (source.input_component == SCALAR).any():
         name = list(source.interfaces)[source.input_interface[np.flatnonzero(source.input_component == SCALAR)[0]]]
         raise InputError(
             f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
             'export to "op4" or "matrix-market"'
         )
-    T, notes = to_interfaces(body)
+    T, notes = to_interfaces(body, body.output_matrix)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
     matrices = {key: symmetric(T.T @ A @ T) for key, A in wanted.items() if key != "D" or A.any()}
     others = len(T) - len(source.input_interface)
@@ -92,9 +88,25 @@ def on_interfaces(
     )  # fmt: skip
 
 
-def to_interfaces(body: StoredBody) -> tuple[Floats, tuple[str, ...]]:
-    """T (n, n): reduced coordinates = T @ [interface degrees of freedom; others], and what was done."""
-    C = body.output_matrix
+def refuse_two_sided(body: StoredBody) -> None:
+    """Refuse a body whose matrices are not symmetric.
+
+    Raises:
+        InputError: it is one.
+    """
+    if not np.array_equal(body.output_matrix, body.input_matrix.T):
+        raise InputError(
+            f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
+            'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
+        )
+
+
+def to_interfaces(body: StoredBody, C: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """T (n, n): reduced coordinates = T @ [interface degrees of freedom C q; others], and what was done.
+
+    Raises:
+        InputError: these degrees of freedom depend on each other.
+    """
     m, n = C.shape
     if not m:
         return np.eye(n), ()

@@ -123,9 +123,11 @@ def test_a_motion_is_recovered_with_its_stress(delivered, direct, tmp_path):
     assert ("mesh is coarse there" in output) == (at_peak > 0.05 * expected)
 
 
-@pytest.mark.parametrize("target", ["exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market"])
+@pytest.mark.parametrize("target", [
+    "exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market", "fmu", "c",
+])  # fmt: skip
 def test_every_target_takes_the_body(delivered, tmp_path, target):
-    out = tmp_path / {"exudyn": "part.hdf5"}.get(target, "part.out")
+    out = tmp_path / {"exudyn": "part.hdf5", "c": "part.c"}.get(target, "part.out")
     done = run("export", delivered[0], "--to", target, "--out", out, "--json")
     assert done.exit_code == 0, done.output
     (document,) = json.loads(done.stdout)

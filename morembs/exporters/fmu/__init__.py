@@ -1,0 +1,1 @@
+"""Bodies as C code: alone, and as Functional Mock-up Units of the Modelica Association."""

@@ -1,0 +1,23 @@
+/* to += the columns (rows each) of a table times a vector; four at a time, so that sums stay in registers. */
+static void add_columns(int rows, int columns, const real *restrict table, const real *restrict vector,
+                        real *restrict to)
+{
+    int k = 0;
+    for (; k + 4 <= columns; k += 4, table += 4 * rows, vector += 4)
+        for (int i = 0; i < rows; i++)
+            to[i] += table[i] * vector[0] + table[rows + i] * vector[1] + table[2 * rows + i] * vector[2]
+                     + table[3 * rows + i] * vector[3];
+    for (; k < columns; k++, table += rows, vector++)
+        for (int i = 0; i < rows; i++)
+            to[i] += table[i] * vector[0];
+}
+
+/* Von Mises stresses of tensors xx, yy, zz, xy, yz, zx. */
+static void von_mises(const real *stress, real *result)
+{
+    for (int i = 0; i < STRESSES; i++, stress += 6) {
+        real a = stress[0] - stress[1], b = stress[1] - stress[2], c = stress[2] - stress[0];
+        real shear = stress[3] * stress[3] + stress[4] * stress[4] + stress[5] * stress[5];
+        result[i] = sqrt((a * a + b * b + c * c) / 2 + 3 * shear);
+    }
+}

@@ -1,0 +1,108 @@
+"""The C compiler of the system, and what single precision costs."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shlex
+import shutil
+import subprocess
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.exporters.fmu.sources import Code
+
+Floats = NDArray[np.float64]
+_CURE = (
+    "install one (Debian: sudo apt-get install gcc libc6-dev; macOS: xcode-select --install), or name it by CC=..., "
+    "and export again"
+)
+SINGLE_STEPS = 1000
+_FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+
+
+def compiler() -> list[str]:
+    """The command of the C compiler: CC of the environment, or what the system has; empty where there is none."""
+    named = shlex.split(os.environ.get("CC", ""))
+    for command in [named] if named else [["cc"], ["gcc"], ["clang"]]:
+        if shutil.which(command[0]):
+            return command
+    return []
+
+
+def compiled(sources: Mapping[str, str], *flags: str) -> bytes | str:
+    """The shared library of these sources, or why there is none.
+
+    Raises:
+        OSError: the disk is full.
+    """
+    command = compiler()
+    if not command:
+        return f"there is no C compiler here ({os.environ.get('CC') or 'cc, gcc, clang'}); {_CURE}"
+    with TemporaryDirectory(prefix="morembs-") as folder:
+        for name, text in sources.items():
+            (Path(folder) / name).write_text(text, encoding="ascii")
+        units = [name for name in sources if name.endswith(".c")]
+        options = ["-O2", "-ftree-vectorize", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-pipe", *flags]
+        try:
+            ended = subprocess.run(
+                [*command, *options, *units, "-o", "body.so", "-lm"], cwd=folder, capture_output=True, text=True,
+                errors="replace", env={**os.environ, "LC_ALL": "C", "TMPDIR": folder}, check=False,
+            )  # fmt: skip
+        except OSError as error:
+            return f"the C compiler {command[0]} cannot be run ({error.strerror}); {_CURE}"
+        if ended.returncode == 0:
+            return (Path(folder) / "body.so").read_bytes()
+    for code in _FULL:
+        if os.strerror(code) in ended.stderr:
+            raise OSError(code, os.strerror(code))
+    first = next((line for line in ended.stderr.splitlines() if "error" in line.lower()), ended.stderr.strip()[:200])
+    return f"the C compiler {command[0]} failed ({first}); {_CURE}"
+
+
+def single_error(code: Code) -> float | str:
+    """Largest difference of the outputs of ``code`` to those in double precision, relative to the largest of their
+    kind, over ``SINGLE_STEPS`` of random inputs (infinite where a step fails); or why that is not known.
+    """
+    results = []
+    for precision in ("single", "double"):
+        same = replace(code, precision=precision)
+        library = compiled({f"{same.name}.h": same.header(), f"{same.name}.c": same.source()}, "-fvisibility=default")
+        if isinstance(library, str):
+            return library
+        results.append(_outputs(same, library))
+    kinds = [variable.name.rpartition(".")[0] for variable in code.system.outputs]
+    short, exact = results
+    worst = 0.0 if np.isfinite(short).all() else np.inf
+    for kind in dict.fromkeys(kinds) if not worst else ():
+        at = [k for k, other in enumerate(kinds) if other == kind]
+        size = float(np.abs(exact[:, at]).max())
+        worst = max(worst, float(np.abs(short[:, at] - exact[:, at]).max()) / size if size else 0.0)
+    return worst
+
+
+def _outputs(code: Code, library: bytes) -> Floats:
+    """Outputs (SINGLE_STEPS, m) under random inputs of about one."""
+    real: Any = ctypes.c_double if code.precision == "double" else ctypes.c_float
+    fields = [(key, (ctypes.c_int if kind == "int" else real) * size) for key, (kind, size) in code.fields().items()]
+    kind = type("Body", (ctypes.Structure,), {"_fields_": fields})
+    inputs = np.random.default_rng(1).standard_normal((SINGLE_STEPS, len(code.system.inputs)))
+    outputs = np.full((SINGLE_STEPS, len(code.system.outputs)), np.inf)
+    with TemporaryDirectory(prefix="morembs-") as folder:
+        path = Path(folder) / "body.so"
+        path.write_bytes(library)
+        loaded, body = ctypes.CDLL(str(path)), kind()
+        getattr(loaded, f"{code.name}_start")(ctypes.byref(body))
+        for k in range(SINGLE_STEPS):
+            body.u[: inputs.shape[1]] = inputs[k].tolist()
+            if getattr(loaded, f"{code.name}_step")(ctypes.byref(body)):
+                break
+            outputs[k] = body.y[: outputs.shape[1]]
+    return outputs

@@ -1,0 +1,140 @@
+"""modelDescription.xml of both versions of the Functional Mock-up Interface, from one table of variables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+from xml.sax.saxutils import quoteattr
+
+from morembs.exporters.fmu.system import System, Variable
+from morembs.version import VERSION
+
+Version = Literal["2.0", "3.0"]
+# Exponents of the base units of each unit.
+UNITS: dict[str, dict[str, int]] = {
+    "1": {}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "rad/s": {"rad": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2}, "rad/s2": {"rad": 1, "s": -2}, "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2}, "Pa": {"kg": 1, "m": -1, "s": -2}, "s": {"s": 1},
+}  # fmt: skip
+_STEP = 1e-3
+_XML = '<?xml version="1.0" encoding="UTF-8"?>'
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    """A variable of the description: ``state`` is the reference of the state whose rate this is."""
+
+    variable: Variable
+    causality: str
+    variability: str = "continuous"
+    initial: str = ""
+    state: int | None = None
+
+
+def model_description(system: System, name: str, identifier: str, token: str, version: Version) -> bytes:
+    """The description of an FMU for model exchange and co-simulation; value references count as the C code does."""
+    return "\n".join((_XML, *_lines(system, name, identifier, token, version), "")).encode()
+
+
+def _entries(system: System) -> list[_Entry]:
+    """All variables in the order of their value references, which are their places."""
+    first = 1 + len(system.parameters) + len(system.inputs)
+    time = _Entry(variable=Variable(name="time", unit="s", about="time"), causality="independent")
+    parameters = [_Entry(variable=v, causality="parameter", variability="tunable", initial="exact")
+                  for v in system.parameters]  # fmt: skip
+    states = [_Entry(variable=v, causality="local", initial="exact") for v in system.states]
+    rates = [_Entry(variable=Variable(name=f"der({v.name})", unit="1"), causality="local", state=first + k)
+             for k, v in enumerate(system.states)]  # fmt: skip
+    inputs = [_Entry(variable=v, causality="input") for v in system.inputs]
+    outputs = [_Entry(variable=v, causality="output") for v in system.outputs]
+    return [time, *parameters, *inputs, *states, *rates, *outputs]
+
+
+def _lines(system: System, name: str, identifier: str, token: str, version: Version) -> Iterator[str]:
+    second = version == "2.0"
+    entries = _entries(system)
+    kind, indicators = ("guid", ' numberOfEventIndicators="0"') if second else ("instantiationToken", "")
+    yield (
+        f'<fmiModelDescription fmiVersion="{version}" modelName={quoteattr(name)} {kind}="{token}" '
+        f'description="Elastic body, {system.structure}" generationTool="morembs {VERSION}" '
+        f'variableNamingConvention="structured"{indicators}>'
+    )
+    states = (
+        'canGetAndSetFMUstate="true" canSerializeFMUstate="true"' if second
+        else 'canGetAndSetFMUState="true" canSerializeFMUState="true"'
+    )  # fmt: skip
+    memory = ' canNotUseMemoryManagementFunctions="true"' if second else ""
+    for element, more in (("ModelExchange", ""), ("CoSimulation", ' canHandleVariableCommunicationStepSize="true"')):
+        head = f'<{element} modelIdentifier="{identifier}" {states}{memory}{more}'
+        if second:
+            files = f'<File name="{identifier}.c"/><File name="fmi2.c"/>'
+            yield f"{head}><SourceFiles>{files}</SourceFiles></{element}>"
+        else:
+            yield f"{head}/>"
+    yield "<UnitDefinitions>"
+    for unit, base in UNITS.items():
+        powers = "".join(f' {key}="{power}"' for key, power in base.items())
+        yield f'<Unit name="{unit}"><BaseUnit{powers}/></Unit>'
+    yield "</UnitDefinitions>"
+    yield f'<DefaultExperiment startTime="0" stopTime="1" stepSize="{_STEP}"/>'
+    yield "<ModelVariables>"
+    for reference, entry in enumerate(entries):
+        yield _variable(reference, entry, second=second)
+    yield "</ModelVariables>"
+    yield "<ModelStructure>"
+    yield from _structure(entries, second=second)
+    yield "</ModelStructure>"
+    yield "</fmiModelDescription>"
+
+
+def _variable(reference: int, entry: _Entry, *, second: bool) -> str:
+    variable = entry.variable
+    about = f" description={quoteattr(variable.about)}" if variable.about else ""
+    initial = f' initial="{entry.initial}"' if entry.initial else ""
+    general = (
+        f'name={quoteattr(variable.name)} valueReference="{reference}"{about} causality="{entry.causality}" '
+        f'variability="{entry.variability}"{initial}'
+    )
+    real = "" if variable.unit == "1" else f'unit="{variable.unit}"'
+    if variable.start is not None:
+        real += f' start="{variable.start!r}"'
+    if variable.nominal != 1.0:
+        real += f' nominal="{variable.nominal!r}"'
+    if entry.causality == "parameter":
+        real += ' min="0"'
+    if entry.state is not None:
+        # Version 2 counts variables from one.
+        real += f' derivative="{entry.state + second}"'
+    return f"<ScalarVariable {general}><Real {real}/></ScalarVariable>" if second else f"<Float64 {general} {real}/>"
+
+
+def _structure(entries: list[_Entry], *, second: bool) -> Iterator[str]:
+    """Outputs, rates, and what is calculated at the start, each with what it depends on, as some importers need."""
+    # Version 2 counts variables from one.
+    of = {
+        kind: [k + second for k, entry in enumerate(entries) if entry.causality == kind and entry.state is None]
+        for kind in ("input", "local", "parameter", "output")
+    }
+    rates = [k + second for k, entry in enumerate(entries) if entry.state is not None]
+    slow, fast = of["local"], of["input"] + of["local"]
+    outputs = [(k, fast if entries[k - second].variable.direct else slow) for k in of["output"]]
+    groups = {
+        ("Outputs", "Output"): outputs,
+        ("Derivatives", "ContinuousStateDerivative"): [(k, fast) for k in rates],
+        ("InitialUnknowns", "InitialUnknown"): [(k, of["parameter"] + fast) for k in of["output"] + rates],
+    }
+    for (group, element), unknowns in groups.items():
+        head = "Unknown index" if second else f"{element} valueReference"
+        lines = [f'<{head}="{k}" dependencies="{" ".join(map(str, known))}"/>' for k, known in unknowns]
+        yield from [f"<{group}>", *lines, f"</{group}>"] if second and lines else lines
+
+
+def build_description(identifier: str) -> bytes:
+    """sources/buildDescription.xml of version 3."""
+    return (
+        f'{_XML}\n<fmiBuildDescription fmiVersion="3.0">\n'
+        f'<BuildConfiguration modelIdentifier="{identifier}">\n<SourceFileSet language="C99">\n'
+        f'<SourceFile name="{identifier}.c"/>\n<SourceFile name="fmi3.c"/>\n</SourceFileSet>\n'
+        "</BuildConfiguration>\n</fmiBuildDescription>\n"
+    ).encode()

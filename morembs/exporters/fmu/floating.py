@@ -1,0 +1,129 @@
+"""A body of large rotations: the tables of its floating frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.exporters.base import ExportContext, refuse_rigid
+from morembs.exporters.fmu.linear import damping_parameter
+from morembs.exporters.fmu.system import (
+    AXES,
+    GRAVITY,
+    LOADS,
+    VELOCITIES,
+    System,
+    Variable,
+    identifiers,
+    oscillators,
+    renamed_note,
+    stress_rows,
+    variables,
+)
+from morembs.floating.frame import FloatingFrame
+
+Floats = NDArray[np.float64]
+_QUATERNION = "wxyz"
+# Error of a step per length of the body, unless another is given.
+_TOLERANCE = 1e-6
+
+
+def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ratio: float) -> System:
+    """The body in its floating frame, as ``morembs.multibody`` has it without stiffening.
+
+    Inputs are gravity, forces and moments at the interfaces that have a frame; outputs are where these are and how
+    they move, all along inertial axes, and stresses along the axes of the body. The frame starts where it is in the
+    model.
+
+    Raises:
+        InputError: a body without a floating frame or interface frames, or with rigid motion in its shapes.
+    """
+    frame, markers = context.frame, context.markers("a floating body")
+    refuse_rigid(context)
+    rows = stress_rows(context, stress, direct=True)
+    known = identifiers(markers)
+    names = [name for name in known.values() for _ in range(6)]
+    inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))
+    outputs = [variable for name in known.values() for variable in _motion(name)]
+    length = _length(frame)
+    tolerance = Variable(name="tolerance", unit="1", start=_TOLERANCE,
+                         about="co-simulation: error of a step per length of the body")  # fmt: skip
+    return System(
+        structure="floating", inputs=inputs, outputs=(*outputs, *rows.outputs), states=_states(frame, length),
+        parameters=(damping_parameter(damping_ratio), tolerance),
+        tables={
+            **_tables(frame), "STRESS": rows.shapes @ frame.elastic, "STRESS_LOAD": _on_markers(context, rows.loads),
+        },
+        constants={
+            "MODES": frame.count, "MARKERS": len(markers), "STRESSES": rows.count, "DAMPING_RATIO": 0, "TOLERANCE": 1,
+            "MASS": float(frame.integrals.mass), "LENGTH": length,
+        },
+        notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
+    )  # fmt: skip
+
+
+def _motion(name: str) -> tuple[Variable, ...]:
+    place = [Variable(name=f"{name}.position.{a}", unit="m", about="of the interface") for a in AXES]
+    turn = [Variable(name=f"{name}.quaternion.{a}", unit="1", about="rotation of the interface") for a in _QUATERNION]
+    return (*place, *turn, *variables([name] * 6, range(6), VELOCITIES, "of the interface"))
+
+
+def _left_out(context: ExportContext) -> tuple[str, ...]:
+    left = ", ".join(name for name in context.source.interfaces if name not in context.frame.markers)
+    return (f"interfaces without a frame have no loads and motions here: {left}",) if left else ()
+
+
+def _tables(frame: FloatingFrame) -> dict[str, Floats]:
+    """By columns: what C goes through with the innermost index first."""
+    parts, n = frame.integrals, frame.count
+    motion = np.array([marker.motion for marker in frame.markers.values()])
+    return {
+        "FIRST": parts.first, "INERTIA": parts.inertia.ravel(), "CT": parts.Ct.T.ravel(), "CR": parts.Cr.T.ravel(),
+        "ME": parts.Me, "X_PHI": parts.x_phi.ravel(), "PHI_PHI": parts.phi_phi.transpose(0, 1, 3, 2).reshape(9 * n, n),
+        "CR_Q": parts.Cr1.transpose(2, 0, 1).reshape(3 * n, n), "KE": frame.Ke, "DE": frame.De,
+        "D_UNIT": _unit_damping(frame), "POINT": np.array([marker.point for marker in frame.markers.values()]).ravel(),
+        "MOTION": motion.ravel(),
+    }  # fmt: skip
+
+
+def _unit_damping(frame: FloatingFrame) -> Floats:
+    """(n, n): damping matrix of critical damping in all modes of the free body, which those of mean axes are."""
+    M = frame.in_frame("mean-axes").integrals.Me
+    values, Y = sl.eigh(frame.Ke, M)
+    MY = M @ Y
+    return np.asarray((MY * (2 * np.sqrt(np.maximum(values, 0.0)))) @ MY.T)
+
+
+def _on_markers(context: ExportContext, loads: Floats) -> Floats:
+    """(6 s, 6 k): stresses of loads on the k markers, from those of the columns of the input matrix."""
+    source, names = context.source, list(context.source.interfaces)
+    order = {name: k for k, name in enumerate(context.markers("a floating body"))}
+    result = np.zeros((len(loads), 6 * len(order)))
+    for column, (index, component) in enumerate(zip(source.input_interface, source.input_component, strict=True)):
+        if names[index] in order and component < 6:
+            result[:, 6 * order[names[index]] + component] = loads[:, column]
+    return result
+
+
+def _length(frame: FloatingFrame) -> float:
+    """Diagonal of the box with the inertia of the undeformed body, m."""
+    parts = frame.integrals
+    gyration = float(np.trace(parts.inertia)) / (2 * parts.mass) - float(parts.center @ parts.center)
+    return float(np.sqrt(12 * max(gyration, np.finfo(float).tiny)))
+
+
+def _states(frame: FloatingFrame, length: float) -> tuple[Variable, ...]:
+    Me, Ke = np.diag(frame.integrals.Me), np.diag(frame.Ke)
+    place = [Variable(name=f"position.{a}", unit="m", about="of the frame", start=x, nominal=length)
+             for a, x in zip(AXES, frame.origin.tolist(), strict=True)]  # fmt: skip
+    turn = [Variable(name=f"quaternion.{a}", unit="1", about="rotation of the frame", start=float(a == "w"))
+            for a in _QUATERNION]  # fmt: skip
+    velocity = [Variable(name=f"velocity.{a}", unit="m/s", about="of the frame", start=0.0) for a in AXES]
+    spin = [Variable(name=f"angular_velocity.{a}", unit="rad/s", about="of the frame, along its axes", start=0.0)
+            for a in AXES]  # fmt: skip
+    omega = np.sqrt(np.maximum(Ke / Me, 0.0))
+    both = oscillators(length * np.sqrt(frame.integrals.mass / Me), omega, "elastic coordinate")
+    return (*place, *turn, *both[: len(omega)], *velocity, *spin, *both[len(omega) :])

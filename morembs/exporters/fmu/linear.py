@@ -1,0 +1,200 @@
+"""A body in small motion, held at some interfaces or at none, in its normal coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, nearest
+from morembs.exporters.base import ExportContext
+from morembs.exporters.fmu.system import (
+    ACCELERATIONS,
+    GRAVITY,
+    LOADS,
+    MOTIONS,
+    VELOCITIES,
+    StressRows,
+    System,
+    Variable,
+    labels,
+    oscillators,
+    renamed_note,
+    stress_rows,
+    variables,
+)
+from morembs.exporters.reduced import refuse_two_sided, to_interfaces
+from morembs.linalg.columns import symmetric
+from morembs.linalg.eigen import graded_modes
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
+# Smallest part of a rigid motion, by singular values, that the held degrees of freedom must have to hold it.
+_HELD = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Coordinates:
+    """Reduced coordinates = X (motions of the held degrees of freedom) + Y (normal coordinates); ``omega`` (n,) rad/s,
+    zero for rigid motions."""
+
+    X: Floats
+    Y: Floats
+    omega: Floats
+    notes: tuple[str, ...] = ()
+
+
+def linear_system(
+    context: ExportContext, *, held: Sequence[str], stress: Sequence[int], damping_ratio: float
+) -> System:
+    """The body as p' = -omega^2 q - D p + B u, q' = p, in normal coordinates with the interfaces ``held`` at rest.
+
+    Inputs are loads of all other interface degrees of freedom, gravity where the body has a floating frame, and
+    displacements, velocities and accelerations of those held; outputs are reactions, motions and stresses.
+
+    Raises:
+        InputError: the body is not symmetric, an unknown interface, interface degrees of freedom that depend on each
+            other, or nothing that would come out.
+    """
+    body, source = context.body, context.source
+    refuse_two_sided(body)
+    columns, known = labels(context)
+    fixed = _held_columns(context, held)
+    free = np.setdiff1d(np.arange(len(columns)), fixed)
+    at = _coordinates(context, fixed)
+    rows = stress_rows(context, stress, direct=True)
+    if not len(columns) and not rows.count:
+        raise InputError(f"body {body.name!r} has no interface, so that nothing would go in or come out")
+    components = source.input_component.tolist()
+
+    def of(which: Ints, kinds: Sequence[tuple[str, str]], about: str, **values: object) -> tuple[Variable, ...]:
+        return variables([columns[k] for k in which], [components[k] for k in which], kinds, about, **values)
+
+    weight = _weight(context)
+    inputs = (
+        *of(free, LOADS, "on the body", start=0.0), *(GRAVITY if weight.shape[1] else ()),
+        *(variable for kinds in (MOTIONS, VELOCITIES, ACCELERATIONS)
+          for variable in of(fixed, kinds, "motion of the held interface", start=0.0)),
+    )  # fmt: skip
+    tables = _tables(context, at, free, fixed, weight, rows)
+    moves = bool(len(fixed)) and bool((body.output_matrix[free] @ at.X).any())
+    outputs = (
+        *of(fixed, _REACTIONS, "of what holds the body, on the body", direct=True),
+        *of(free, MOTIONS, "of the interface", direct=moves), *of(free, VELOCITIES, "of the interface", direct=moves),
+        *rows.outputs,
+    )  # fmt: skip
+    n = len(at.omega)
+    return System(
+        structure="linear", inputs=inputs, outputs=outputs, tables=tables,
+        parameters=(damping_parameter(damping_ratio),), states=_states(context, at.omega),
+        constants={
+            "MODES": n, "LINEAR_OUTPUTS": len(outputs) - rows.count, "REACTIONS": len(fixed), "STRESSES": rows.count,
+            "DAMPING_RATIO": 0,
+        },
+        notes=(*at.notes, *renamed_note(known)),
+    )  # fmt: skip
+
+
+def damping_parameter(start: float) -> Variable:
+    """Modal damping beside the damping matrix of the body.
+
+    Raises:
+        InputError: a ratio that is negative or not finite.
+    """
+    if not 0 <= start < np.inf:
+        raise InputError(f"damping_ratio = {start} was given; expected a number, zero or more")
+    about = "ratio of critical damping of all modes, beside the damping matrix of the body"
+    return Variable(name="damping_ratio", unit="1", about=about, start=start)
+
+
+def _held_columns(context: ExportContext, held: Sequence[str]) -> Ints:
+    names = list(context.source.interfaces)
+    for name in held:
+        if name not in names:
+            raise InputError(f"held: there is no interface {name!r}; {nearest(name, names)}")
+    return np.flatnonzero(np.isin(context.source.input_interface, [names.index(name) for name in held]))
+
+
+def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
+    body = context.body
+    values, Y = body.reduced().modes()
+    rigid = body.rigid_count
+    X = np.zeros((len(values), 0))
+    notes: tuple[str, ...] = ()
+    if len(fixed):
+        C = body.output_matrix[fixed]
+        T, notes = to_interfaces(body, C)
+        X, N = T[:, : len(fixed)], T[:, len(fixed) :]
+        K, M = (symmetric(N.T @ A @ N) for A in (body.stiffness_matrix, body.mass_matrix))
+        moved = C @ Y[:, :rigid]
+        size = np.linalg.norm(moved, axis=1)
+        moved = moved / np.where(size > 0, size, 1.0)[:, None]
+        rigid -= int((np.linalg.svd(moved, compute_uv=False) > _HELD).sum()) if rigid else 0
+        values, inner = graded_modes(K, M) if N.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+        Y = N @ inner
+    values[:rigid] = 0.0
+    if (values[rigid:] <= 0).any():
+        raise InputError(
+            f"body {body.name!r} has {int((values[rigid:] <= 0).sum())} modes without stiffness beside its {rigid} "
+            "rigid motions and would run away; reduce it again"
+        )
+    # Motions of the held degrees of freedom take the body along at rest.
+    soft, elastic = Y[:, rigid:], values[rigid:, None]
+    X = X - soft @ ((soft.T @ body.stiffness_matrix @ X) / elastic)
+    return _Coordinates(X=X, Y=Y, omega=np.sqrt(values), notes=notes)
+
+
+def _weight(context: ExportContext) -> Floats:
+    """(nr, 3): loads on the reduced coordinates under unit gravity along each axis; (nr, 0) where nobody knows."""
+    floating, M = context.body.floating, context.body.mass_matrix
+    return M @ floating.rigid[:, :3] if floating is not None else np.zeros((len(M), 0))
+
+
+def _tables(
+    context: ExportContext, at: _Coordinates, free: Ints, fixed: Ints, weight: Floats,
+    rows: StressRows,
+) -> dict[str, Floats]:  # fmt: skip
+    """B, D and the output matrices, all for u = [loads; gravity; motions, velocities, accelerations of the held].
+
+    With r the reactions: 0 = X' (M q'' + D q' + K q - B_r u) - r for reduced coordinates q = X x + Y y.
+    """
+    body, X, Y = context.body, at.X, at.Y
+    M, D, K = body.mass_matrix, body.damping_matrix, body.stiffness_matrix
+    loads = np.hstack([body.input_matrix[:, free], weight])
+    held, omega = len(fixed), at.omega
+    n, k = len(omega), loads.shape[1]
+
+    def on(Z: Floats) -> Floats:
+        """Inputs in the equations along Z, on the side of the loads."""
+        return np.hstack([Z.T @ loads, *(-(Z.T @ A @ X) for A in (K, D, M))])
+
+    C, S, on_held = body.output_matrix[free], rows.shapes, rows.loads[:, fixed]
+    reactions = np.hstack([X.T @ K @ Y, X.T @ D @ Y]), -on(X), X.T @ M @ Y
+    no_loads = np.zeros((2 * len(free), k))
+    motions = (
+        np.kron(np.eye(2), C @ Y), np.hstack([no_loads, np.kron(np.eye(2, 3), C @ X)]), np.zeros((2 * len(free), n))
+    )  # fmt: skip
+    # Stresses of the shapes, of the loads that come in, and of the reactions.
+    others = np.zeros((len(S), weight.shape[1])), S @ X, np.zeros((len(S), 2 * held))
+    of_shapes = np.hstack([S @ Y, 0 * (S @ Y)]), np.hstack([rows.loads[:, free], *others]), 0 * (S @ Y)
+    stresses = tuple(part + on_held @ reaction for part, reaction in zip(of_shapes, reactions, strict=True))
+    YX, YU, YA = (np.vstack(parts) for parts in zip(reactions, motions, stresses, strict=True))
+    return {"OMEGA": omega, "MINUS_D": -symmetric(Y.T @ D @ Y), "B": on(Y), "YX": YX, "YU": YU, "YA": YA}
+
+
+def _states(context: ExportContext, omega: Floats) -> tuple[Variable, ...]:
+    nodes = context.source.coordinates
+    length = float(np.linalg.norm(np.ptp(nodes, axis=0))) if len(nodes) > 1 else 1.0
+    return oscillators(length * np.sqrt(max(context.source.mass, 1e-12)), omega, "normal coordinate")
+
+
+def state_space(system: System) -> tuple[Floats, Floats]:
+    """A (2n, 2n), B (2n, k) of x' = A x + B u, x = [q; p], with the damping ratio that the parameter starts with."""
+    omega, n = system.tables["OMEGA"], len(system.tables["OMEGA"])
+    ratio = system.parameters[0].start or 0.0
+    damping = 2 * ratio * np.diag(omega) - system.tables["MINUS_D"]
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]])
+    return A, np.vstack([np.zeros_like(system.tables["B"]), system.tables["B"]])

@@ -1,0 +1,203 @@
+"""C text of a body: a header that a program includes, and the source, from the files in ``c`` and generated tables."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.fmu.system import System, Variable, identifier
+
+Floats = NDArray[np.float64]
+Precision = Literal["double", "single"]
+# Files of each structure, in their order: what both targets have, then steps of any size or of one size.
+_COMMON = {"linear": ("common", "linear_accelerations", "linear"), "floating": ("common", "floating", "gauss")}
+_FREE = {"linear": ("linear_rates", "linear_free"), "floating": ("floating_rates", "gauss_free")}
+_FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",)}
+_SINGLE = "".join(f"#define {name} {name}f\n" for name in ("sqrt", "sin", "cos", "fabs"))
+_PER_LINE = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Code:
+    """A body as C: functions and types begin with ``name``; ``fixed`` holds tables of steps of one size, if any."""
+
+    name: str
+    system: System
+    precision: Precision = "double"
+    fixed: Mapping[str, Floats | float] | None = None
+    stages: int = 2
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many of each there are."""
+        system = self.system
+        return {"PARAMETERS": len(system.parameters), "INPUTS": len(system.inputs), "STATES": len(system.states),
+                "OUTPUTS": len(system.outputs)}  # fmt: skip
+
+    def header(self) -> str:
+        """What a program includes: sizes, places of all variables by name, the type and the functions."""
+        system, upper = self.system, self.name.upper()
+        kinds = {"P": system.parameters, "U": system.inputs, "X": system.states, "Y": system.outputs}
+        sizes = ", ".join(f"{upper}_{key} = {size}" for key, size in self.sizes.items())
+        places = "\n".join(_places(f"{upper}_{kind}", variables) for kind, variables in kinds.items() if variables)
+        fields = "".join(f"    {kind} {key}[{size}];\n" for key, (kind, size) in self.fields().items())
+        return _HEADER.format(
+            name=self.name, upper=upper, real="double" if self.precision == "double" else "float", sizes=sizes,
+            places=places, fields=fields, functions="".join(f"{head};\n" for head in self._functions()),
+        )  # fmt: skip
+
+    def source(self) -> str:
+        """The equations with their tables."""
+        system, free = self.system, self.fixed is None
+        constants = {**self.sizes, **system.constants, "STAGES": self.stages}
+        tables = {**system.tables, "START_P": _starts(system.parameters), "START_U": _starts(system.inputs),
+                  "START_X": _starts(system.states)}  # fmt: skip
+        for key, value in (self.fixed or {}).items():
+            (constants if isinstance(value, float) else tables).update({key: value})  # type: ignore[dict-item]
+        names = [*_COMMON[system.structure], *(_FREE if free else _FIXED)[system.structure]]
+        if system.structure == "linear" and not free and not system.constants["REACTIONS"]:
+            names.remove("linear_accelerations")
+            for key in ("OMEGA", "MINUS_D", "B"):
+                del tables[key]
+        if not system.constants.get("REACTIONS", 1):
+            tables.pop("YA", None)
+        parts = [f'#include <math.h>\n#include <string.h>\n#include "{self.name}.h"\n']
+        parts += [_SINGLE] if self.precision == "single" else []
+        parts.append(f"typedef {self.name}_real real;\ntypedef {self.name}_body Body;\n")
+        parts += [f"#define {key} {self._constant(value)}\n" for key, value in constants.items()]
+        parts += [self._table(key, np.asarray(value)) for key, value in tables.items()]
+        parts += [_file(f"{name}.c") for name in names]
+        parts += [f"{head}\n{{\n{text}\n}}\n" for head, text in self._functions().items()]
+        return "\n".join(parts)
+
+    def fields(self) -> dict[str, tuple[str, int]]:
+        """Type and length of the arrays of a body: its variables, then what the functions work with."""
+        system, S, free = self.system, self.stages, self.fixed is None
+        n, states = int(system.constants["MODES"]), len(system.states)
+        size, places, width = 6 + n, 1 + free, states * (states + len(system.inputs))
+        real = {"p": len(system.parameters), "u": len(system.inputs), "x": states, "y": len(system.outputs)}
+        whole: dict[str, int] = {}
+        if system.structure == "linear":
+            real |= {"change": states}
+            real |= {"A": width, "F": width, "work": width, "h": 1, "h_damping": 1} if free else {}
+        else:
+            real |= {
+                "at_q": 9 * n, "at_rate": 3 * n, "J": 9, "Cr": 3 * n, "moment": 3, "column": size, "residual": size,
+                "stage": max(size, S) * size, "matrix": places * (S * size) ** 2, "h": places, "convergence": places,
+                "a": S * size,                 "w": 3 * S, "q": S * n, "rate": S * n, "turns": 4 * S,
+            }  # fmt: skip
+            real |= {"whole": states, "halves": states} if free else {}
+            whole = {"pivot": places * S * size} | ({"level": 1} if free else {})
+        typed = {key: (f"{self.name}_real", max(1, count)) for key, count in real.items()}
+        return typed | {key: ("int", count) for key, count in whole.items()}
+
+    def _functions(self) -> dict[str, str]:
+        """Head of each function -> its statements."""
+        name, free = self.name, self.fixed is None
+        starts = "".join(
+            f"    for (int i = 0; i < {key}; i++)\n        body->{short}[i] = START_{short.upper()}[i];\n"
+            for short, key in (("p", "PARAMETERS"), ("u", "INPUTS"), ("x", "STATES"))
+        )
+        body, real = f"{name}_body *body", f"{name}_real"
+        start = {f"void {name}_start({body})": f"    memset(body, 0, sizeof *body);\n{starts}    observe(body);"}
+        if not free:
+            step = "    int failed = advance(body);\n    observe(body);\n    return failed;"
+            return start | {f"int {name}_step({body})": step}
+        return start | {
+            f"int {name}_rates({body}, {real} *x_rate)": "    return rates(body, x_rate);",
+            f"void {name}_observe({body})": "    observe(body);",
+            f"int {name}_advance({body}, {real} time, {real} h)": "    return advance(body, time, h);",
+        }
+
+    def _constant(self, value: float) -> str:
+        return str(value) if isinstance(value, int) else f"((real){self._numbers(np.array([value]))[0]})"
+
+    def _table(self, name: str, table: Floats) -> str:
+        """A table by columns."""
+        numbers = self._numbers(table.ravel(order="F")) or ["0"]
+        lines = (", ".join(numbers[k : k + _PER_LINE]) for k in range(0, len(numbers), _PER_LINE))
+        return f"static const real {name}[{len(numbers)}] = {{\n" + ",\n".join(lines) + "};\n"
+
+    def _numbers(self, values: Floats) -> list[str]:
+        if self.precision == "double":
+            return [repr(x) for x in values.tolist()]
+        with np.errstate(over="ignore"):
+            short = values.astype(np.float32)
+        if not np.isfinite(short).all():
+            raise InputError(
+                f'precision = "single" was given, and the body has the number {np.abs(values).max():.3g}, which single '
+                'precision cannot hold; take precision = "double"'
+            )
+        return [repr(float(str(x))) for x in short]
+
+
+def _starts(variables: Sequence[Variable]) -> Floats:
+    return np.array([variable.start or 0.0 for variable in variables])
+
+
+def _places(prefix: str, variables: Iterable[Variable]) -> str:
+    lines = (f"    {prefix}_{identifier(v.name).strip('_').upper()} = {k}, /* {v.unit}: {v.about} */\n"
+             for k, v in enumerate(variables))  # fmt: skip
+    return "enum {\n" + "".join(lines) + "};"
+
+
+def _file(name: str) -> str:
+    return (files("morembs.exporters.fmu") / "c" / name).read_text(encoding="utf-8")
+
+
+def glue(code: Code, version: str) -> dict[str, str]:
+    """Sources of the interface in this version, by their names; with them the token of the body."""
+    own = {f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}
+    names = (f"fmi{version[0]}.c", "instance.h")
+    shared = {name: _file(name) for name in names}
+    sizes = "".join(f"#define {key} {size}\n" for key, size in code.sizes.items())
+    nominal = code._table("NOMINAL", np.array([variable.nominal for variable in code.system.states]))
+    model = (
+        f'#include "{code.name}.h"\ntypedef {code.name}_body Body;\n{sizes}'
+        + "".join(f"#define body_{what} {code.name}_{what}\n" for what in ("start", "rates", "observe", "advance"))
+        + nominal.replace("const real", "const double")
+    )
+    text = "".join((*own.values(), *shared.values(), model))
+    token = hashlib.sha256(text.encode()).hexdigest()[:32]
+    token = "-".join(token[a:b] for a, b in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32)))
+    return {**own, **shared, "model.h": f'{model}#define TOKEN "{{{token}}}"\n'}
+
+
+def token_of(sources: Mapping[str, str]) -> str:
+    """The token in the sources of ``glue``."""
+    return sources["model.h"].rpartition('#define TOKEN "')[2].partition('"')[0]
+
+
+_HEADER = """\
+/* An elastic body, written by morembs; SI units. Allocates nothing. */
+
+#ifndef {upper}_H
+#define {upper}_H
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+typedef {real} {name}_real;
+
+enum {{ {sizes} }};
+
+/* Places of parameters in p, inputs in u, states in x and outputs in y. */
+{places}
+
+typedef struct {{
+{fields}}} {name}_body;
+
+{functions}
+#ifdef __cplusplus
+}}
+#endif
+#endif
+"""

@@ -1,0 +1,216 @@
+"""The targets: Functional Mock-up Units, and C sources alone."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from typing import ClassVar, Literal
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
+from morembs.exporters.fmu.description import Version, build_description, model_description
+from morembs.exporters.fmu.floating import floating_system
+from morembs.exporters.fmu.linear import linear_system, state_space
+from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
+from morembs.exporters.fmu.system import System, identifier, renamed_note
+from morembs.storage.safefile import replacing, replacing_all
+
+Floats = NDArray[np.float64]
+Structure = Literal["auto", "linear", "floating"]
+Method = Literal["auto", "exponential", "midpoint"]
+# Folder of the binaries by system, in version 2 and in version 3.
+_PLATFORMS = {
+    "linux": ("linux64", "x86_64-linux", "so"), "darwin": ("darwin64", "x86_64-darwin", "dylib"),
+    "win32": ("win64", "x86_64-windows", "dll"),
+}  # fmt: skip
+# The first day that a zip file knows, so that the same body gives the same bytes.
+_DAY = (1980, 1, 1, 0, 0, 0)
+# Part of the outputs that single precision may cost.
+_TOO_MUCH = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Equations(Exporter):
+    """What both targets are told.
+
+    ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
+    "auto": that where the body has a floating frame and nothing is held), labels of nodes whose ``stress`` comes out,
+    and a ``damping_ratio`` of all modes beside the damping matrix.
+    """
+
+    needs_frame: ClassVar[bool] = False
+
+    structure: Structure = "auto"
+    held: list[str] = field(default_factory=list)
+    stress: list[int] = field(default_factory=list)
+    damping_ratio: float = 0.0
+
+    def _system(self, context: ExportContext) -> System:
+        body = context.body
+        linear = self.structure == "linear" or (self.structure == "auto" and (bool(self.held) or body.floating is None))
+        if linear:
+            return linear_system(context, held=self.held, stress=self.stress, damping_ratio=self.damping_ratio)
+        if self.held:
+            raise InputError('structure = "floating" was given with held interfaces; take structure = "linear"')
+        return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
+
+    def _notes(self, context: ExportContext, system: System, name: str) -> tuple[str, ...]:
+        stress = () if self.stress else ("stress",)
+        motion = {"linear": "small motion about its place", "floating": "large rotations, in its floating frame"}
+        return (
+            f"{system.structure} body: {motion[system.structure]}", *context.lost("stiffening", *stress, "certificate"),
+            *system.notes, *renamed_note({context.path.name.partition(".")[0]: name}),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fmu(_Equations):
+    """Functional Mock-up Unit of version ``fmi`` for model exchange and co-simulation, with its C sources.
+
+    Co-simulation of linear bodies is exact for held inputs (matrix exponential); floating bodies take as many steps of
+    the method of Gauss as the parameter ``tolerance`` wants.
+    """
+
+    name: ClassVar[str] = "fmu"
+    suffix: ClassVar[str] = ".fmu"
+    about: ClassVar[str] = "Functional Mock-up Unit, FMI 2.0 or 3.0, model exchange and co-simulation"
+    lossless: ClassVar[bool] = True
+
+    fmi: Version = "2.0"
+
+    def _write(self, context: ExportContext) -> Exported:
+        name = identifier(context.path.name.partition(".")[0])
+        system = self._system(context)
+        sources = glue(Code(name=name, system=system), self.fmi)
+        members = {
+            "modelDescription.xml": model_description(system, context.body.name, name, token_of(sources), self.fmi),
+            **{f"sources/{file}": text.encode("ascii") for file, text in sources.items()},
+        }
+        if self.fmi == "3.0":
+            members["sources/buildDescription.xml"] = build_description(name)
+        notes = self._notes(context, system, name)
+        with replacing(context.path) as file:
+            file.doing = "the compiled library"
+            library: bytes | str = ""
+            try:
+                library = compiled(sources)
+            except OSError as error:
+                file.error = error
+            if isinstance(library, bytes):
+                folders = _PLATFORMS.get(sys.platform, _PLATFORMS["linux"])
+                members[f"binaries/{folders[self.fmi == '3.0']}/{name}.{folders[2]}"] = library
+            else:
+                notes = (*notes, f"the FMU holds sources only: {library}")
+            file.doing = "the FMU"
+            file.write(_zipped(members))
+            file.check()
+        return Exported(paths=(context.path,), notes=notes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CSource(_Equations):
+    """C99 source and header with a function that makes one ``step`` (s) and allocates nothing.
+
+    ``method`` "exponential" (linear bodies: exact for held inputs) or "midpoint" (implicit midpoint rule, the one for
+    floating bodies); ``precision`` "double" or "single".
+    """
+
+    name: ClassVar[str] = "c"
+    suffix: ClassVar[str] = ".c"
+    about: ClassVar[str] = "C99 source and header with a step function that allocates nothing"
+    lossless: ClassVar[bool] = True
+
+    step: float = 1e-4
+    method: Method = "auto"
+    precision: Precision = "double"
+
+    def _write(self, context: ExportContext) -> Exported:
+        if not 0 < self.step < np.inf:
+            raise InputError(f"step = {self.step} was given; expected the step in s, above zero")
+        if context.path.suffix != self.suffix:
+            raise InputError(f"{context.path} was given; expected a name that ends in .c, beside which the header goes")
+        name = identifier(context.path.name.removesuffix(self.suffix))
+        system = self._system(context)
+        code = self._code(name, system)
+        header = context.beside(".h")
+        notes = [f"one call is one step of {self.step:g} s; take another by --set step=SECONDS",
+                 *self._notes(context, system, name)]  # fmt: skip
+        notes += [_single_words(code)] if self.precision == "single" else []
+        text = {context.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
+        with replacing_all(list(text)) as opened:
+            for file, content in zip(opened, text.values(), strict=True):
+                file.write(content.encode("ascii"))
+        return Exported(paths=tuple(text), notes=tuple(notes))
+
+    def _code(self, name: str, system: System) -> Code:
+        if system.structure == "floating":
+            if self.method == "exponential":
+                raise InputError('method = "exponential" was given; floating bodies take "midpoint"')
+            constants = {key: value for key, value in system.constants.items() if key != "TOLERANCE"}
+            slim = replace(system, parameters=system.parameters[:1], constants=constants)
+            return Code(name=name, system=slim, precision=self.precision, fixed={"STEP": self.step}, stages=1)
+        A, B = state_space(system)
+        X, U = (midpoint if self.method == "midpoint" else exponential)(A, B, self.step)
+        n = len(A) // 2
+        slim = replace(system, parameters=(), tables={**system.tables, "MINUS_D": A[n:, n:]})
+        return Code(name=name, system=slim, precision=self.precision, fixed={"STEP_X": X, "STEP_U": U})
+
+
+def exponential(A: Floats, B: Floats, step: float) -> tuple[Floats, Floats]:
+    """X (n, n) and U (n, m) with x + X x + U u after one step of x' = A x + B u under a held u."""
+    n, m = B.shape
+    # Displacements in units of their velocities, as far as these are coupled: all of one size.
+    half = n // 2
+    omega = np.sqrt(-np.diag(A[half:, :half]))
+    scale = np.concatenate([np.where(omega > 0, omega, 1.0), np.ones(half)])
+    whole = np.zeros((n + m, n + m))
+    whole[:n, :n], whole[:n, n:] = A * scale[:, None] / scale, B * scale[:, None]
+    E = sl.expm(step * whole)[:n]
+    X = (E[:, :n] - np.eye(n)) * scale / scale[:, None]
+    return X, E[:, n:] / scale[:, None]
+
+
+def midpoint(A: Floats, B: Floats, step: float) -> tuple[Floats, Floats]:
+    """As ``exponential``, by the implicit midpoint rule."""
+    both = np.asarray(np.linalg.solve(np.eye(len(A)) - 0.5 * step * A, step * np.hstack([A, B])), dtype=np.float64)
+    return both[:, : len(A)], both[:, len(A) :]
+
+
+def _single_words(code: Code) -> str:
+    """What single precision costs.
+
+    Raises:
+        InputError: it costs too much.
+    """
+    error = single_error(code)
+    if isinstance(error, str):
+        return f"what single precision costs was not measured: {error}"
+    if not error < _TOO_MUCH:
+        raise InputError(
+            f'precision = "single" was given; over {SINGLE_STEPS} steps of random loads outputs differ from double by '
+            f"{error:.0%} of their largest, expected less than {_TOO_MUCH:.0%}. Take --frame mean-axes, another step, "
+            'or precision = "double"'
+        )
+    return (
+        f"single precision: over {SINGLE_STEPS} steps of random loads outputs differ from double by {error:.1e} of "
+        "their largest"
+    )
+
+
+def _zipped(members: Mapping[str, bytes]) -> bytes:
+    """A zip file that is the same for the same members."""
+    stream = BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            info = zipfile.ZipInfo(name, _DAY)
+            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(info, data)
+    return stream.getvalue()
