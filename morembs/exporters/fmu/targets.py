@@ -14,7 +14,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
 from morembs.exporters.fmu.floating import floating_system
@@ -47,6 +47,8 @@ class _Equations(Exporter):
     """
 
     needs_frame: ClassVar[bool] = False
+    # Generalised forces and stresses as far as the structure has them, which its notes say.
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces", "stress"})
 
     structure: Structure = "auto"
     held: list[str] = field(default_factory=list)
@@ -63,10 +65,10 @@ class _Equations(Exporter):
         return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
 
     def _notes(self, context: ExportContext, system: System, name: str) -> tuple[str, ...]:
-        stress = () if self.stress else ("stress",)
+        left = ({"forces"} if system.structure == "floating" else set()) | (set() if self.stress else {"stress"})
         motion = {"linear": "small motion about its place", "floating": "large rotations, in its floating frame"}
         return (
-            f"{system.structure} body: {motion[system.structure]}", *context.lost("stiffening", *stress, "certificate"),
+            f"{system.structure} body: {motion[system.structure]}", *context.lost(LOSSES.keys() - left),
             *system.notes, *renamed_note({context.path.name.partition(".")[0]: name}),
         )  # fmt: skip
 
