@@ -42,8 +42,8 @@ class _Equations(Exporter):
     """What both targets are told.
 
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
-    "auto": that where the body has a floating frame and nothing is held), labels of nodes whose ``stress`` comes out,
-    and a ``damping_ratio`` of all modes beside the damping matrix.
+    "auto": that where the body has a floating frame, no generalised forces, and nothing is held), labels of nodes
+    whose ``stress`` comes out, and a ``damping_ratio`` of all modes beside the damping matrix.
     """
 
     needs_frame: ClassVar[bool] = False
@@ -57,7 +57,9 @@ class _Equations(Exporter):
 
     def _system(self, context: ExportContext) -> System:
         body = context.body
-        linear = self.structure == "linear" or (self.structure == "auto" and (bool(self.held) or body.floating is None))
+        forces = any(interface.forces for interface in context.source.interfaces.values())
+        small = bool(self.held) or body.floating is None or forces
+        linear = self.structure == "linear" or (self.structure == "auto" and small)
         if linear:
             return linear_system(context, held=self.held, stress=self.stress, damping_ratio=self.damping_ratio)
         if self.held:
