@@ -268,6 +268,25 @@ class Assembly:
             return self.rows_of(scope, np.array([value]), "a line names")
         return self.members("node", scope, rest)
 
+    def paired(self, placed: Placed, text: str) -> Ints:
+        """Rows of the nodes that a label or set means as they are paired with others: by their labels, or as they are
+        listed where the set is UNSORTED."""
+        rows = self.nodes_of(placed, text)
+        scope, rest = self.split(placed, text)
+        named = [] if label(rest) is not None else scope.sets("node")[rest.upper()]
+        parts = [part for given in named for part in given.parts]
+        if not any(part.unsorted for part in parts):
+            return rows[np.argsort(self.ids[rows], kind="stable")]
+        pieces = [_NONE]
+        for part in parts:
+            if part.unsorted and part.names:
+                where = self.placed.get(part.instance.upper(), scope)
+                pieces += [self.paired(where, name) for name in part.names]
+            else:
+                pieces.append(self._part("node", scope, part, rest, ()))
+        listed = np.concatenate(pieces)
+        return listed[np.sort(np.unique(listed, return_index=True)[1])]
+
     def elements_of(self, placed: Placed, text: str) -> Ints:
         """Numbers of the elements that a label or the name of a set means."""
         scope, rest = self.split(placed, text)

@@ -37,13 +37,15 @@ DISCRETE = {
 @dataclass
 class Members:
     """What data lines put into a set: labels, ranges (first, last, step), names of sets, all of ``instance``; nodes of
-    the elements of sets where they are ``of_elements``."""
+    the elements of sets where they are ``of_elements``. ``unsorted`` ones are paired with others as they are listed,
+    and hold either labels or names."""
 
     labels: Ints
     ranges: list[tuple[int, int, int]]
     names: list[str]
     instance: str
     of_elements: bool = False
+    unsorted: bool = False
 
 
 @dataclass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -250,6 +251,9 @@ class DeckReader:
             if "GENERATE" in card.options:
                 ranges = [_range(row, card) for row in fields(piece) if row]
                 join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
+            elif piece and "UNSORTED" in card.options:
+                for part in _listed(piece, instance):
+                    join(sets, name, part)
             elif piece:
                 join(sets, name, Members(*_split(piece, card), instance))
 
@@ -326,6 +330,15 @@ def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
 def _split(piece: bytes, card: Card) -> tuple[Ints, list[tuple[int, int, int]], list[str]]:
     labels, names = members(piece, card)
     return labels, [], names
+
+
+def _listed(piece: bytes, instance: str) -> Iterator[Members]:
+    """Labels and names in their order."""
+    texts = [text for row in fields(piece) for text in row if text]
+    for named, group in groupby(texts, key=lambda text: label(text) is None):
+        own = list(group)
+        ids = np.array([] if named else own, dtype=np.int64)
+        yield Members(ids, [], own if named else [], instance, unsorted=True)
 
 
 def _range(row: list[str], card: Card) -> tuple[int, int, int]:

@@ -25,6 +25,15 @@ FACES = {
 }
 
 
+def faces_of(kind: str) -> list[tuple[str, Ints]]:
+    """Type and nodes of the faces of an element, each from the corner where CalculiX begins: it matters for ties."""
+    faces = list(TYPES[kind].face_nodes)
+    if kind.startswith("hex"):
+        face, local = faces[0]
+        faces[0] = face, np.concatenate([np.roll(local[:4], -1), np.roll(local[4:8], -1), local[8:]])
+    return faces
+
+
 @dataclass(eq=False)
 class Surface:
     """``nodes`` (k,) ascending with ``weights`` (k,), their shares of the area or as given; ``faces`` of each type (nf,
@@ -130,14 +139,14 @@ class Surfaces:
             if not len(own):
                 continue
             if not side:
-                for face, local in TYPES[kind].face_nodes:
+                for face, local in faces_of(kind):
                     blocks.append((face, self._free(face, nodes[own][:, local])))
                 continue
             table = FACES[kind[0]]
             at = int(side[1:]) - 1 if side[:1] == "S" and side[1:].isdigit() and len(side) < 4 else -1
             if not 0 <= at < len(table):
                 raise InputError(f"{card}: the face {side!r} was given; a {kind} has the faces S1 to S{len(table)}")
-            for face, local in TYPES[kind].face_nodes:
+            for face, local in faces_of(kind):
                 if set(local[: len(table[at])].tolist()) == set(table[at]):
                     blocks.append((face, nodes[own][:, local]))
         return blocks

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_constraints import Constraints, point_value
+from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_points import point_value
 from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck
