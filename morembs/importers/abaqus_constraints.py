@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Deck, Rows
 from morembs.importers.abaqus_equations import Axes, equations_of, mpc_sums, solved
 from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_points import Points
 from morembs.importers.abaqus_surfaces import Surfaces
 from morembs.importers.abaqus_ties import Glue, is_sector
@@ -22,7 +23,7 @@ from morembs.model.constraints import AverageElement, Equations, RigidElement, T
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _ALL = (0, 1, 2, 3, 4, 5)
-_SECTOR = "CYCLIC SYMMETRY MODEL"
+SECTOR = "CYCLIC SYMMETRY MODEL"
 _NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")
 
 
@@ -48,6 +49,7 @@ class Constraints:
         self.found = Found()
         self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
         self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
+        self._turning: dict[int, int] = {}
         self._distributing = {one.number: one.nodes[0] for one in assembly.discrete if one.code == "DCOUP3D"}
 
     def read(self) -> Found:
@@ -65,7 +67,7 @@ class Constraints:
                 for card, rows, kind, kind_rows in scope.constraints:
                     rows = [row for row in rows if row]
                     if is_sector(card):
-                        self._sector(card)
+                        refuse_sector(card, self.deck)
                         continue
                     if card.keyword in ("TIE", "CONTACT PAIR"):
                         pairs.append((placed, card, rows))
@@ -75,7 +77,7 @@ class Constraints:
         for name, sums in self._sums.items():
             if sums:
                 with self.problems.collected(Card(name[1:], {}, self.deck.name)):
-                    self.found.equations.append(solved(name, sums, self.axes))
+                    self.found.equations.append(solved(name, map(self._with_rotations, sums), self.axes))
         glue = Glue(self.assembly, self.surfaces, self._followers(), self.deck.dialect)
         glue.read(pairs)
         self.found.equations += glue.equations
@@ -83,16 +85,13 @@ class Constraints:
         self.found.warnings += glue.warnings
         return self.found
 
-    def _sector(self, card: Card) -> None:
-        if not self.options.skips(_SECTOR):
-            what = (
-                f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip "
-                f"{_SECTOR!r} takes the sector alone, with free sides"
-            )
-            where = Problem(
-                what=what, file=card.file, line=card.line, keyword=card.keyword, flags=(f"--skip {_SECTOR}",)
-            )
-            self.problems.add(where)
+    def _with_rotations(self, given: tuple[str, list[Term]]) -> tuple[str, list[Term]]:
+        """A sum with rotations of rigid bodies at their references, where it has displacements of rotation nodes."""
+        title, terms = given
+        return title, [
+            (self._turning[node], 3 + c, value) if node in self._turning and c < 3 else (node, c, value)
+            for node, c, value in terms
+        ]
 
     def _one(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
         if card.keyword == "COUPLING":
@@ -212,11 +211,10 @@ class Constraints:
         if options.get("ROT NODE"):
             # What acts on its three translations acts on the rotations of the body.
             turning = self.assembly.one_node(placed, options["ROT NODE"])
-            self._sums["*MPC"] += [
-                (f"{card} ({title}), whose rotations are those of node {self.assembly.ids[turning]},",
-                 [(turning, c, 1.0), (reference, 3 + c, -1.0)])
-                for c in range(3)
-            ]  # fmt: skip
+            follow = [[(turning, c, 1.0), (reference, 3 + c, -1.0)] for c in range(3)]
+            sums = [(f"{card} ({title}), which turns as node {self.assembly.ids[turning]},", terms) for terms in follow]
+            self.found.equations.append(solved(f"*RIGID BODY {title}", sums, self.axes))
+            self._turning[turning] = reference
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
         for row in rows:
@@ -258,6 +256,20 @@ class Constraints:
         """Rows of the nodes of a surface, and their weights."""
         surface = self.surfaces.of(placed, name, card)
         return surface.nodes, surface.weights
+
+
+def refuse_sector(card: Card, deck: Deck) -> None:
+    """A *TIE of the sides of a sector is a problem, unless sectors are to be taken as they are."""
+    if deck.options.skips(SECTOR):
+        deck.skipped[f"*{SECTOR}"] = deck.skipped.get(f"*{SECTOR}", 0) + 1
+        return
+    what = (
+        f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip {SECTOR!r} "
+        "takes the sector alone, with free sides"
+    )
+    deck.problems.add(
+        Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=(f"--skip {SECTOR}",))
+    )
 
 
 def _components(rows: Rows, card: Card) -> tuple[int, ...]:

@@ -9,10 +9,11 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card, number
 from morembs.importers.abaqus_materials import frame_of
+from morembs.importers.abaqus_names import Placed
 from morembs.model.constraints import Equations, Term, solved_for_first
 
 Floats = NDArray[np.float64]

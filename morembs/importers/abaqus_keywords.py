@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_words import canonical
+from morembs.importers.abaqus_words import canonical, canonical_option
 from morembs.importers.includes import Includes, open_text
 from morembs.importers.text_matrices import integers, numbers, table
 
@@ -240,7 +240,7 @@ def _card(line: bytes, file: str, number: int) -> Card:
     for part in rest:
         key, _, value = part.partition("=")
         if key.strip():
-            options[" ".join(key.upper().split())] = value.strip().strip('"').strip()
+            options[canonical_option(key)] = value.strip().strip('"').strip()
     return Card(canonical(head), options, file, number)
 
 

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Discrete, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Deck, Rows, values
 from morembs.importers.abaqus_equations import Axes
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Discrete, Placed
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, PointMass
 

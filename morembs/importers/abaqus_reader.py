@@ -23,6 +23,7 @@ from morembs.importers.abaqus_deck import (
     Scope,
     join,
 )
+from morembs.importers.abaqus_generate import GENERATING, generate
 from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields, label, members, node_rows
 from morembs.importers.abaqus_words import (
     CONSTRAINTS,
@@ -149,6 +150,9 @@ class DeckReader:
             self.material.append((card, fields(b"".join(pieces))))
         elif word in ("NSET", "ELSET"):
             self._set(card, pieces)
+        elif word in GENERATING:
+            for code, count in generate(self.scope, card, fields(b"".join(pieces))).items():
+                self.deck.counts[code] += count
         elif word == "MATERIAL":
             self._material(card)
             _refuse_data(card, pieces)

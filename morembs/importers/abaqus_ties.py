@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing
 from morembs.importers.projection import Projection, face_size, project

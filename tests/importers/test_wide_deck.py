@@ -405,3 +405,84 @@ def test_left_handed_elements_are_reversed(kind, read):
     assert (order == np.arange(len(order))).all()
     assert abs(model.K - steel(mesh).K).max() < 1e-12 * abs(steel(mesh).K).max()
 
+
+
+GENERATED = (
+    "*NODE\n1, 1., 0., 0.\n5, 0., 1., 0.\n21, 2., 0., 0.\n25, 0., 2., 0.\n*NODE\n99, 0., 0., 0.\n"
+    "*NGEN, LINE=C, NSET=INNER\n1, 5, 1, 99\n*NGEN, LINE=C, NSET=OUTER\n21, 25, 1, , 0., 0., 0., 0., 0., 1.\n"
+    "*NFILL, NSET=LOW\nINNER, OUTER, 2, 10\n*NCOPY, OLD SET=LOW, CHANGE NUMBER=100, SHIFT, NEW SET=UP, MULTIPLE=3\n"
+    "0., 0., .5\n\n*ELEMENT, TYPE=C3D8, ELSET=ALL\n1, 1, 11, 12, 2, 101, 111, 112, 102\n"
+    "*ELGEN, ELSET=ALL\n1, 4, 1, 1, 2, 10, 10, 2, 100, 100\n"
+    "*ELCOPY, OLD SET=ALL, ELEMENT SHIFT=500, SHIFT NODES=100, NEW SET=MORE\n"
+)
+
+
+def test_generated_nodes_and_elements_are_those_of_the_rule(read):
+    """A quarter of a ring, whose layers 1 and 2 are generated and whose copy is layers 2 and 3."""
+    found = read(GENERATED + SECTION)
+    nodes, (block,) = found.mesh.nodes, found.mesh.blocks
+    assert sorted(block.ids) == sorted(
+        base + 100 * k + 10 * j + i + 1 for base in (0, 500) for k in (0, 1) for j in (0, 1) for i in range(4)
+    )
+    place = dict(zip(nodes.ids.tolist(), nodes.xyz.tolist(), strict=True))
+    for k in range(4):
+        for j, radius in enumerate((1.0, 1.5, 2.0)):
+            for i in range(5):
+                angle = i * np.pi / 8
+                expected = [radius * np.cos(angle), radius * np.sin(angle), 0.5 * k]
+                assert place[100 * k + 10 * j + i + 1] == pytest.approx(expected, abs=1e-12)
+    last = dict(zip(block.ids.tolist(), block.nodes.tolist(), strict=True))[614]
+    assert nodes.ids[last].tolist() == [214, 224, 225, 215, 314, 324, 325, 315]
+    assert set(nodes.sets) == {"INNER", "OUTER", "LOW", "UP"} and len(nodes.sets["LOW"]) == 15
+    assert len(nodes.sets["UP"]) == 45
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("*NGEN\n1, 3, 2, 7\n*NGEN\n1, 4, 2\n", "is no line of nodes"),
+        ("*NGEN\n1, 999\n", "names the node 999, which is not defined before it"),
+        ("*NGEN, LINE=P\n1, 3\n", "with LINE, which is not supported"),
+        ("*NFILL, BIAS=.5\nA, B, 2\n", "with BIAS, which is not supported"),
+        ("*NFILL\nA, 1, 2\n", "names 'A', which is neither a label nor a set"),
+        ("*NCOPY, OLD SET=TOP, CHANGE NUMBER=50, REFLECT=MIRROR\n0, 0, 0\n", "with REFLECT"),
+        ("*NCOPY, OLD SET=TOP, CHANGE NUMBER=50\n", "not given with SHIFT"),
+        ("*ELGEN\n7, 2, 1\n", "names the element 7, which is no solid"),
+        ("*ELGEN\n1, 0, 1\n", "expected positive numbers of elements"),
+    ],
+)
+def test_what_cannot_be_generated_is_refused(lines, message, read):
+    with pytest.raises(DeckError, match=message):
+        read(cube(1) + "*NSET, NSET=TOP\n5, 6\n" + lines + SECTION)
+
+
+@pytest.mark.parametrize("overlap", ["1, 2", "2,"])
+def test_of_two_sections_calculix_takes_the_later_one(overlap, read):
+    text = cube(1) + cube(11, (2.0, 0.0, 0.0), element=2) + f"*ELSET, ELSET=PART\n{overlap}\n" + SECTION
+    text += "*SOLID SECTION, ELSET=PART, MATERIAL=N\n" + STEEL_LINES.replace("NAME=M", "NAME=N").replace("7850", "1000")
+    found = read(text, dialect="calculix")
+    share = len([label for label in overlap.split(",") if label.strip()])
+    along = model_of(found).M.sum() / 3
+    assert along == pytest.approx(1000 * share + 7850 * (2 - share), rel=1e-12)
+    assert any("later *SOLID SECTION" in said for said in found.warnings)
+    with pytest.raises(InputError, match="has two materials"):
+        model_of(read(text, dialect="abaqus"))
+
+
+def test_equations_name_rotations_by_rotation_nodes(read):
+    """An equation whose first term is a rotation node makes the rotation of its reference follow."""
+    text = cube(1) + "*NSET, NSET=TOP\n5, 6, 7, 8\n*NODE\n90, .5, .5, 2.\n91, .5, .5, 2.\n" + SECTION
+    model = model_of(read(text + "*EQUATION\n2\n91, 3, 1., 1, 1, -4.\n*RIGID BODY, NSET=TOP, REFNODE=90, ROTNODE=91\n"))
+    labels = model.nodes.ids[model.dofs.node]
+    of = {(int(n), int(c)): i for i, (n, c) in enumerate(zip(labels, model.dofs.component, strict=True))}
+    S = model.dependent.S
+    for dof in ((91, 2), (90, 5)):
+        assert S[[of[dof]]].toarray().ravel()[of[1, 0]] == 4.0 and S[[of[dof]]].nnz == 1
+    # The corner 5 is 0.5 from the axis in x and in y.
+    assert S[[of[5, 0]]].toarray().ravel()[of[1, 0]] == pytest.approx(2.0)
+
+
+def test_a_lone_part_without_an_assembly_is_the_model(read):
+    part = cube(1) + "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n"
+    found = read(f"*PART, NAME=P\n{part}*END PART\n{STEEL_LINES}")
+    assert len(found.mesh.nodes) == 8 and found.materials[0].set == "ALL"

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_equations import mpc_sums
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.imported import PointMass
 from morembs.model.constraints import AverageElement
