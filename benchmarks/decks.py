@@ -3,9 +3,10 @@
     python -m benchmarks.decks /usr/share/doc/calculix-ccx-test/examples/test [--limit 1000] [--only NAME ...]
 
 Taken are decks with *ELASTIC and solids, shells or beams in space, without user or hyperelastic material. Each is
-imported with --contact skip --density 7.8e-9 --skip "CYCLIC SYMMETRY MODEL", free and with --boundary keep. For those of at most --limit rows ccx
-itself computes frequencies of the deck as it stands (its steps replaced by *FREQUENCY), and these are compared with
-those of the held model. Printed are a line for each deck and the figures of all; --json FILE keeps them.
+imported with --contact skip --density 7.8e-9 --skip "CYCLIC SYMMETRY MODEL", free and with --boundary keep. For those
+of at most --limit rows ccx itself computes frequencies of the deck as it stands (its steps replaced by *FREQUENCY), and
+these are compared with those of the held model. Printed are a line for each deck and the figures of all; --json FILE
+keeps them.
 """
 
 from __future__ import annotations
@@ -126,7 +127,8 @@ def examine(path: Path, limit: int) -> dict[str, Any]:
         result["follows"] = float(np.abs(model.dependent.S @ R - R).max() / np.abs(R).max())
     kilograms = float(R[:, 0] @ (model.M @ R[:, 0]))
     try:
-        own = model_of(import_file(path, options={"density": DENSITY, "contact": "skip", "skip": SECTOR, "dialect": "calculix"}))
+        own_options = {key: options[key] for key in ("density", "contact", "skip")} | {"dialect": "calculix"}
+        own = model_of(import_file(path, options=own_options))
         along = (own.dofs.component == 0).astype(float)
         result["mass"] = abs(kilograms / float(along @ (own.M @ along)) - 1)
     except MorembsError:
