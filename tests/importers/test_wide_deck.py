@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from morembs.cli import app
 from morembs.errors import InputError
 from morembs.importers.abaqus import import_abaqus
 from morembs.importers.dependent_dofs import interface_of_coupling
+from morembs.importers.model_file import read_model
 from morembs.importers.problems import DeckError
 from morembs.importers.projection import project
 from morembs.importers.to_model import model_of
@@ -486,3 +489,39 @@ def test_a_lone_part_without_an_assembly_is_the_model(read):
     part = cube(1) + "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n"
     found = read(f"*PART, NAME=P\n{part}*END PART\n{STEEL_LINES}")
     assert len(found.mesh.nodes) == 8 and found.materials[0].set == "ALL"
+
+
+THREE = (
+    cube(1, size=2.0) + cube(11, (5.0, 0.0, 0.0), element=2) + cube(21, (5.2, 0.2, 1.0), 0.6, element=3)
+    + "*ELSET, ELSET=SMALL\n3\n*ELSET, ELSET=MIDDLE\n2\n*NSET, NSET=ENDS\n1, 11\n"
+    + "*SURFACE, NAME=BELOW\nMIDDLE, S2\n*SURFACE, NAME=ABOVE\nSMALL, S1\n*TIE, NAME=T\nABOVE, BELOW\n"
+)  # fmt: skip
+
+
+def test_parts_that_nothing_joins_become_files_of_their_own(tmp_path):
+    """A block alone, and two blocks that a tie joins; split they are what each is alone."""
+    (tmp_path / "deck.inp").write_text(THREE + SECTION)
+    names = [str(tmp_path / "deck.inp"), "-o", str(tmp_path / "a.model.h5")]
+    run = CliRunner().invoke(app, ["import", *names, "--split", "--dialect", "calculix"])
+    assert run.exit_code == 0, run.output
+    files = sorted(path.name for path in tmp_path.glob("*.h5"))
+    assert files == ["a-1.model.h5", "a-2.model.h5"] and all(name in run.stdout for name in files)
+    pair, alone = (read_model(tmp_path / name) for name in files)
+    assert alone.nodes.ids.tolist() == list(range(1, 9)) and alone.source == "deck.inp (part 2 of 2)"
+    assert set(alone.nodes.sets) == {"ENDS"} and alone.nodes.ids[alone.nodes.sets["ENDS"]].tolist() == [1]
+    assert set(pair.mesh.element_sets) == {"ALL", "SMALL", "MIDDLE"} and pair.mesh.blocks[0].ids.tolist() == [2, 3]
+    (tmp_path / "alone.inp").write_text(THREE[: THREE.index("*NODE", 5)] + SECTION)
+    expected = model_of(import_abaqus(tmp_path / "alone.inp", dialect="calculix"))
+    for ours, theirs in ((alone.K, expected.K), (alone.M, expected.M)):
+        assert abs(ours - theirs).max() < 1e-14 * abs(theirs).max()
+    K, M, R = reduced(pair)
+    assert R[:, 0] @ M @ R[:, 0] == pytest.approx(7850 * (1 + 0.6**3), rel=1e-12)
+    assert np.linalg.matrix_rank(K, tol=1e-9 * np.abs(K).max()) == len(K) - 6
+    assert len(pair.equations[0]) == 12
+
+
+def test_a_model_in_one_part_is_not_split(tmp_path):
+    (tmp_path / "deck.inp").write_text(cube(1) + SECTION)
+    names = [str(tmp_path / "deck.inp"), "-o", str(tmp_path / "a.model.h5")]
+    run = CliRunner().invoke(app, ["import", *names, "--split", "--dialect", "calculix"])
+    assert run.exit_code == 0 and [path.name for path in tmp_path.glob("*.h5")] == ["a.model.h5"]
