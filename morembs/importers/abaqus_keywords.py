@@ -107,7 +107,7 @@ def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> It
             f"{path.name} begins with data where a keyword belongs: {behind} stands before them; expected an Abaqus or "
             "CalculiX input deck"
         )
-    if b"INCLUDE" in piece.upper() and _NO_STAR.search(piece):
+    if (b"I" in piece or b"i" in piece) and b"INCLUDE" in piece.upper() and _NO_STAR.search(piece):
         raise InputError(f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE")
     yield card, piece
 
@@ -331,9 +331,10 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     # Digits, signs and dots are above the comma or are the comma's neighbours; separators are few.
     apart = (codes == 10) | (codes == 44) | (codes == 32) | (codes == 9)
     starts = np.flatnonzero(~apart & np.concatenate([[True], apart[:-1]]))
-    line_of = np.searchsorted(np.flatnonzero(codes == 10), starts)
-    first = np.ones(len(starts), dtype=bool)
-    first[1:] = line_of[1:] != line_of[:-1]
+    behind = np.searchsorted(starts, np.flatnonzero(codes == 10))
+    first = np.zeros(len(starts), dtype=bool)
+    first[:1] = True
+    first[behind[behind < len(starts)]] = True
     if len(first) != len(values):
         raise InputError(f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected integers")
     return values, first

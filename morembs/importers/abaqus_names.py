@@ -75,9 +75,15 @@ class Names:
 
     def rows_of(self, placed: Placed, labels: Ints, who: str) -> Ints:
         """Rows of all nodes with ``labels`` (any shape) of a scope."""
-        at = np.searchsorted(placed.labels, labels)
-        at[at == len(placed.labels)] = 0
-        wrong = placed.labels[at] != labels if len(placed.labels) else np.ones(labels.shape, dtype=bool)
+        own = placed.labels
+        if len(own) and own[-1] - own[0] + 1 == len(own):
+            # Without gaps a place follows from its label.
+            at = labels - own[0]
+            wrong = (at < 0) | (at >= len(own))
+        else:
+            at = np.searchsorted(own, labels)
+            at[at == len(own)] = 0
+            wrong = own[at] != labels if len(own) else np.ones(labels.shape, dtype=bool)
         if wrong.any():
             missing = np.unique(labels[wrong])
             some = ", ".join(map(str, missing[:10].tolist()))
@@ -86,7 +92,7 @@ class Names:
                 if len(missing) == 1
                 else f"{self.deck}: {who} {len(missing)} nodes{of_instance(placed)} that are not defined: {some}"
             )
-        return placed.rows[at]
+        return np.asarray(placed.rows[at])
 
     def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
         """The scope that a reference "INSTANCE.NAME" means and what it names there."""

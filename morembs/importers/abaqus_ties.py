@@ -14,13 +14,15 @@ from morembs.importers.abaqus_keywords import Card, number
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing
-from morembs.importers.projection import Projection, face_size, project
+from morembs.importers.projection import face_size, project
 from morembs.model.constraints import Equations
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Part of the mean size of the master's faces within which nodes are tied where a deck says nothing (Abaqus).
 _TOLERANCE = 0.05
+# Gaps below this part of the model's extent are round-off.
+_TOUCHING = 1e-9
 _SECTORS = ("CYCLIC SYMMETRY", "MULTISTAGE", "FLUID PERIODIC", "FLUID CYCLIC")
 Pair = tuple[Placed, Card, list[str]]
 
@@ -98,7 +100,18 @@ class Glue:
             found, near = facing.on(xyz[nodes], xyz, count, tolerance)
         title = f"*{card.keyword} {card.options.get('NAME') or f'{row[0]} {row[1]}'}"
         beyond = ", or beyond the border of its faces," if facing is not None else ""
-        self._say(title, nodes, xyz, found, near, f"{tolerance:.3g} from the other surface{beyond}", late)
+        moves = card.options.get("ADJUST", "YES").upper() != "NO"
+        gap = float(np.linalg.norm(found.foot - xyz[nodes], axis=1)[near].max(initial=0.0))
+        if gap > 0 and moves:
+            self.notes.append(
+                f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {gap:.3g}."
+            )
+        elif gap > _TOUCHING * np.ptp(xyz, axis=0).max():
+            self.warnings.append(
+                f"{title}: {int(near.sum())} nodes follow faces up to {gap:.3g} away without being moved there "
+                "(ADJUST=NO): rotations of the body strain it, as they do in the program [tie-gap]"
+            )
+        self._say_left(title, nodes[~near], f"{tolerance:.3g} from the other surface{beyond}", late)
         if contact:
             self.warnings.append(
                 f"the contact pair {row[0]}, {row[1]} was glued where its surfaces are within {tolerance:.3g} of each "
@@ -113,21 +126,13 @@ class Glue:
                 f"{project(xyz[nodes], xyz, master.faces).distance.min():.3g} away){beyond.rstrip(',')}; check the "
                 "surfaces, or give POSITION TOLERANCE"
             )
-        if card.options.get("ADJUST", "YES").upper() != "NO":
+        if moves:
             xyz[nodes[near]] = found.foot[near]
         self.taken.update(nodes[near].tolist())
         self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
 
-    def _say(
-        self, title: str, nodes: Ints, xyz: Floats, found: Projection, near: NDArray[np.bool_], away: str, late: int
-    ) -> None:  # fmt: skip
-        """A note on what is moved, warnings of what is not tied."""
-        moved = float(np.linalg.norm(found.foot - xyz[nodes], axis=1)[near].max(initial=0.0))
-        if moved > 0:
-            self.notes.append(
-                f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {moved:.3g}."
-            )
-        left = nodes[~near]
+    def _say_left(self, title: str, left: Ints, away: str, late: int) -> None:
+        """Warnings of what is not tied."""
         if len(left):
             some = ", ".join(map(str, self.assembly.ids[left[:10]].tolist()))
             self.warnings.append(

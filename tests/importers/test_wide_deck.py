@@ -92,6 +92,8 @@ def test_nodes_near_the_master_are_moved_to_it_and_far_ones_are_told(read):
     assert any(away in warning for warning in found.warnings)
     kept = read(text + "*TIE, NAME=GLUE, ADJUST=NO, POSITION TOLERANCE=0.4\nABOVE, BELOW\n" + SECTION)
     assert kept.nodes.xyz[kept.nodes.ids == 11][0, 2] == 1.01 and len(kept.equations[0]) == 12
+    assert not any("were moved" in note for note in kept.notes)
+    assert any("4 nodes follow faces up to 0.3 away" in said and "[tie-gap]" in said for said in kept.warnings)
     apart = PAIR.replace(cube(11, (0.1, 0.2, 1.0), 0.6, element=2), cube(11, (0.1, 0.2, 2.0), 0.6, element=2))
     with pytest.raises(InputError, match=r"no node of 'ABOVE' is within 0\.05 of the faces of 'BELOW'"):
         read(apart + "*TIE, NAME=G\nABOVE, BELOW\n" + SECTION, dialect="abaqus")
