@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Instance, values
-from morembs.importers.abaqus_keywords import LARGEST
 from morembs.importers.abaqus_names import Discrete, Names, Placed, ascending, of_instance
 from morembs.model import ElementBlock, skew
 from morembs.model.elements import TYPES

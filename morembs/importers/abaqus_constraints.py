@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Deck, Rows
 from morembs.importers.abaqus_equations import Axes, equations_of, mpc_sums, solved
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_points import Points
 from morembs.importers.abaqus_surfaces import Surfaces

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_data import number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import meaning_of
 from morembs.importers.problems import Problems

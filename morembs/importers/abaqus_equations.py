@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows, values
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.abaqus_names import Placed
 from morembs.model.constraints import Equations, Term, solved_for_first

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Rows, Scope, join, values
-from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_keywords import Card
 from morembs.model import skew
 
 Floats = NDArray[np.float64]

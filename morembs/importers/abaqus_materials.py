@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
-from morembs.importers.abaqus_keywords import LARGEST, Card
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.imported import Lacking
 from morembs.model.material import VOIGT, Material, isotropic, orthotropic

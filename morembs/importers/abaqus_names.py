@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
+from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Scope
-from morembs.importers.abaqus_keywords import label
 from morembs.model import ElementBlock
 
 Floats = NDArray[np.float64]

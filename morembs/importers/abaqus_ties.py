@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing

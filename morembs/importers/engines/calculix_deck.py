@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_equations import Axes, equations_of
-from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck

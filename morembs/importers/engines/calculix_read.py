@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_data import element_numbers, fields
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
 from morembs.importers.abaqus_generate import GENERATING
-from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
+from morembs.importers.abaqus_keywords import Card, cards
 from morembs.importers.abaqus_reader import DeckReader
 from morembs.importers.abaqus_words import CONTACT, MATERIAL, STRUCTURAL
 from morembs.importers.deck_options import DeckOptions
