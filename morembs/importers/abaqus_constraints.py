@@ -17,6 +17,7 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_points import Points
 from morembs.importers.abaqus_surfaces import Surfaces
 from morembs.importers.abaqus_ties import Glue, is_sector
+from morembs.importers.abaqus_words import CONTACT
 from morembs.importers.imported import DiscreteElement, PointMass
 from morembs.importers.problems import Problem
 from morembs.model.constraints import AverageElement, Equations, RigidElement, Term
@@ -70,7 +71,7 @@ class Constraints:
                     if is_sector(card):
                         refuse_sector(card, self.deck)
                         continue
-                    if card.keyword in ("TIE", "CONTACT PAIR"):
+                    if card.keyword in ("TIE", *CONTACT):
                         pairs.append((placed, card, rows))
                         continue
                     with self.problems.collected(card, (f"--skip {card.keyword}",)):

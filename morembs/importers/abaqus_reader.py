@@ -110,7 +110,9 @@ def _others(deck: Deck) -> None:
 
 
 class DeckReader:
-    """Puts each card where it belongs."""
+    """Puts each card where it belongs; ``glues`` says whether general contact can be glued."""
+
+    glues = True
 
     def __init__(self, deck: Deck) -> None:
         self.deck = deck
@@ -276,11 +278,11 @@ class DeckReader:
         deck, contact = self.deck, self.deck.options.contact
         if contact == "skip":
             deck.skipped[f"*{card.keyword}"] = deck.skipped.get(f"*{card.keyword}", 0) + 1
-        elif contact == "tie" and card.keyword == "CONTACT PAIR":
+        elif contact == "tie" and (self.glues or card.keyword == "CONTACT PAIR"):
             self.scope.constraints.append((card, rows, None, []))
         else:
-            pair = card.keyword == "CONTACT PAIR"
-            cure = "--contact skip leaves it out, --contact tie glues it" if pair else "--contact skip leaves it out"
+            own = "" if card.keyword == "CONTACT PAIR" or self.glues else " (in own assembly)"
+            cure = f"--contact skip leaves it out, --contact tie glues it{own}"
             what = f"{card} cannot be read: contact is not linear; {cure}"
             deck.problems.add(
                 Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=("--contact skip",))

@@ -1,11 +1,14 @@
-"""*TIE, and contact pairs that are glued: nodes of one surface follow the faces of another by their shape functions."""
+"""*TIE, and contact that is glued: nodes of one surface follow the faces of another by their shape functions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
@@ -16,7 +19,9 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing
 from morembs.importers.projection import face_size, project
+from morembs.model import Mesh, Nodes
 from morembs.model.constraints import Equations
+from morembs.model.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -52,7 +57,7 @@ class Glue:
         """The pairs "slave, master" of all cards; what cannot be glued is a problem of the deck."""
         problems = self.assembly.problems
         for placed, card, rows in places:
-            for row in rows:
+            for row in rows if card.keyword != "CONTACT" else []:
                 with problems.collected(card, (f"--skip {card.keyword}",)):
                     self._pairs.append(((placed, card, row), *self._sides(placed, card, row)))
         of_ties = [master for (_, card, _), _, master in self._pairs if card.keyword == "TIE"]
@@ -64,6 +69,8 @@ class Glue:
                 tie = card.keyword == "TIE"
                 self._glue(card, row, slave, master, facing if tie else None, count)
                 count += tie
+        if any(card.keyword == "CONTACT" for _, card, _ in places):
+            self._everywhere()
 
     def _sides(self, placed: Placed, card: Card, row: list[str]) -> tuple[Surface, Surface]:
         """Slave and master.
@@ -131,6 +138,42 @@ class Glue:
             xyz[nodes[near]] = found.foot[near]
         self.taken.update(nodes[near].tolist())
         self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+
+    def _everywhere(self) -> None:
+        """General contact: outer faces of bodies with those of others within the tolerance; the finer follow."""
+        xyz, total = self.assembly.xyz, 0
+        for one, two in combinations(self._bodies(), 2):
+            fine, coarse = sorted((one, two), key=lambda faces: face_size(xyz, faces))
+            tolerance = _TOLERANCE * face_size(xyz, coarse)
+            inner, nodes = (np.unique(np.concatenate([rows.ravel() for _, rows in faces])) for faces in (coarse, fine))
+            box = xyz[inner].min(axis=0) - tolerance, xyz[inner].max(axis=0) + tolerance
+            nodes = nodes[((xyz[nodes] >= box[0]) & (xyz[nodes] <= box[1])).all(axis=1)]
+            nodes = np.array([node for node in nodes.tolist() if node not in self.taken], dtype=np.int64)
+            found = project(xyz[nodes], xyz, coarse)
+            near = found.distance <= tolerance
+            if near.any():
+                xyz[nodes[near]] = found.foot[near]
+                self.taken.update(nodes[near].tolist())
+                title = f"*CONTACT {len(self.equations) + 1}"
+                self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+                total += int(near.sum())
+        self.warnings.append(
+            f"general contact was glued where outer faces of different bodies are within {_TOLERANCE:.0%} of a face of "
+            f"each other ({total} nodes) [contact-tied]"
+        )
+
+    def _bodies(self) -> list[list[tuple[str, Ints]]]:
+        """The outer faces of the parts of the mesh that share no nodes."""
+        ends = [(np.repeat(b.nodes[:, 0], b.nodes.shape[1]), b.nodes.ravel()) for b in self.assembly.blocks]
+        one, two = (np.concatenate([pair[i] for pair in ends]) for i in (0, 1))
+        links = sp.coo_array((np.ones(len(one), dtype=bool), (one, two)), shape=(len(self.assembly.ids),) * 2)
+        part = connected_components(sp.csr_array(links), directed=False)[1]
+        mesh = Mesh(nodes=Nodes(ids=self.assembly.ids, xyz=self.assembly.xyz), blocks=tuple(self.assembly.blocks))
+        outer = outer_faces(mesh)
+        return [
+            [(kind, faces[part[faces[:, 0]] == body]) for kind, faces in outer.items() if body in part[faces[:, 0]]]
+            for body in np.unique(part[one]).tolist()
+        ]
 
     def _say_left(self, title: str, left: Ints, away: str, late: int) -> None:
         """Warnings of what is not tied."""

@@ -527,3 +527,20 @@ def test_a_model_in_one_part_is_not_split(tmp_path):
     names = [str(tmp_path / "deck.inp"), "-o", str(tmp_path / "a.model.h5")]
     run = CliRunner().invoke(app, ["import", *names, "--split", "--dialect", "calculix"])
     assert run.exit_code == 0 and [path.name for path in tmp_path.glob("*.h5")] == ["a.model.h5"]
+
+
+def test_general_contact_is_glued_between_bodies_that_touch(read):
+    """Of three blocks two touch, within a twentieth of a face; the finer one follows, and the third stays apart."""
+    text = cube(1, size=2.0) + cube(11, (0.3, 0.2, 2.05), 1.0, element=2) + cube(21, (0.0, 0.0, 9.0), element=3)
+    text += SECTION + "*SURFACE INTERACTION, NAME=I\n*CONTACT\n*CONTACT INCLUSIONS, ALL EXTERIOR\n"
+    with pytest.raises(DeckError, match="--contact skip leaves it out, --contact tie glues it"):
+        read(text)
+    found = read(text, contact="tie")
+    (glue,) = found.equations
+    assert found.nodes.ids[glue.nodes].tolist() == [11] * 3 + [12] * 3 + [13] * 3 + [14] * 3
+    assert found.nodes.xyz[found.nodes.ids == 11][0] == pytest.approx([0.3, 0.2, 2.0], abs=1e-12)
+    first = {int(found.nodes.ids[node]): value for (node, _), value in terms(glue, 0).items()}
+    assert first == pytest.approx({5: 0.85 * 0.9, 6: 0.15 * 0.9, 7: 0.15 * 0.1, 8: 0.85 * 0.1}, abs=1e-12)
+    assert any("general contact was glued" in said and "(4 nodes)" in said for said in found.warnings)
+    apart = read(text.replace("2.05", "2.2"), contact="tie")
+    assert not apart.equations and any("(0 nodes)" in said for said in apart.warnings)

@@ -105,6 +105,7 @@ class _Keeping(DeckReader):
     """Keeps every card with its data that is not mesh, set, material or structure."""
 
     deck: EngineDeck
+    glues = False
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
         """One card with its data."""
