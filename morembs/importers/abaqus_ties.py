@@ -115,9 +115,10 @@ class Glue:
                 f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {gap:.3g}."
             )
         elif gap > _TOUCHING * np.ptp(xyz, axis=0).max():
+            also = ", as in CalculiX" if self.dialect == "calculix" else ""
             self.warnings.append(
                 f"{title}: {int(near.sum())} nodes follow faces up to {gap:.3g} away without being moved there "
-                "(ADJUST=NO): rotations of the body strain it, as they do in the program [tie-gap]"
+                f"(ADJUST=NO): rotations of the body strain it{also} [tie-gap]"
             )
         self._say_left(title, nodes[~near], f"{tolerance:.3g} from the other surface{beyond}", late)
         if contact:
