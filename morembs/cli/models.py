@@ -59,6 +59,9 @@ def import_model(
     allow_includes_outside: Annotated[
         bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
     ] = False,
+    split: Annotated[
+        bool, typer.Option("--split", help="A file for each part that nothing joins to others: NAME-1.model.h5, ...")
+    ] = False,
     check: Annotated[bool, typer.Option("--check", help="Examine the model and print what is found.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="As --check; errors stop the import.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Tell all problems and notes, write nothing.")] = False,
@@ -99,18 +102,19 @@ def import_model(
             dialect=dialect, density=density_of(density or []), contact=contact,
             skip=tuple(word.strip() for text in skip or [] for word in text.split(",") if word.strip()),
             engine=engine, engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
-            options=pairs(option or []), allow_includes_outside=allow_includes_outside,
+            options=pairs(option or []), allow_includes_outside=allow_includes_outside, split=split,
         )  # fmt: skip
         if dry_run:
             _dry_run(job, check=check, strict=strict, as_json=as_json)
             return
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, progress=progress)
-        with printing([str(done.path)]):
+        parts = [done, *done.others]
+        with printing([str(part.path) for part in parts]):
             if as_json:
-                print_json([_document(done)])
+                print_json([_document(part) for part in parts])
             else:
-                typer.echo("\n".join(_lines(done)))
+                typer.echo("\n".join(line for part in parts for line in _lines(part)))
 
 
 def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:
@@ -151,14 +155,13 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         raise typer.Exit(2) from None
     with printing():
         if as_json:
-            document = _document(done)
-            document.pop("written")
-            print_json([{"importable": True, **document}])
+            documents = [_document(part) for part in (done, *done.others)]
+            print_json([{"importable": True, **{k: v for k, v in d.items() if k != "written"}} for d in documents])
         else:
-            lines = _lines(done)
-            size, nodes = done.model.size, len(done.model.nodes)
-            lines[0] = f"can be imported: {size:,} dofs at {nodes:,} nodes, read as {done.format}; nothing was written"
-            typer.echo("\n".join(lines))
+            for part in (done, *done.others):
+                size, nodes = part.model.size, len(part.model.nodes)
+                first = f"can be imported: {size:,} dofs at {nodes:,} nodes, read as {part.format}; nothing was written"
+                typer.echo("\n".join([first, *_lines(part)[1:]]))
 
 
 def _document(done: ImportResult) -> dict[str, Any]:

@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Discrete, Placed
-from morembs.importers.abaqus_deck import Deck, Rows, values
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
+from morembs.importers.abaqus_deck import Deck, Rows
 from morembs.importers.abaqus_equations import Axes, equations_of, mpc_sums, solved
-from morembs.importers.abaqus_keywords import Card, number
-from morembs.importers.abaqus_springs import spring_of
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
+from morembs.importers.abaqus_points import Points
 from morembs.importers.abaqus_surfaces import Surfaces
-from morembs.importers.abaqus_ties import glued, is_sector
+from morembs.importers.abaqus_ties import Glue, is_sector
+from morembs.importers.abaqus_words import CONTACT
 from morembs.importers.imported import DiscreteElement, PointMass
 from morembs.importers.problems import Problem
 from morembs.model.constraints import AverageElement, Equations, RigidElement, Term
@@ -22,11 +25,7 @@ from morembs.model.constraints import AverageElement, Equations, RigidElement, T
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _ALL = (0, 1, 2, 3, 4, 5)
-_PROPERTY_OF = {
-    "MASS": "MASS", "ROTARYI": "ROTARY INERTIA", "SPRING1": "SPRING", "SPRING2": "SPRING", "SPRINGA": "SPRING",
-    "DASHPOT1": "DASHPOT", "DASHPOT2": "DASHPOT", "DASHPOTA": "DASHPOT",
-}  # fmt: skip
-_SECTOR = "CYCLIC SYMMETRY MODEL"
+SECTOR = "CYCLIC SYMMETRY MODEL"
 _NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")
 
 
@@ -48,11 +47,11 @@ class Constraints:
 
     def __init__(self, deck: Deck, assembly: Assembly) -> None:
         self.assembly = assembly
-        self.deck, self.problems, self.options = deck.name, deck.problems, deck.options
-        self.dialect = deck.dialect
+        self.deck, self.problems, self.options = deck, deck.problems, deck.options
         self.found = Found()
         self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
         self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
+        self._turning: dict[int, int] = {}
         self._distributing = {one.number: one.nodes[0] for one in assembly.discrete if one.code == "DCOUP3D"}
 
     def read(self) -> Found:
@@ -60,26 +59,41 @@ class Constraints:
         self.surfaces.read()
         self.axes.read()
         self.found.notes += self.surfaces.notes
-        self._point_elements()
+        points = Points(self.deck, self.assembly, self.axes)
+        points.read()
+        self.found.masses, self.found.discrete = points.masses, points.discrete
+        self.found.warnings += points.warnings
         pairs: list[tuple[Placed, Card, Rows]] = []
         for placed in (*self.assembly.placed.values(), self.assembly.top):
             for scope in placed.contents:
                 for card, rows, kind, kind_rows in scope.constraints:
                     rows = [row for row in rows if row]
-                    if card.keyword in ("TIE", "CONTACT PAIR"):
+                    if is_sector(card):
+                        refuse_sector(card, self.deck)
+                        continue
+                    if card.keyword in ("TIE", *CONTACT):
                         pairs.append((placed, card, rows))
                         continue
                     with self.problems.collected(card, (f"--skip {card.keyword}",)):
                         self._one(placed, card, rows, kind, [row for row in kind_rows if row])
         for name, sums in self._sums.items():
             if sums:
-                with self.problems.collected(Card(name[1:], {}, self.deck)):
-                    self.found.equations.append(solved(name, sums, self.axes))
-        taken = self._followers()
-        for placed, card, rows in pairs:
-            with self.problems.collected(card, (f"--skip {card.keyword}",)):
-                self._tie(placed, card, rows, taken)
+                with self.problems.collected(Card(name[1:], {}, self.deck.name)):
+                    self.found.equations.append(solved(name, map(self._with_rotations, sums), self.axes))
+        glue = Glue(self.assembly, self.surfaces, self._followers(), self.deck.dialect)
+        glue.read(pairs)
+        self.found.equations += glue.equations
+        self.found.notes += glue.notes
+        self.found.warnings += glue.warnings
         return self.found
+
+    def _with_rotations(self, given: tuple[str, list[Term]]) -> tuple[str, list[Term]]:
+        """A sum with rotations of rigid bodies at their references, where it has displacements of rotation nodes."""
+        title, terms = given
+        return title, [
+            (self._turning[node], 3 + c, value) if node in self._turning and c < 3 else (node, c, value)
+            for node, c, value in terms
+        ]
 
     def _one(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
         if card.keyword == "COUPLING":
@@ -94,27 +108,6 @@ class Constraints:
             self._sums["*EQUATION"] += equations_of(self.assembly, self.axes, placed, card, rows)
         else:
             self._mpc(placed, card, rows)
-
-    def _tie(self, placed: Placed, card: Card, rows: Rows, taken: set[int]) -> None:
-        if card.keyword == "TIE" and is_sector(card):
-            if not self.options.skips(_SECTOR):
-                what = (
-                    f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip "
-                    f"{_SECTOR!r} takes the sector alone, with free sides"
-                )
-                self.problems.add(
-                    Problem(
-                        what=what, file=card.file, line=card.line, keyword=card.keyword, flags=(f"--skip {_SECTOR}",)
-                    )
-                )
-            return
-        for row in rows:
-            equations, notes, warnings = glued(
-                self.assembly, self.surfaces, placed, card, row, taken, self.dialect
-            )
-            self.found.equations += [equations] if equations else []
-            self.found.notes += notes
-            self.found.warnings += warnings
 
     def _followers(self) -> set[int]:
         """Nodes that follow something in a displacement."""
@@ -220,11 +213,10 @@ class Constraints:
         if options.get("ROT NODE"):
             # What acts on its three translations acts on the rotations of the body.
             turning = self.assembly.one_node(placed, options["ROT NODE"])
-            self._sums["*MPC"] += [
-                (f"{card} ({title}), whose rotations are those of node {self.assembly.ids[turning]},",
-                 [(turning, c, 1.0), (reference, 3 + c, -1.0)])
-                for c in range(3)
-            ]  # fmt: skip
+            follow = [[(turning, c, 1.0), (reference, 3 + c, -1.0)] for c in range(3)]
+            sums = [(f"{card} ({title}), which turns as node {self.assembly.ids[turning]},", terms) for terms in follow]
+            self.found.equations.append(solved(f"*RIGID BODY {title}", sums, self.axes))
+            self._turning[turning] = reference
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
         for row in rows:
@@ -267,46 +259,19 @@ class Constraints:
         surface = self.surfaces.of(placed, name, card)
         return surface.nodes, surface.weights
 
-    def _point_elements(self) -> None:
-        """Point masses, springs and dashpots with their properties."""
-        given: dict[int, tuple[Placed, Card, Rows]] = {}
-        for placed in (*self.assembly.placed.values(), self.assembly.top):
-            for scope in placed.contents:
-                for card, rows in scope.properties:
-                    if card.keyword != "SOLID SECTION":
-                        with self.problems.collected(card):
-                            self._given(placed, card, rows, given)
-        for element in self.assembly.discrete:
-            if element.code == "DCOUP3D":
-                continue
-            placed, card, rows = given.get(element.number, (element.placed, Card("", {}, self.deck), []))
-            if self.options.skips(element.code, _PROPERTY_OF[element.code]):
-                continue
-            with self.problems.collected(card, (f"--skip {element.code}",)):
-                self._property(placed, element, card, rows)
 
-    def _given(self, placed: Placed, card: Card, rows: Rows, given: dict[int, tuple[Placed, Card, Rows]]) -> None:
-        for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
-            if element < self.assembly.solids or element in given:
-                why = "has a property already" if element in given else "is a solid"
-                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}")
-            given[element] = placed, card, [row for row in rows if row]
-
-    def _property(self, placed: Placed, element: Discrete, card: Card, rows: Rows) -> None:
-        if card.keyword != _PROPERTY_OF[element.code]:
-            raise InputError(
-                f"{self.deck}: the element {element.label} of the type {element.code} has no property of its kind; "
-                f"expected *{_PROPERTY_OF[element.code]}"
-            )
-        if element.code in ("MASS", "ROTARYI"):
-            value, name = point_value(placed, card, rows), f"{card.options['ELSET']}:{element.label}"
-            mass = PointMass(name=name, node=element.nodes[0], mass=float(value[0, 0]))
-            spin = PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value)
-            self.found.masses.append(mass if element.code == "MASS" else spin)
-        else:
-            # Springs of CalculiX act along global directions whatever axes their nodes have.
-            axes = Axes(self.assembly) if self.dialect == "calculix" else self.axes
-            self.found.discrete.append(spring_of(self.assembly, axes, element, card, rows, self.found.warnings))
+def refuse_sector(card: Card, deck: Deck) -> None:
+    """A *TIE of the sides of a sector is a problem, unless sectors are to be taken as they are."""
+    if deck.options.skips(SECTOR):
+        deck.skipped[f"*{SECTOR}"] = deck.skipped.get(f"*{SECTOR}", 0) + 1
+        return
+    what = (
+        f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip {SECTOR!r} "
+        "takes the sector alone, with free sides"
+    )
+    deck.problems.add(
+        Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=(f"--skip {SECTOR}",))
+    )
 
 
 def _components(rows: Rows, card: Card) -> tuple[int, ...]:
@@ -318,23 +283,3 @@ def _components(rows: Rows, card: Card) -> tuple[int, ...]:
             raise InputError(f"{card}: {', '.join(row)!r} was given; expected the first and the last direction, 1 to 6")
         components |= set(range(ends[0] - 1, ends[-1]))
     return tuple(sorted(components)) if components else _ALL
-
-
-def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
-    """Mass times the identity, or the inertia (3, 3) about the node."""
-    if card.options.get("TYPE", "ISOTROPIC").upper() != "ISOTROPIC" or card.options.get("ORIENTATION"):
-        raise InputError(f"{card} is given with TYPE or ORIENTATION; expected a plain mass, or inertia in global axes")
-    row = values(rows[0], card) if rows else []
-    if card.keyword == "MASS":
-        if len(row) != 1 or not row[0] >= 0:
-            raise InputError(f"{card} of {card.need('ELSET')!r} gives {row or 'nothing'}; expected one mass")
-        return np.asarray(row[0] * np.eye(3))
-    a = np.array([*row, *[0.0] * 6])[:6]
-    J = np.array([[a[0], a[3], a[4]], [a[3], a[1], a[5]], [a[4], a[5], a[2]]])
-    if not row or len(row) > 6 or np.linalg.eigvalsh(J)[0] < -1e-12 * np.abs(J).max():
-        raise InputError(
-            f"{card} of {card.need('ELSET')!r} gives {row or 'nothing'}; expected I11, I22, I33, I12, I13, I23"
-        )
-    if not np.array_equal(placed.rotation, np.eye(3)):
-        raise InputError(f"{card} is in an instance that is turned; give the rotary inertia in the assembly")
-    return J

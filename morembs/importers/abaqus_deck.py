@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_data import number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import meaning_of
 from morembs.importers.problems import Problems
@@ -37,13 +38,15 @@ DISCRETE = {
 @dataclass
 class Members:
     """What data lines put into a set: labels, ranges (first, last, step), names of sets, all of ``instance``; nodes of
-    the elements of sets where they are ``of_elements``."""
+    the elements of sets where they are ``of_elements``. ``unsorted`` ones are paired with others as they are listed,
+    and hold either labels or names."""
 
     labels: Ints
     ranges: list[tuple[int, int, int]]
     names: list[str]
     instance: str
     of_elements: bool = False
+    unsorted: bool = False
 
 
 @dataclass

@@ -9,10 +9,12 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows, values
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_materials import frame_of
+from morembs.importers.abaqus_names import Placed
 from morembs.model.constraints import Equations, Term, solved_for_first
 
 Floats = NDArray[np.float64]
@@ -111,7 +113,7 @@ def _sums(
 ) -> list[tuple[str, list[Term]]]:
     if all(component == _TEMPERATURE for _, component, _ in terms):
         return []
-    nodes = [_by_label(assembly, assembly.nodes_of(placed, text)) for text, *_ in terms]
+    nodes = [assembly.paired(placed, text) for text, *_ in terms]
     count = max(len(rows) for rows in nodes)
     if any(len(rows) not in (1, count) for rows in nodes) or count == 0:
         raise InputError(f"{card}: its sets have {', '.join(str(len(n)) for n in nodes)} nodes; expected equal numbers")
@@ -128,11 +130,6 @@ def _sums(
     return sums
 
 
-def _by_label(assembly: Assembly, rows: Ints) -> Ints:
-    """Nodes of sets are paired in the order of their labels, not in that of the lines that define them."""
-    return rows[np.argsort(np.asarray(assembly.ids)[rows], kind="stable")]
-
-
 def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> list[tuple[str, list[Term]]]:
     """The sums that vanish of one line of *MPC of the types LINEAR, LINK, PIN and TIE.
 
@@ -140,7 +137,7 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
         InputError: another type, or nodes that do not fit it.
     """
     kind = row[0].upper()
-    nodes = [_by_label(assembly, assembly.nodes_of(placed, text)) for text in row[1:] if text and text != "0"]
+    nodes = [assembly.paired(placed, text) for text in row[1:] if text and text != "0"]
     wanted = 3 if kind == "LINEAR" else 2
     if len(nodes) != wanted:
         raise InputError(f"{card} {kind} names {len(nodes)} nodes or sets; expected {wanted}")

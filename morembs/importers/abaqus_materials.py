@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
-from morembs.importers.abaqus_keywords import LARGEST, Card
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.imported import Lacking
 from morembs.model.material import VOIGT, Material, isotropic, orthotropic
 
@@ -40,12 +42,22 @@ class Found:
 def materials_of(deck: Deck, assembly: Assembly) -> Found:
     """The materials of a deck; sections that name what is not there are problems of it."""
     found = Found()
-    for placed in (*assembly.placed.values(), assembly.top):
-        for scope in placed.contents:
-            for card, _ in scope.properties:
-                if card.keyword == "SOLID SECTION":
-                    with deck.problems.collected(card):
-                        _section(deck, assembly, placed, scope, card, found)
+    sections = [
+        (placed, scope, card)
+        for placed in (*assembly.placed.values(), assembly.top)
+        for scope in placed.contents
+        for card, _ in scope.properties
+        if card.keyword == "SOLID SECTION"
+    ]
+    owner = np.full(assembly.solids, -1)
+    for number, (placed, _, card) in enumerate(sections):
+        with deck.problems.collected(card):
+            own = assembly.elements_of(placed, card.need("ELSET"))
+            owner[own[own < assembly.solids]] = number
+    for number, (placed, scope, card) in enumerate(sections):
+        if card.options.get("ELSET", "").upper() in placed.sets("element"):
+            with deck.problems.collected(card):
+                _section(deck, assembly, placed, scope, card, found, owner == number)
     if not found.materials and not deck.materials:
         found.notes.append("The deck has no materials; give them when the model is built.")
     found.notes[:] = dict.fromkeys(found.notes)
@@ -53,7 +65,10 @@ def materials_of(deck: Deck, assembly: Assembly) -> Found:
     return found
 
 
-def _section(deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, found: Found) -> None:
+def _section(
+    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, found: Found, last: NDArray[np.bool_]
+) -> None:  # fmt: skip
+    """The material of a section, which is the ``last`` (solids,) of some elements."""
     elset, name = card.need("ELSET"), card.need("MATERIAL")
     for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
         if option in card.options:
@@ -62,6 +77,15 @@ def _section(deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card:
     if not (numbers < assembly.solids).any():
         found.notes.append(f"The solid section of {elset} has no elements and was left out.")
         return
+    solids = numbers[numbers < assembly.solids]
+    if deck.dialect == "calculix" and not last[solids].all():
+        found.warnings.append(
+            f"{int((~last[solids]).sum())} elements of the set {elset} are in a later *SOLID SECTION too, whose "
+            "material they have, as in CalculiX"
+        )
+        if not last[solids].any():
+            return
+        elset = assembly.new_elements(placed, f"{elset} in its last section", solids[last[solids]])
     if name.upper() not in deck.materials:
         raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
     given = _properties(deck, name, found)

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_blocks import other_records, set_parts, solid_records
+from morembs.importers.abaqus_data import fields, node_rows
 from morembs.importers.abaqus_deck import (
     DISCRETE,
     KINDS,
-    NODES,
     SOLIDS,
     Deck,
     Instance,
@@ -22,7 +23,8 @@ from morembs.importers.abaqus_deck import (
     Scope,
     join,
 )
-from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields, label, members, node_rows
+from morembs.importers.abaqus_generate import GENERATING, generate
+from morembs.importers.abaqus_keywords import Card, cards
 from morembs.importers.abaqus_words import (
     CONSTRAINTS,
     CONTACT,
@@ -41,8 +43,6 @@ from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
 
 Ints = NDArray[np.int64]
-_BEAMS = re.compile(r"B3([123])")
-_PLANES = re.compile(r"(?:S|CPS|CPE|CPEG|CAX|M3D|T3D|T2D|R3D|STRI|SFM3D|DC3D|F3D|AC3D|COH3D|SC|GK3D|CONN3D)(\d\d?)")
 _OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 # Elements that have neither stiffness nor mass.
 _EMPTY = ("SFM3D",)
@@ -110,7 +110,9 @@ def _others(deck: Deck) -> None:
 
 
 class DeckReader:
-    """Puts each card where it belongs."""
+    """Puts each card where it belongs; ``glues`` says whether general contact can be glued."""
+
+    glues = True
 
     def __init__(self, deck: Deck) -> None:
         self.deck = deck
@@ -148,6 +150,9 @@ class DeckReader:
             self.material.append((card, fields(b"".join(pieces))))
         elif word in ("NSET", "ELSET"):
             self._set(card, pieces)
+        elif word in GENERATING:
+            for code, count in generate(self.scope, card, fields(b"".join(pieces))).items():
+                self.deck.counts[code] += count
         elif word == "MATERIAL":
             self._material(card)
             _refuse_data(card, pieces)
@@ -205,34 +210,19 @@ class DeckReader:
         counts, name = self.deck.counts, card.options.get("ELSET", "")
         counts.setdefault(code or "(none)", 0)
         if code in SOLIDS:
-            for rows in _records(card, pieces, code):
+            for rows in solid_records(card, pieces, code):
                 counts[code] += len(rows)
                 self.scope.elements.setdefault(code, []).append(rows)
                 join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
-        count, missing, others = _nodes_of(code), 0, list[int]()
-        for row in fields(b"".join(pieces), ends=True):
-            if not row:
-                continue
-            here, open_end = len([text for text in row if text]), not row[-1]
-            if missing > 0:
-                missing -= here
-                continue
-            # Where nobody knows how many nodes a type has, a line that ends in a comma goes on.
-            missing = count + 1 - here if count else int(open_end)
+        others = []
+        for given, nodes in other_records(card, pieces, code):
             counts[code or "(none)"] += 1
-            given = label(row[0])
             if code in DISCRETE:
-                nodes = [text for text in row[1:] if text]
-                if given is None or len(nodes) != DISCRETE[code]:
-                    raise InputError(
-                        f"{card}: {', '.join(row)[:60]!r} was given; expected a label and "
-                        f"{'a node' if DISCRETE[code] == 1 else 'two nodes'}"
-                    )
                 self.scope.discrete.append((given, nodes, code))
-            elif given is not None:
+            elif given:
                 others.append(given)
-            if given is not None:
+            if given:
                 join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
         if others:
             self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
@@ -240,18 +230,8 @@ class DeckReader:
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
         name, instance = card.need(card.keyword), card.options.get("INSTANCE", "")
-        if "ELSET" in card.options and card.keyword == "NSET":
-            source = [card.options["ELSET"]] if card.options["ELSET"] else []
-            source += [text for row in fields(b"".join(pieces)) for text in row if text]
-            join(sets, name, Members(np.empty(0, dtype=np.int64), [], source, instance, of_elements=True))
-            return
-        join(sets, name, Members(np.empty(0, dtype=np.int64), [], [], instance))
-        for piece in pieces:
-            if "GENERATE" in card.options:
-                ranges = [_range(row, card) for row in fields(piece) if row]
-                join(sets, name, Members(np.empty(0, dtype=np.int64), ranges, [], instance))
-            elif piece:
-                join(sets, name, Members(*_split(piece, card), instance))
+        for part in set_parts(card, pieces, instance):
+            join(sets, name, part)
 
     def _material(self, card: Card) -> None:
         name = card.need("NAME")
@@ -298,67 +278,17 @@ class DeckReader:
         deck, contact = self.deck, self.deck.options.contact
         if contact == "skip":
             deck.skipped[f"*{card.keyword}"] = deck.skipped.get(f"*{card.keyword}", 0) + 1
-        elif contact == "tie" and card.keyword == "CONTACT PAIR":
+        elif contact == "tie" and (self.glues or card.keyword == "CONTACT PAIR"):
             self.scope.constraints.append((card, rows, None, []))
         else:
-            pair = card.keyword == "CONTACT PAIR"
-            cure = "--contact skip leaves it out, --contact tie glues it" if pair else "--contact skip leaves it out"
+            own = "" if card.keyword == "CONTACT PAIR" or self.glues else " (in own assembly)"
+            cure = f"--contact skip leaves it out, --contact tie glues it{own}"
             what = f"{card} cannot be read: contact is not linear; {cure}"
             deck.problems.add(
                 Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=("--contact skip",))
             )
 
 
-def _nodes_of(code: str) -> int:
-    """Nodes of an element that is no solid, 0 where that is not known."""
-    if code in DISCRETE:
-        return DISCRETE[code]
-    beam = _BEAMS.match(code)
-    plane = _PLANES.match(code)
-    return (2, 3, 2)[int(beam.group(1)) - 1] if beam else int(plane.group(1)) if plane else 0
-
-
 def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
     if any(piece.strip() for piece in pieces):
         raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
-
-
-def _split(piece: bytes, card: Card) -> tuple[Ints, list[tuple[int, int, int]], list[str]]:
-    labels, names = members(piece, card)
-    return labels, [], names
-
-
-def _range(row: list[str], card: Card) -> tuple[int, int, int]:
-    parts = [label(text) for text in row]
-    if len(parts) in (2, 3) and None not in parts:
-        first, last, step = (int(p or 0) for p in [*parts, 1][:3])
-        if step > 0 and last >= first:
-            return first, last, step
-    raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected first label, last label and step")
-
-
-def _records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[Ints]:
-    """Label and nodes (k, width) of elements; each must begin on a line of its own."""
-    width = 1 + NODES[SOLIDS[code]]
-    rest, rest_first = np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
-    for piece in pieces:
-        if not piece:
-            continue
-        values, first = element_numbers(piece, card)
-        values, first = np.concatenate([rest, values]), np.concatenate([rest_first, first])
-        whole = len(values) // width * width
-        rows = values[:whole].reshape(-1, width)
-        shifted = np.flatnonzero(~first[:whole].reshape(-1, width)[:, 0])
-        if len(shifted):
-            near = rows[max(int(shifted[0]) - 1, 0), 0]
-            raise InputError(
-                f"{card}, TYPE={code}: the element {near} does not have {width - 1} nodes; expected a label and "
-                f"{width - 1} nodes (a multiple of {width} numbers), each element on a line of its own"
-            )
-        rest, rest_first = values[whole:], first[whole:]
-        yield rows
-    if len(rest):
-        raise InputError(
-            f"{card}, TYPE={code}: the block does not hold a multiple of {width} numbers (label and {width - 1} nodes "
-            f"for each element): {len(rest)} are left over; the file may be cut off"
-        )

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows
-from morembs.importers.abaqus_keywords import Card, number
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
 from morembs.model import Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.model.surface import outer_faces
@@ -23,6 +25,15 @@ FACES = {
     "h": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (0, 3, 4, 7)),
     "w": ((0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (1, 2, 4, 5), (0, 2, 3, 5)),
 }
+
+
+def faces_of(kind: str) -> list[tuple[str, Ints]]:
+    """Type and nodes of the faces of an element, each from the corner where CalculiX begins: it matters for ties."""
+    faces = list(TYPES[kind].face_nodes)
+    if kind.startswith("hex"):
+        face, local = faces[0]
+        faces[0] = face, np.concatenate([np.roll(local[:4], -1), np.roll(local[4:8], -1), local[8:]])
+    return faces
 
 
 @dataclass(eq=False)
@@ -130,14 +141,14 @@ class Surfaces:
             if not len(own):
                 continue
             if not side:
-                for face, local in TYPES[kind].face_nodes:
+                for face, local in faces_of(kind):
                     blocks.append((face, self._free(face, nodes[own][:, local])))
                 continue
             table = FACES[kind[0]]
             at = int(side[1:]) - 1 if side[:1] == "S" and side[1:].isdigit() and len(side) < 4 else -1
             if not 0 <= at < len(table):
                 raise InputError(f"{card}: the face {side!r} was given; a {kind} has the faces S1 to S{len(table)}")
-            for face, local in TYPES[kind].face_nodes:
+            for face, local in faces_of(kind):
                 if set(local[: len(table[at])].tolist()) == set(table[at]):
                     blocks.append((face, nodes[own][:, local]))
         return blocks

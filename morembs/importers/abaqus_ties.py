@@ -1,104 +1,202 @@
-"""*TIE, and contact pairs that are glued: nodes of one surface follow the faces of another by their shape functions."""
+"""*TIE, and contact that is glued: nodes of one surface follow the faces of another by their shape functions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_keywords import Card, number
-from morembs.importers.abaqus_surfaces import Surfaces
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import number
+from morembs.importers.abaqus_deck import Rows
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
+from morembs.importers.abaqus_surfaces import Surface, Surfaces
+from morembs.importers.facing import Facing
 from morembs.importers.projection import face_size, project
+from morembs.model import Mesh, Nodes
 from morembs.model.constraints import Equations
+from morembs.model.surface import outer_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-# Parts of the mean size of the master's faces within which nodes are tied where a deck says nothing.
-_TOLERANCE = {"abaqus": 0.05, "calculix": 0.025}
-_OF_CONTACT = 0.05
-SECTORS = ("CYCLIC SYMMETRY", "MULTISTAGE", "FLUID PERIODIC", "FLUID CYCLIC")
+# Part of the mean size of the master's faces within which nodes are tied where a deck says nothing (Abaqus).
+_TOLERANCE = 0.05
+# Gaps below this part of the model's extent are round-off.
+_TOUCHING = 1e-9
+_SECTORS = ("CYCLIC SYMMETRY", "MULTISTAGE", "FLUID PERIODIC", "FLUID CYCLIC")
+Pair = tuple[Placed, Card, list[str]]
 
 
-def glued(
-    assembly: Assembly, surfaces: Surfaces, placed: Placed, card: Card, row: list[str], taken: set[int], dialect: str
-) -> tuple[Equations | None, list[str], list[str]]:  # fmt: skip
-    """The equations of one pair "slave, master", with notes and warnings.
+def is_sector(card: Card) -> bool:
+    """Whether a *TIE joins the sides of a sector, and not two surfaces."""
+    return card.keyword == "TIE" and any(word in card.options for word in _SECTORS)
+
+
+class Glue:
+    """The equations of *TIE and of glued contact, with notes and warnings.
 
     Slave nodes are moved to the master's faces, as the programs do unless ADJUST=NO; nodes that are ``taken`` follow
-    something else already and are left to it. Nodes further away than the tolerance are not tied.
-
-    Raises:
-        InputError: a pair that cannot be glued, or of which no node is near enough.
+    something else already and are left to it. Which other nodes are tied is what the program of the deck does: Abaqus
+    ties those whose nearest point of the master is within a tolerance, CalculiX those that ``Facing`` tells.
     """
-    if len(row) < 2 or not row[1]:
-        raise InputError(f"{card} names {', '.join(row) or 'nothing'}; expected a slave and a master surface")
-    contact = card.keyword == "CONTACT PAIR"
-    slave, master = surfaces.of(placed, row[0], card), surfaces.of(placed, row[1], card)
-    if not master.faces:
-        slave, master = master, slave
-    if not master.faces:
-        raise InputError(f"{card}: neither {row[0]!r} nor {row[1]!r} has faces of solids; expected a master of faces")
-    size = face_size(assembly.xyz, master.faces)
-    tolerance = _tolerance(card, size, dialect, contact=contact)
-    inner = np.unique(np.concatenate([faces.ravel() for _, faces in master.faces]))
-    nodes = slave.nodes[~np.isin(slave.nodes, inner)]
-    free = np.array([node not in taken for node in nodes.tolist()], dtype=bool)
-    late, nodes = int((~free).sum()), nodes[free]
-    found = project(assembly.xyz[nodes], assembly.xyz, master.faces)
-    near = found.distance <= tolerance
-    title = f"*{card.keyword} {card.options.get('NAME') or f'{row[0]} {row[1]}'}"
-    notes, warnings = _said(assembly, title, nodes, found.distance, near, tolerance, late)
-    if contact:
-        warnings.append(
-            f"the contact pair {row[0]}, {row[1]} was glued where its surfaces are within {tolerance:.3g} of each "
-            f"other ({int(near.sum())} nodes) [contact-tied]"
+
+    def __init__(self, assembly: Assembly, surfaces: Surfaces, taken: set[int], dialect: str) -> None:
+        self.assembly, self.surfaces, self.taken, self.dialect = assembly, surfaces, taken, dialect
+        self.equations: list[Equations] = []
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self._pairs: list[tuple[Pair, Surface, Surface]] = []
+
+    def read(self, places: Sequence[tuple[Placed, Card, Rows]]) -> None:
+        """The pairs "slave, master" of all cards; what cannot be glued is a problem of the deck."""
+        problems = self.assembly.problems
+        for placed, card, rows in places:
+            for row in rows if card.keyword != "CONTACT" else []:
+                with problems.collected(card, (f"--skip {card.keyword}",)):
+                    self._pairs.append(((placed, card, row), *self._sides(placed, card, row)))
+        of_ties = [master for (_, card, _), _, master in self._pairs if card.keyword == "TIE"]
+        walks = bool(of_ties) and self.dialect == "calculix"
+        facing = Facing(self.assembly.xyz, [master.faces for master in of_ties]) if walks else None
+        count = 0
+        for (_, card, row), slave, master in self._pairs:
+            with problems.collected(card, (f"--skip {card.keyword}",)):
+                tie = card.keyword == "TIE"
+                self._glue(card, row, slave, master, facing if tie else None, count)
+                count += tie
+        if any(card.keyword == "CONTACT" for _, card, _ in places):
+            self._everywhere()
+
+    def _sides(self, placed: Placed, card: Card, row: list[str]) -> tuple[Surface, Surface]:
+        """Slave and master.
+
+        Raises:
+            InputError: no two surfaces, or none of faces.
+        """
+        if len(row) < 2 or not row[1]:
+            raise InputError(f"{card} names {', '.join(row) or 'nothing'}; expected a slave and a master surface")
+        slave, master = self.surfaces.of(placed, row[0], card), self.surfaces.of(placed, row[1], card)
+        if not master.faces:
+            slave, master = master, slave
+        if not master.faces:
+            raise InputError(
+                f"{card}: neither {row[0]!r} nor {row[1]!r} has faces of solids; expected a master of faces"
+            )
+        return slave, master
+
+    def _glue(
+        self, card: Card, row: list[str], slave: Surface, master: Surface, facing: Facing | None, count: int
+    ) -> None:
+        xyz, contact = self.assembly.xyz, card.keyword == "CONTACT PAIR"
+        inner = np.unique(np.concatenate([faces.ravel() for _, faces in master.faces]))
+        nodes = slave.nodes[~np.isin(slave.nodes, inner)]
+        free = np.array([node not in self.taken for node in nodes.tolist()], dtype=bool)
+        late, nodes = int((~free).sum()), nodes[free]
+        given = _given(card, contact=contact)
+        if facing is None:
+            least = _TOLERANCE * face_size(xyz, master.faces)
+            tolerance = max(given, least) if contact or not given else given
+            found = project(xyz[nodes], xyz, master.faces)
+            near = found.distance <= tolerance
+        else:
+            tolerance = given or facing.tolerance
+            found, near = facing.on(xyz[nodes], xyz, count, tolerance)
+        title = f"*{card.keyword} {card.options.get('NAME') or f'{row[0]} {row[1]}'}"
+        beyond = ", or beyond the border of its faces," if facing is not None else ""
+        moves = card.options.get("ADJUST", "YES").upper() != "NO"
+        gap = float(np.linalg.norm(found.foot - xyz[nodes], axis=1)[near].max(initial=0.0))
+        if gap > 0 and moves:
+            self.notes.append(
+                f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {gap:.3g}."
+            )
+        elif gap > _TOUCHING * np.ptp(xyz, axis=0).max():
+            also = ", as in CalculiX" if self.dialect == "calculix" else ""
+            self.warnings.append(
+                f"{title}: {int(near.sum())} nodes follow faces up to {gap:.3g} away without being moved there "
+                f"(ADJUST=NO): rotations of the body strain it{also} [tie-gap]"
+            )
+        self._say_left(title, nodes[~near], f"{tolerance:.3g} from the other surface{beyond}", late)
+        if contact:
+            self.warnings.append(
+                f"the contact pair {row[0]}, {row[1]} was glued where its surfaces are within {tolerance:.3g} of each "
+                f"other ({int(near.sum())} nodes) [contact-tied]"
+            )
+        if not near.any():
+            if late or contact or not len(nodes):
+                self.warnings.append(f"{title} ties nothing: none of its nodes is free and near enough")
+                return
+            raise InputError(
+                f"{card}: no node of {row[0]!r} is within {tolerance:.3g} of the faces of {row[1]!r} (the nearest is "
+                f"{project(xyz[nodes], xyz, master.faces).distance.min():.3g} away){beyond.rstrip(',')}; check the "
+                "surfaces, or give POSITION TOLERANCE"
+            )
+        if moves:
+            xyz[nodes[near]] = found.foot[near]
+        self.taken.update(nodes[near].tolist())
+        self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+
+    def _everywhere(self) -> None:
+        """General contact: outer faces of bodies with those of others within the tolerance; the finer follow."""
+        xyz, total = self.assembly.xyz, 0
+        for one, two in combinations(self._bodies(), 2):
+            fine, coarse = sorted((one, two), key=lambda faces: face_size(xyz, faces))
+            tolerance = _TOLERANCE * face_size(xyz, coarse)
+            inner, nodes = (np.unique(np.concatenate([rows.ravel() for _, rows in faces])) for faces in (coarse, fine))
+            box = xyz[inner].min(axis=0) - tolerance, xyz[inner].max(axis=0) + tolerance
+            nodes = nodes[((xyz[nodes] >= box[0]) & (xyz[nodes] <= box[1])).all(axis=1)]
+            nodes = np.array([node for node in nodes.tolist() if node not in self.taken], dtype=np.int64)
+            found = project(xyz[nodes], xyz, coarse)
+            near = found.distance <= tolerance
+            if near.any():
+                xyz[nodes[near]] = found.foot[near]
+                self.taken.update(nodes[near].tolist())
+                title = f"*CONTACT {len(self.equations) + 1}"
+                self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+                total += int(near.sum())
+        self.warnings.append(
+            f"general contact was glued where outer faces of different bodies are within {_TOLERANCE:.0%} of a face of "
+            f"each other ({total} nodes) [contact-tied]"
         )
-    if not near.any():
-        if late or contact or not len(slave.nodes) or not len(nodes):
-            warnings.append(f"{title} ties nothing: none of its nodes is free and near enough")
-            return None, notes, warnings
-        raise InputError(
-            f"{card}: no node of {row[0]!r} is within {tolerance:.3g} of the faces of {row[1]!r} (the nearest is "
-            f"{found.distance.min():.3g} away); check the surfaces, or give POSITION TOLERANCE"
-        )
-    if card.options.get("ADJUST", "YES").upper() != "NO":
-        assembly.xyz[nodes[near]] = found.foot[near]
-    taken.update(nodes[near].tolist())
-    return _equations(title, nodes[near], found.nodes[near], found.weights[near]), notes, warnings
+
+    def _bodies(self) -> list[list[tuple[str, Ints]]]:
+        """The outer faces of the parts of the mesh that share no nodes."""
+        ends = [(np.repeat(b.nodes[:, 0], b.nodes.shape[1]), b.nodes.ravel()) for b in self.assembly.blocks]
+        one, two = (np.concatenate([pair[i] for pair in ends]) for i in (0, 1))
+        links = sp.coo_array((np.ones(len(one), dtype=bool), (one, two)), shape=(len(self.assembly.ids),) * 2)
+        part = connected_components(sp.csr_array(links), directed=False)[1]
+        mesh = Mesh(nodes=Nodes(ids=self.assembly.ids, xyz=self.assembly.xyz), blocks=tuple(self.assembly.blocks))
+        outer = outer_faces(mesh)
+        return [
+            [(kind, faces[part[faces[:, 0]] == body]) for kind, faces in outer.items() if body in part[faces[:, 0]]]
+            for body in np.unique(part[one]).tolist()
+        ]
+
+    def _say_left(self, title: str, left: Ints, away: str, late: int) -> None:
+        """Warnings of what is not tied."""
+        if len(left):
+            some = ", ".join(map(str, self.assembly.ids[left[:10]].tolist()))
+            self.warnings.append(
+                f"{title}: {len(left)} nodes are further than {away} and are not tied "
+                f"({some}{', ...' if len(left) > 10 else ''})"
+            )
+        if late:
+            self.warnings.append(f"{title}: {late} nodes follow something else already and were left to it")
 
 
-def _tolerance(card: Card, size: float, dialect: str, *, contact: bool) -> float:
-    word = "ADJUST" if contact else "POSITION TOLERANCE"
-    text = card.options.get(word, "")
+def _given(card: Card, *, contact: bool) -> float:
+    """The tolerance that a card gives, 0 without."""
+    text = card.options.get("ADJUST" if contact else "POSITION TOLERANCE", "")
     try:
-        given = number(text, card) if text else 0.0
+        return number(text, card)
     except InputError:
         if not contact:  # ADJUST may also name a set
             raise
-        given = 0.0
-    share = _OF_CONTACT if contact else _TOLERANCE[dialect]
-    return max(given, share * size) if contact or not text else given
-
-
-def _said(
-    assembly: Assembly, title: str, nodes: Ints, distance: Floats, near: NDArray[np.bool_], tolerance: float, late: int
-) -> tuple[list[str], list[str]]:  # fmt: skip
-    """Notes on what was moved, warnings of what was not tied."""
-    notes, warnings = [], []
-    moved = float(distance[near].max(initial=0.0))
-    if moved > 0:
-        notes.append(f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {moved:.3g}.")
-    away = nodes[~near]
-    if len(away):
-        some = ", ".join(map(str, assembly.ids[away[:10]].tolist()))
-        warnings.append(
-            f"{title}: {len(away)} nodes are further than {tolerance:.3g} from the other surface and are not tied "
-            f"({some}{', ...' if len(away) > 10 else ''})"
-        )
-    if late:
-        warnings.append(f"{title}: {late} nodes follow something else already and were left to it")
-    return notes, warnings
+        return 0.0
 
 
 def _equations(title: str, nodes: Ints, on: Ints, weights: Floats) -> Equations:
@@ -112,10 +210,3 @@ def _equations(title: str, nodes: Ints, on: Ints, weights: Floats) -> Equations:
         name=title, nodes=nodes[rows], components=component, offsets=np.concatenate([[0], np.cumsum(count)]),
         term_nodes=terms, term_components=np.repeat(component, count), coefficients=values,
     )  # fmt: skip
-
-
-def is_sector(card: Card) -> bool:
-    """Whether a *TIE joins the sides of a sector, and not two surfaces."""
-    return any(word in card.options for word in SECTORS)
-
-

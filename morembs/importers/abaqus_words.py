@@ -90,6 +90,23 @@ _ALL = (
 _SPELLINGS = {word.replace(" ", ""): word for word in _ALL}
 
 
+# Options of two words, which are also written as one.
+_OPTIONS = {
+    word.replace(" ", ""): word
+    for word in (
+        "REF NODE", "ROT NODE", "CONSTRAINT NAME", "POSITION TOLERANCE", "INFLUENCE RADIUS", "WEIGHTING METHOD",
+        "CYCLIC SYMMETRY", "TIE NSET", "PIN NSET", "ANALYTICAL SURFACE", "CHANGE NUMBER", "OLD SET", "NEW SET",
+        "ELEMENT SHIFT", "SHIFT NODES", "TWO STEP",
+    )
+}  # fmt: skip
+
+
+def canonical_option(name: str) -> str:
+    """The name of an option in capitals as the manuals have it."""
+    name = " ".join(name.upper().split())
+    return _OPTIONS.get(name, name)
+
+
 def canonical(word: str) -> str:
     """A keyword in capitals as the manuals have it: blanks in it do not count (*SOLIDSECTION)."""
     word = " ".join(word.upper().split())

@@ -45,7 +45,7 @@ def face_size(xyz: Floats, faces: list[tuple[str, Ints]]) -> float:
 def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Projection:
     """The points (n, 3) on the nearest of ``faces`` (type, rows (nf, k) of ``xyz``).
 
-    Feet are found by Gauss-Newton steps in the coordinates of each face, which are kept within it.
+    Feet are found by Gauss-Newton steps in the coordinates of each face, which are kept within it, and of its edges.
     """
     width = max(nodes.shape[1] for _, nodes in faces)
     best = Projection(
@@ -58,7 +58,7 @@ def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Proje
         near = tree.query(points, k=tried)[1].reshape(len(points), tried)
         for candidate in near.T:
             corners = xyz[nodes[candidate]]
-            N, foot = _on_face(kind, points, corners)
+            N, foot = on_face(kind, points, corners)
             distance = np.linalg.norm(points - foot, axis=1)
             closer = distance < best.distance
             best.distance[closer], best.foot[closer] = distance[closer], foot[closer]
@@ -66,29 +66,57 @@ def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Proje
             best.nodes[closer, : nodes.shape[1]] = nodes[candidate[closer]]
             best.weights[closer] = 0.0
             best.weights[closer, : nodes.shape[1]] = N[closer]
-    best.weights[np.abs(best.weights) < _NONE] = 0.0
-    best.weights[:] /= best.weights.sum(axis=1, keepdims=True)
     return best
 
 
-def _on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]:
-    """Shape functions (n, k) and places (n, 3) of the points on faces with nodes at ``corners`` (n, k, 3)."""
-    face, triangle = FACES[kind], kind.startswith("tri")
-    s = np.full((len(points), 2), 1 / 3 if triangle else 0.5)
+def on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Shape functions (n, k) and places (n, 3) of the feet of points on faces with nodes at ``corners`` (n, k, 3)."""
+    triangle = kind.startswith("tri")
+    s = _descended(kind, points, corners, np.zeros(2), np.eye(2))
+    foot = _place(kind, s, corners)
+    far = s.sum(axis=1) if triangle else s.max(axis=1)
+    border = np.flatnonzero((s.min(axis=1) < _NONE) | (far > 1 - _NONE))
+    ends = np.array([[0.0, 0], [1, 0], [0, 1]] if triangle else [[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    for begin, end in zip(ends, np.roll(ends, -1, axis=0), strict=True):
+        # Steps that are cut off at the border end beside the nearest point of it.
+        t = _descended(kind, points[border], corners[border], begin, (end - begin)[None])
+        place = _place(kind, t, corners[border])
+        nearer = _square(points[border] - place) < _square(points[border] - foot[border])
+        s[border[nearer]], foot[border[nearer]] = t[nearer], place[nearer]
+    N, _ = FACES[kind].shape(s)
+    N[np.abs(N) < _NONE] = 0.0
+    N /= N.sum(axis=1, keepdims=True)
+    return N, foot
+
+
+def _descended(kind: str, points: Floats, corners: Floats, origin: Floats, along: Floats) -> Floats:
+    """Coordinates (n, 2) of a face, ``origin`` + t ``along`` (m, 2), that are nearest to the points, or at a border.
+
+    On a face m is 2, on one of its edges 1.
+    """
+    face, triangle = FACES[kind], kind.startswith("tri") and len(along) == 2
+    t = np.full((len(points), len(along)), 1 / 3 if triangle else 0.5)
     for _ in range(_STEPS):
-        N, dN = face.shape(s)
-        J = np.einsum("nki,nkx->nxi", dN, corners)
+        N, dN = face.shape(origin + t @ along)
+        J = np.einsum("nki,nkx,mi->nxm", dN, corners, along)
         gap = points - np.einsum("nk,nkx->nx", N, corners)
         normal = np.einsum("nxi,nxj->nij", J, J)
         size = np.trace(normal, axis1=1, axis2=2)
-        normal += 1e-14 * np.maximum(size, np.finfo(float).tiny)[:, None, None] * np.eye(2)
-        moved = _inside(s + np.linalg.solve(normal, np.einsum("nxi,nx->ni", J, gap)[..., None])[..., 0], triangle)
-        done = np.abs(moved - s).max(initial=0.0) < 1e-15
-        s = moved
+        normal += 1e-14 * np.maximum(size, np.finfo(float).tiny)[:, None, None] * np.eye(len(along))
+        moved = _inside(t + np.linalg.solve(normal, np.einsum("nxi,nx->ni", J, gap)[..., None])[..., 0], triangle)
+        done = np.abs(moved - t).max(initial=0.0) < 1e-15
+        t = moved
         if done:
             break
-    N, _ = face.shape(s)
-    return N, np.einsum("nk,nkx->nx", N, corners)
+    return np.asarray(origin + t @ along)
+
+
+def _place(kind: str, s: Floats, corners: Floats) -> Floats:
+    return np.asarray(np.einsum("nk,nkx->nx", FACES[kind].shape(s)[0], corners))
+
+
+def _square(vectors: Floats) -> Floats:
+    return np.asarray(np.einsum("nx,nx->n", vectors, vectors))
 
 
 def _inside(s: Floats, triangle: bool) -> Floats:

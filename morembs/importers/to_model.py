@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
@@ -19,15 +18,14 @@ from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
+from morembs.importers.in_si import equations_in_si, forces_in_si, materials_in_si, matrices_in_si
 from morembs.importers.missing_middles import LINEAR_EDGES
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
-from morembs.model import DofMap, FEModel, Mesh, NamedColumns, Nodes
+from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.constraints import Equations
 from morembs.model.fe_model import SCALAR, refuse_far
 from morembs.model.handedness import right_handed
-from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
@@ -76,8 +74,8 @@ def model_of(
         K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
         equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
-        inputs=_forces_in_si("B", imported.inputs, imported, model.dofs, units),
-        outputs=_forces_in_si("C", imported.outputs, imported, model.dofs, units),
+        inputs=forces_in_si("B", imported.inputs, imported, model.dofs, units),
+        outputs=forces_in_si("C", imported.outputs, imported, model.dofs, units),
         notes=(*imported.notes, *base.notes, *said),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
     )  # fmt: skip
@@ -144,50 +142,6 @@ def _refuse_names(names: Sequence[str], source: str) -> None:
     for name in names:
         if list(names).count(name) > 1:
             raise InputError(f"{source} has two rigid or average elements named {name!r}; give each its own name")
-
-
-def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
-    """K, M and D in N/m, kg and Ns/m; rows and columns of rotations are per rad.
-
-    A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which are taken for such) and w = m per
-    unit of length for rotations an entry is scaled by w_i w_j times the factor of displacements.
-    """
-    factors = (units.stiffness, units.mass, units.mass / units.time)
-    weight = np.where(dofs.turning, units.length, 1.0)
-    plain = units.length == 1.0 or not dofs.turning.any()
-    scaled = []
-    for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
-        if matrix is None or (plain and factor == 1.0):
-            scaled.append(matrix)
-            continue
-        data = matrix.data * factor
-        if not plain:
-            data *= np.repeat(weight, np.diff(matrix.indptr))
-            data *= weight[matrix.indices]
-        scaled.append(sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape))
-    return scaled
-
-
-def _forces_in_si(
-    role: str, columns: NamedColumns | None, imported: Imported, dofs: DofMap, units: Units
-) -> NamedColumns | None:  # fmt: skip
-    """The columns on the dofs of the model, of which those that elements brought come last.
-
-    Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are
-    lengths.
-    """
-    if columns is None:
-        return None
-    own = 0 if imported.K is None else imported.K.shape[0]
-    if columns.matrix.shape[0] != own:
-        raise InputError(
-            f"{imported.source}: {role} is for {columns.matrix.shape[0]} dofs; expected {own}, as many as rows of K"
-        )
-    matrix = columns.matrix.copy()
-    matrix.resize((len(dofs), len(columns.names)))
-    if units.length != 1.0 and dofs.turning.any():
-        matrix = sp.csc_array(sp.diags_array(np.where(dofs.turning, units.length, 1.0)) @ matrix)
-    return replace(columns, matrix=matrix)
 
 
 def _from_matrices(imported: Imported, units: Units) -> _Base:
@@ -386,26 +340,3 @@ def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
             f"{source} names node {missing[0]}, which does not exist; check that the files belong together"
         )
     return np.asarray(order[at], dtype=np.int64)
-
-
-def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equations, ...]:
-    """Equations between displacements in m and rotations in rad."""
-    if units.length == 1.0:
-        return tuple(equations)
-
-    def scaled(given: Equations) -> Equations:
-        both = (given.components, given.term_components)
-        size, of_terms = (np.where((c > 2) & (c < SCALAR), 1.0, units.length) for c in both)
-        return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
-
-    return tuple(map(scaled, equations))
-
-
-def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:
-    """Materials in Pa and kg/m3."""
-    if units.stress == 1.0 and units.density == 1.0:
-        return tuple(materials)
-    return tuple(
-        replace(material, stiffness=material.stiffness * units.stress, density=material.density * units.density)
-        for material in materials
-    )

@@ -25,6 +25,7 @@ from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material, isotropic
+from morembs.model.parts import parts_of
 from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import check_writable
 from morembs.units import Units
@@ -43,7 +44,8 @@ class ImportJob:
     ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
     have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine``
     is the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
-    ``allow_includes_outside`` lets decks include files from beyond their folders.
+    ``allow_includes_outside`` lets decks include files from beyond their folders; ``split`` writes a file for each part
+    that nothing joins to others, NAME-1.model.h5 (the largest), NAME-2.model.h5 and so on.
     """
 
     out: Path
@@ -63,6 +65,7 @@ class ImportJob:
     engine_options: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     allow_includes_outside: bool = False
+    split: bool = False
 
     @property
     def sources(self) -> tuple[Path, ...]:
@@ -74,7 +77,8 @@ class ImportJob:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportResult:
     """A model that was read and written; ``outlook`` says what body it is by its units, None for matrices without a
-    place in space; ``diagnosis`` where it was examined, else the ``warnings`` that are to be had without."""
+    place in space; ``diagnosis`` where it was examined, else the ``warnings`` that are to be had without; ``others``
+    are further parts of what was split."""
 
     path: Path
     model: FEModel
@@ -82,6 +86,7 @@ class ImportResult:
     diagnosis: Diagnosis | None = None
     outlook: Outlook | None = None
     warnings: tuple[str, ...] = ()
+    others: tuple[ImportResult, ...] = ()
 
 
 def run_import(
@@ -97,11 +102,8 @@ def run_import(
         InputError: files that cannot be used or do not fit together, or errors found with ``strict``.
         OutputError: the model cannot be written; an old file is kept.
     """
-    for path in () if dry else job.sources:
-        if path.resolve() == job.out.resolve():
-            raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
     if not dry:
-        check_writable(job.out)
+        _refuse_output(job, job.out)
     progress.stage("read")
     imported, format = _read(job)
     if imported.K is not None and imported.M is not None:
@@ -110,16 +112,42 @@ def run_import(
     units = Units() if format == "native" else job.units
     progress.stage("convert")
     model = model_of(imported, units, mass_integration=job.mass_integration, progress=progress)
-    diagnosis = None
+    models = parts_of(model) if job.split else [model]
+    name, dot, rest = job.out.name.partition(".")
+    numbered = [job.out.with_name(f"{name}-{i}{dot}{rest}") for i in range(1, len(models) + 1)]
+    paths = [job.out] if len(models) == 1 else numbered
+    for path in [] if dry else paths:
+        _refuse_output(job, path)
+    diagnoses: list[Diagnosis | None] = [None] * len(models)
     if check or strict:
         progress.stage("examine")
-        diagnosis = diagnosis_of(model, declared=units)
-        if strict:
+        examined = [diagnosis_of(part, declared=units) for part in models]
+        for diagnosis in examined if strict else []:
             diagnosis.refuse_errors()
+        diagnoses = list(examined)
+    results = [
+        _finished(job, path, part, format, units, diagnosis, dry=dry, progress=progress)
+        for path, part, diagnosis in zip(paths, models, diagnoses, strict=True)
+    ]
+    return replace(results[0], others=tuple(results[1:]))
+
+
+def _refuse_output(job: ImportJob, path: Path) -> None:
+    """Raise where ``path`` cannot be written, or is read."""
+    if any(source.resolve() == path.resolve() for source in job.sources):
+        raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
+    check_writable(path)
+
+
+def _finished(
+    job: ImportJob, path: Path, model: FEModel, format: str, units: Units, diagnosis: Diagnosis | None, *, dry: bool,
+    progress: Progress,
+) -> ImportResult:  # fmt: skip
+    """The model in its file, with what its examination found."""
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
     if not dry:
         write_model(
-            job.out, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
+            path, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
         )
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
     seen = None
@@ -127,7 +155,7 @@ def run_import(
         seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
     warnings = imported_warnings(model, units) if diagnosis is None else model.warnings
     return ImportResult(
-        path=job.out, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings
+        path=path, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings
     )
 
 

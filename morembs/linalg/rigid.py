@@ -7,7 +7,7 @@ and independent of the mesh, the units and the rest of the body. Only what cance
 Numbers that were written with few digits, and bodies far from the origin, leave more than eps in most rows. Such
 residuals do work of either sign, while a soft ground (positive semidefinite) does positive work at all its nodes. So
 few digits are the reason only as far as the usual row has such residuals, and their work at the nodes is of either
-sign.
+sign. Where most entries are decimal numbers of 12 to 14 digits, nothing softer than half of the last digit is known.
 """
 
 from __future__ import annotations
@@ -33,21 +33,45 @@ COHERENT = 0.5
 # Times the usual residual of few digits up to which all forces are such residuals, and up to which they may be where
 # they do work of either sign.
 USUAL, OUTLIER = 30.0, 300.0
+# Digits that decimal numbers are looked for with (in more than 14 most numbers are decimal by chance), the parts of the
+# entries that have no more and no fewer of them at least, how many are looked at, and how many different ones must be.
+DIGITS, WITHIN, EXACTLY, LOOKED_AT, DIFFERENT = (12, 13, 14), 0.99, 0.5, 4096, 4
 # Part of a held motion that round-off may mix into a free one.
 MIXED = 1e-5
 
 
-def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple[Floats, Floats]:
+def written(values: Floats) -> float:
+    """Half of the last digit, of a number at most, where ``values`` were written with 12 to 14 digits; otherwise 0."""
+    x, count = np.unique(np.abs(np.real(values[:: max(len(values) // LOOKED_AT, 1)])), return_counts=True)
+    usable = (x > 1e-280) & (x < 1e280)
+    x, count = x[usable], count[usable]
+    if len(x) < DIFFERENT:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(x))
+    needs = np.full(len(x), 99)
+    for digits in range(DIGITS[-1], 0, -1):
+        step = 10.0 ** (digits - 1)
+        needs[np.abs(np.round(x / power * step) / step * power - x) <= 2 * EPS * x] = digits
+    for digits in DIGITS:
+        within, exactly = (float(count[told].sum() / count.sum()) for told in (needs <= digits, needs == digits))
+        if within >= WITHIN and exactly >= EXACTLY:
+            return 0.5 * 10.0 ** (1 - digits)
+    return 0.0
+
+
+def strain_free(
+    K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
 
     ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
     that cancel in K Phi, those that cancelled while K was made among them: eps of it is round-off. ``node`` (N,) says
-    which rows belong together.
+    which rows belong together; entries are known to the part ``last`` of them.
 
     Raises:
         InputError: a support so soft that it cannot be told from round-off.
     """
-    ratio, level = _forces(K, Phi, size, node)
+    ratio, level = _forces(K, Phi, size, node, last)
     held = np.abs(ratio).max(axis=1, initial=0.0) > level
     if not held.any():
         return Phi, Phi[:, :0]
@@ -73,19 +97,20 @@ def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
 
 
-def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> bool:
+def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> bool:
     """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
-    ratio, level = _forces(A, Phi, size, node)
+    ratio, level = _forces(A, Phi, size, node, last)
     return bool((np.abs(ratio) > level).any())
 
 
-def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints) -> tuple[Floats, float]:
+def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float) -> tuple[Floats, float]:
     """Forces (N, k) of ``A`` under ``Phi`` against the terms that cancel in them, and the level of round-off."""
     force = A @ Phi
     force[np.abs(force) <= ZERO * size] = 0.0
     whole = size.max(axis=1, initial=0.0)[:, None]
     ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
-    return ratio, _round_off(ratio, _work(force, Phi, whole, node), node)
+    # What each term may be off by its last digit adds up to no more than that part of all.
+    return ratio, max(_round_off(ratio, _work(force, Phi, whole, node), node), last)
 
 
 def _work(force: Floats, Phi: Floats, whole: Floats, node: Ints) -> Floats:

@@ -19,7 +19,7 @@ from morembs.interface import Coupling, Interface, couple
 from morembs.linalg.congruence import cancelling, congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
-from morembs.linalg.rigid import resists, strain_free
+from morembs.linalg.rigid import resists, strain_free, written
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -141,7 +141,10 @@ class Problem(Closing):
         """Whether the model's own damping matrix resists rigid-body motion, which then couples to the elastic part."""
         if self.D is None or self.model.D is None or not self.D.nnz or not self.rigid.shape[1]:
             return False
-        return resists(self.D, self.rigid, self._magnitudes(self.model.D, self.rigid), self._nodes_of_rows())
+        return resists(
+            self.D, self.rigid, self._magnitudes(self.model.D, self.rigid), self._nodes_of_rows(),
+            written(self.model.D.data),
+        )  # fmt: skip
 
     @cached_property
     def statics(self) -> Statics:
@@ -226,7 +229,9 @@ class Problem(Closing):
         good = values > 1e-12
         Phi = R if good.all() else (R / scale) @ U[:, good]
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
-        free, held = strain_free(self.K, Phi, self._magnitudes(self.model.K, Phi), self._nodes_of_rows())
+        free, held = strain_free(
+            self.K, Phi, self._magnitudes(self.model.K, Phi), self._nodes_of_rows(), written(self.model.K.data)
+        )
         if held.shape[1] and self.model.dependent is None:
             refuse_other_geometry(self.model.K, self.model.nodes, self.model.dofs)
         return _orthonormal(free, M), _orthonormal(held, M)

@@ -11,11 +11,14 @@ from typer.testing import CliRunner
 from morembs import InputError
 from morembs.cli import app
 from morembs.importers import import_file
+from morembs.importers.abaqus_surfaces import FACES
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from morembs.model import FEModel, rigid_motion
+from morembs.problem import Problem
 from tests.support import calculix
 from tests.support.calculix import STEEL, eigenvalues, needs_ccx, on_plane, own_frequencies, program, solids
+from tests.support.meshes import box
 
 PLATE = (
     "*NODE\n1,0,0,0\n2,1,0,0\n3,2,0,0\n4,0,1,0\n5,1,1,0\n6,2,1,0\n7,0,2,0\n8,1,2,0\n9,2,2,0\n10,2.5,1,0.5\n"
@@ -149,6 +152,63 @@ def test_instances_are_placed_and_matrices_are_those_of_own_assembly(tmp_path):
     }
 
 
+def wavy_pair(kind: str, ties: int, tolerance: str) -> str:
+    """A wavy plate with tetrahedra on and beyond it, which one or two ties give to its top."""
+    rng, mesh = np.random.default_rng(5), box(kind, (3, 2, 1), (1.0, 0.8, 0.3))
+    xyz, flat = mesh.nodes.xyz.copy(), mesh.nodes.xyz[:, 2] > 0.2999
+
+    def height(x: np.ndarray) -> np.ndarray:
+        return 0.05 * np.sin(3 * x[:, 0]) * np.cos(4 * x[:, 1])
+
+    xyz[:, 2] += height(xyz)
+    feet = np.column_stack([rng.uniform(-0.08, 1.08, 40), rng.uniform(-0.08, 0.88, 40), np.full(40, 0.3)])
+    feet[:, 2] += height(feet) + rng.choice([0.0, 0.01], 40)
+    tets = feet[:, None] + np.array([[0.0, 0, 0], [0.1, 0, 0.3], [0, 0.1, 0.3], [0, 0, 0.4]])
+    first, count, rows = len(xyz) + 1, len(mesh.blocks[0].nodes), mesh.blocks[0].nodes
+    top = [f"{i + 1}, S{side + 1}" for i, nodes in enumerate(rows) for side, corners in enumerate(FACES[kind[0]])
+           if flat[nodes[list(corners)]].all()]  # fmt: skip
+    sets = "".join(
+        f"*NSET, NSET=N{k}\n" + "".join(f"{first + 4 * i}\n" for i in range(k, 40, ties))
+        + f"*SURFACE, NAME=S{k}, TYPE=NODE\nN{k}\n*TIE, NAME=T{k}{tolerance}\nS{k}, TOP\n" for k in range(ties)
+    )  # fmt: skip
+    return (
+        calculix.nodes_text(np.concatenate([xyz, tets.reshape(-1, 3)])) + calculix.elements_text(CODES[kind], rows, "A")
+        + calculix.elements_text("C3D4", np.arange(160).reshape(40, 4), "B", first=first, label=count + 1)
+        + "*SURFACE, NAME=TOP\n" + "\n".join(top) + f"\n{sets}{STEEL}*SOLID SECTION, ELSET=A, MATERIAL=STEEL\n"
+        "*SOLID SECTION, ELSET=B, MATERIAL=STEEL\n"
+    )  # fmt: skip
+
+
+CODES = {"hex8": "C3D8", "hex20": "C3D20", "tet4": "C3D4", "tet10": "C3D10", "wedge6": "C3D6", "wedge15": "C3D15"}
+
+
+@needs_ccx
+@pytest.mark.parametrize("kind", CODES)
+@pytest.mark.parametrize(("ties", "tolerance"), [(1, ""), (1, 0.05), (2, 0.05)])
+def test_the_nodes_that_ccx_ties_are_tied_with_its_weights(kind, ties, tolerance, tmp_path):
+    """Where two ties name one master, ccx ties what is beyond its border too."""
+    option = f", POSITION TOLERANCE={tolerance}" if tolerance else ""
+    theirs = imported(tmp_path, wavy_pair(kind, ties, option)).dependent
+    own = model_of(import_file(tmp_path / "deck.inp", options={"dialect": "calculix"})).dependent
+    assert np.array_equal(np.flatnonzero(own.owner >= 0), np.flatnonzero(theirs.owner >= 0))
+    assert 10 < (own.owner >= 0).sum() < (110 if ties == 1 else 121)
+    assert abs(own.S - theirs.S).max() < 1e-6
+
+
+@needs_ccx
+@pytest.mark.parametrize(
+    "table", ["3.,-1.\n5.,0.\n9.,1.\n", "-8.,-2.\n0.,0.\n5.,1.\n", "1.,-3.\n5.,-2.\n", "7.,1.\n8.,2.\n"]
+)
+def test_springs_with_a_force_at_zero_elongation_are_those_of_ccx(table, tmp_path):
+    soft = "*MATERIAL, NAME=STEEL\n*ELASTIC\n100., 0.3\n*DENSITY\n1.\n"
+    text = TIED.split("*TIE")[0].replace(STEEL, soft)
+    text += f"*ELEMENT,TYPE=SPRINGA,ELSET=AX\n5,7,15\n*SPRING,ELSET=AX,NONLINEAR\n\n{table}"
+    theirs = imported(tmp_path, text)
+    own = model_of(import_file(tmp_path / "deck.inp", options={"dialect": "calculix"}))
+    assert np.array_equal(own.nodes.ids, theirs.nodes.ids)
+    assert abs(own.K - theirs.K).max() < 1e-11
+
+
 @needs_ccx
 def test_incompatible_modes_keep_their_mass_and_the_frequencies_of_ccx(tmp_path):
     deck = solids("C3D8I", (10, 1, 1), (10.0, 1.0, 1.0))
@@ -159,6 +219,15 @@ def test_incompatible_modes_keep_their_mass_and_the_frequencies_of_ccx(tmp_path)
     free = imported(tmp_path, held)
     assert_free(free, 10 * 7850)
     assert (free.dofs.component == 6).sum() == 90
+
+
+@needs_ccx
+@pytest.mark.parametrize("n", [(4, 2, 2), (6, 3, 2)])
+def test_fourteen_digits_of_ccx_are_no_support(n, tmp_path):
+    """In regular meshes most rows of rigid motion cancel exactly, so that the others are no few digits of all."""
+    free = imported(tmp_path, solids("C3D8I", n, tuple(map(float, n))))
+    with Problem(free, []) as problem:
+        assert problem.rigid.shape[1] == 6
 
 
 @needs_ccx
@@ -265,10 +334,11 @@ def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("lines", "message"), [
     ("*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n", "plane or axisymmetric"),
     ("*ELEMENT,TYPE=U1,ELSET=Q\n9,1,2\n", "1 of the type 'U1'"),
-    ("*EMBEDDED ELEMENT\nA\n", "is not known here"),
+    ("*EMBEDDED ELEMENT\nA\n", "embedded elements are not supported"),
     ("*MATERIAL,NAME=R\n*HYPERELASTIC\n1,0\n*SOLID SECTION,ELSET=B,MATERIAL=R\n", "HYPERELASTIC only"),
     ("*CONTACT PAIR,INTERACTION=I\nSB,SA\n", "contact is not linear"),
     ("*TIE,NAME=U\nSB,SX\n", "'SX', which is not defined"),
+    ("*TIE,NAME=C,CYCLIC SYMMETRY\nSB,SA\n*CYCLIC SYMMETRY MODEL,N=4\n0,0,0,0,0,1\n", "another body.*--skip .CYCLIC"),
 ])  # fmt: skip
 def test_decks_that_are_no_linear_model_are_refused_before_a_run(tmp_path, lines, message):
     with pytest.raises(InputError, match=message):

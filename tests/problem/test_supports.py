@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from morembs.certificate.certify import certify
 from morembs.errors import InputError
 from morembs.interface import make_interface
+from morembs.linalg.rigid import written
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.geometric_stiffness import geometric_stiffness
 from morembs.problem import Problem
@@ -296,3 +297,25 @@ def test_coordinates_of_another_order_are_refused_a_bedding_and_a_preload_are_no
     for added in (sp.diags_array(np.full(model.size, 1e8)), sp.kron(stress, np.eye(3))):
         with Problem(replace(model, K=model.K + added)) as problem:
             assert problem.rigid.shape[1] < 6
+
+
+@pytest.mark.parametrize("n", [(4, 2, 2), (6, 4, 4), (2, 2, 2)])
+def test_fourteen_digits_of_a_regular_mesh_are_no_support_and_hide_none(n: tuple[int, int, int]) -> None:
+    """The same entries are rounded alike everywhere, which looks like a ground."""
+    model = steel(box("tet4", n, tuple(map(float, n))))
+    rounded = model.K.copy()
+    rounded.data = np.array([float(f"{value:.13e}") for value in rounded.data])
+    with Problem(replace(model, K=rounded), []) as problem:
+        assert problem.rigid.shape[1] == 6
+    spring = sp.csr_array(([1e-10 * rounded.max()] * 3, ([0, 1, 2], [0, 1, 2])), shape=rounded.shape)
+    with Problem(replace(model, K=sp.csr_array(rounded + spring)), []) as problem:
+        assert problem.rigid.shape[1] == 3
+
+
+@pytest.mark.parametrize("digits", [6, 12, 13, 14, 15, 17])
+@pytest.mark.parametrize("factor", [1.0, 1e3, 1e-9])
+def test_decimal_numbers_are_told_by_their_last_digit(digits: int, factor: float) -> None:
+    values = np.random.default_rng(2).lognormal(0.0, 5.0, 500)
+    told = written(factor * np.array([float(f"{value:.{digits - 1}e}") for value in values]))
+    assert told == (0.5 * 10.0 ** (1 - digits) if digits in (12, 13, 14) else 0.0)
+    assert written(np.arange(1.0, 400.0)) == 0.0 and written(values[:3]) == 0.0

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_deck import Rows, values
-from morembs.importers.abaqus_keywords import Card, label
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_data import label
+from morembs.importers.abaqus_deck import Rows
+from morembs.importers.abaqus_equations import Axes, equations_of
+from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck
 from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node_lines, numeral, sixteen
@@ -227,19 +230,9 @@ class FlatDeck:
         return "\n".join(["*BOUNDARY", *lines])
 
     def equation(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """*EQUATION: a count of terms, then node, dof and coefficient of each; node sets term by term."""
-        at = 0
-        while at < len(rows):
-            count = int(rows[at][0])
-            flat: list[str] = []
-            while len(flat) < 3 * count and (at := at + 1) < len(rows):
-                flat += rows[at]
-            at += 1
-            nodes = [self.assembly.nodes_of(placed, text) for text in flat[: 3 * count : 3]]
-            for each in range(max(map(len, nodes), default=0)):
-                rows_of = [int(own[min(each, len(own) - 1)]) + 1 for own in nodes]
-                dofs = [int(text) for text in flat[1 : 3 * count : 3]]
-                self.terms(list(zip(rows_of, dofs, values(flat[2 : 3 * count : 3], card), strict=True)))
+        """*EQUATION, whose axes CalculiX turns itself; sets of nodes one by one."""
+        for _, terms in equations_of(self.assembly, Axes(self.assembly), placed, card, rows):
+            self.terms([(node + 1, component + 1, value) for node, component, value in terms])
 
     def terms(self, terms: list[tuple[int, int, float]]) -> None:
         """One equation of terms (label, dof from 1, coefficient)."""

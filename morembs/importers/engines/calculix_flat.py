@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
-from morembs.importers.abaqus_constraints import Constraints, point_value
+from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.abaqus_constraints import Constraints, refuse_sector
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
-from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT
+from morembs.importers.abaqus_names import Placed
+from morembs.importers.abaqus_points import point_value
+from morembs.importers.abaqus_ties import is_sector
+from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT, WHY_REFUSED
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck
 from morembs.importers.engines.calculix_read import EngineDeck
@@ -27,8 +30,6 @@ Ints = NDArray[np.int64]
 _PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
                        "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
-# Left out with a warning: the body is that of the deck without them.
-_WARNED = ("CYCLIC SYMMETRY MODEL",)
 _HARMLESS = NOTED | SILENT | OF_OTHER_ELEMENTS | {
     "STATIC", "DASHPOT", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION", "CHANGE FRICTION",
     "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "SENSITIVITY", "FEASIBLE DIRECTION",
@@ -85,7 +86,7 @@ class _Writer:
 
     def take(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Write a card, or say why not."""
-        word, flat, out = card.keyword, self.flat, self.flat.deck
+        word, out = card.keyword, self.flat.deck
         if self.options.skips(word):
             self.deck.skipped[f"*{word}"] = self.deck.skipped.get(f"*{word}", 0) + 1
         elif word in ("ORIENTATION", "DISTRIBUTION"):
@@ -93,12 +94,13 @@ class _Writer:
         elif word == "BOUNDARY":
             self._boundary(placed, card, rows)
         elif word == "INITIAL CONDITIONS":
-            if card.options.get("TYPE", "").upper() == "TEMPERATURE":
+            # They choose a row of a table and are the begin of a preload; nothing else depends on them.
+            if card.options.get("TYPE", "").upper() == "TEMPERATURE" and (self.choices.preload or self._tables()):
                 out.card(placed, card, rows)
         elif word == "CONTACT PAIR":
             self.ties.glue(placed, card, rows)
-        elif word in _WARNED or (word == "TIE" and {"CYCLIC SYMMETRY", "MULTISTAGE"} & set(card.options)):
-            flat.warnings.append(f"*{word} was left out: the body is the sector alone [keywords-skipped]")
+        elif is_sector(card):
+            refuse_sector(card, self.deck)
         elif word in ("MASS", "ROTARY INERTIA"):
             self._masses(placed, card, rows)
         elif word == "EQUATION":
@@ -118,10 +120,20 @@ class _Writer:
         elif word in _HARMLESS:
             self.deck.noted[word] = self.deck.noted.get(word, 0) + 1
         else:
+            why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
             raise InputError(
-                f"{card} cannot be read: it is not known here, so stiffness or mass may depend on it; take it out of "
-                f"the deck, or leave it out with --skip {word!r}, if the model is right without it"
+                f"{card} cannot be read: {why}; take it out of the deck, or leave it out with --skip {word!r}, if the "
+                "model is right without it"
             )
+
+    def _tables(self) -> bool:
+        """Whether constants of a material take more than a line, so that they may depend on temperature."""
+        return any(
+            len([row for row in rows if row]) > 1
+            for cards in self.deck.materials.values()
+            for card, rows in cards
+            if card.keyword in ("ELASTIC", "DENSITY")
+        )
 
     def _plain(self, placed: Placed, card: Card, rows: Rows) -> None:
         if card.keyword == "SPRING":

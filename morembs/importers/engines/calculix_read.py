@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.importers.abaqus_data import element_numbers, fields
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
-from morembs.importers.abaqus_keywords import Card, cards, element_numbers, fields
+from morembs.importers.abaqus_generate import GENERATING
+from morembs.importers.abaqus_keywords import Card, cards
 from morembs.importers.abaqus_reader import DeckReader
 from morembs.importers.abaqus_words import CONTACT, MATERIAL, STRUCTURAL
 from morembs.importers.deck_options import DeckOptions
@@ -96,13 +98,14 @@ def _known(code: str) -> bool:
     return code in SOLIDS or code in WIDTHS or code in DISCRETE or code.startswith(_EMPTY)
 
 
-_TABLES = ("NODE", "NSET", "ELSET", "MATERIAL", "SURFACE", "COUPLING", "KINEMATIC", "DISTRIBUTING")
+_TABLES = (*GENERATING, "NODE", "NSET", "ELSET", "MATERIAL", "SURFACE", "COUPLING", "KINEMATIC", "DISTRIBUTING")
 
 
 class _Keeping(DeckReader):
     """Keeps every card with its data that is not mesh, set, material or structure."""
 
     deck: EngineDeck
+    glues = False
 
     def take(self, card: Card, pieces: Iterator[bytes]) -> None:
         """One card with its data."""

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.abaqus_assembly import Assembly, Placed
+from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_equations import mpc_sums
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_names import Placed
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.imported import PointMass
 from morembs.model.constraints import AverageElement
@@ -75,7 +76,7 @@ class Ties:
         for row in rows:
             kind = row[0].upper() if row else ""
             if kind == "BEAM":
-                follow, lead = (self.assembly.nodes_of(placed, text) for text in row[1:3])
+                follow, lead = (self.assembly.paired(placed, text) for text in row[1:3])
                 if len(lead) not in (1, len(follow)):
                     raise InputError(f"{card} BEAM: {row[2]!r} has {len(lead)} nodes; expected one, or one for each")
                 for i, node in enumerate(follow):
