@@ -14,6 +14,7 @@ from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
 from morembs.linalg.slicing import Shifted
 from morembs.linalg.statics import NUDGES, ConstrainedStatics
+from morembs.memory import installed_bytes
 from morembs.progress import Progress
 
 Floats = NDArray[np.float64]
@@ -23,13 +24,17 @@ ROUGH = 0.03
 ROUND_OFF = 1e-13
 # An error at the second shift weighs more than at zero: part of the tolerance there.
 PART = 0.1
+# Times the factor that the machine has memory for: another one with its workspace, and all else.
+ROOM = 6
 # How often the space is doubled before a mode that the count finds is given up.
 DOUBLED = 2
 
 
 def keeps_two_factors(body: ConstrainedStatics) -> bool:
-    """Whether there is room for the factor of the Sturm count beside that of the stiffness."""
-    return body.statics.budget.memory is None and not body.statics.factor.stats.out_of_core
+    """Whether there is room for the factor of the Sturm count beside that of the stiffness: not under a budget."""
+    stats = body.statics.factor.stats
+    unlimited = body.statics.budget.memory is None and not stats.out_of_core
+    return unlimited and ROOM * stats.memory_bytes < installed_bytes()
 
 
 def shifted_factor(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted:
