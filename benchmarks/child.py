@@ -11,10 +11,12 @@ from __future__ import annotations
 import morembs  # noqa: F401
 
 # isort: split
+import gzip
 import json
 import os
 import platform
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from importlib import metadata
@@ -41,6 +43,7 @@ from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
 Spec = dict[str, Any]
+MESHES = Path(__file__).resolve().parent.parent / "data" / "small_meshes"
 STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 # Columns whose residuals are held at once: fewer than any solver works on.
 _RESIDUALS = 4
@@ -74,12 +77,26 @@ def dgemm(spec: Spec) -> Row:
     return {"gflops": 2e-9 * len(A) ** 3 / min(seconds), "threads": blas_threads()}
 
 
+def connecting_rod(dofs: int) -> Mesh:
+    """Mesh of the demo, or below 50,000 dofs a coarse one."""
+    from morembs import read_mesh
+
+    if dofs < 50_000:
+        return read_mesh(MESHES / "conrod.msh", "mm-t-s")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "connecting_rod.msh"
+        path.write_bytes(gzip.decompress((MESHES / "connecting_rod.msh.gz").read_bytes()))
+        return read_mesh(path, "mm-t-s")
+
+
 def steel(shape: str, dofs: int) -> FEModel:
-    """Assembled model of a shape of models.py."""
+    """Assembled model of a shape of models.py, or of the connecting "rod"."""
     from models import make
 
     from morembs import assemble, isotropic
 
+    if shape == "rod":
+        return assemble(connecting_rod(dofs), [isotropic(**STEEL)])
     xyz, cells = make(shape, dofs)
     block = ElementBlock(type="tet10", nodes=cells, ids=np.arange(len(cells)))
     mesh = Mesh(nodes=Nodes(ids=np.arange(len(xyz)), xyz=xyz), blocks=(block,))

@@ -40,6 +40,13 @@ def available_bytes() -> int:
     return int(psutil.virtual_memory().available)
 
 
+def installed_bytes() -> int:
+    """Memory that this machine has: the same at every call."""
+    import psutil
+
+    return int(psutil.virtual_memory().total)
+
+
 def unpacked_bytes(archive: zipfile.ZipFile | None) -> int:
     """What all files of an archive take once they are unpacked."""
     return 0 if archive is None else sum(entry.file_size for entry in archive.infolist())

@@ -115,5 +115,6 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     x, y = corners[order, :, :2].reshape(-1, 2).T
     skin = TriMesh(Triangulation(x, y, np.arange(len(x)).reshape(-1, 3)), rasterized=True)
     skin.set_facecolor(cast(Any, colors))
-    panel.add_collection(skin)
+    # Its limits come from the corners: Matplotlib would take them from an outline of every triangle.
+    panel.add_collection(skin, autolim=False)
     panel.update_datalim(np.column_stack([x, y]))

@@ -110,11 +110,15 @@ def forecast_cost(
     limited = solver.with_memory(None if room is None else max(0, room))
     with limited.analyse(lower, "spd", "the stiffness matrix") as analysis:
         plan, choice = analysis.forecast, analysis.choice
+    counting = count.memory if count else 0
+    if count and budget.memory is None:
+        # Without a budget its factor is kept, because it finds modes too.
+        counting += 8 * count.factor_entries
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
     before = start + matrices
     peak = max(
         before + 8 * lower.nnz + plan.memory,
-        before + 16 * lower.nnz + plan.kept + (count.memory if count else 0) + dense,
+        before + 16 * lower.nnz + plan.kept + counting + dense,
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.

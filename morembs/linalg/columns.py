@@ -43,8 +43,15 @@ def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
 
 def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> None:
     """W -= V C in place, a block of columns of ``V`` at a time."""
+    real = V.dtype == W.dtype == C.dtype == np.float64 and W.size > 0 and V.flags.f_contiguous
     for block in _blocks(V):
-        W -= V[:, block] @ C[block]
+        # Without an array for the product, where the BLAS can take it from W itself.
+        if real and W.flags.f_contiguous:
+            sl.blas.dgemm(-1.0, V[:, block], C[block], beta=1.0, c=W, overwrite_c=1)
+        elif real and W.flags.c_contiguous:
+            sl.blas.dgemm(-1.0, C[block], V[:, block], beta=1.0, c=W.T, trans_a=1, trans_b=1, overwrite_c=1)
+        else:
+            W -= V[:, block] @ C[block]
         budget.release_if_tight()
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.slicing import SLICE, sliced_modes
+from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below, shifted_factor
+from morembs.linalg.slicing import SLICE, Shifted, sliced_modes
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.moved import renamed
 from morembs.progress import SILENT, Progress
@@ -73,14 +74,14 @@ def lowest_modes(
         InputError: more modes than the restricted body has.
         SolverError: no convergence, or the Sturm count still finds a missing mode.
     """
-    size = M.shape[0] - body.count
+    size, shifted = M.shape[0] - body.count, None
     if count is None:
         if below is None:
             raise InputError("lowest_modes needs either count or below")
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
-            count = body.count_below(below)
+            count, shifted = _up_to(body, M, below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
@@ -98,12 +99,25 @@ def lowest_modes(
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
     if below is not None and count > SLICES * per_slice:
+        if shifted is not None:
+            shifted.close()
         first = _sparse(body, M, per_slice, None, progress, what)
         values, vectors = sliced_modes(
             body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice,
         )  # fmt: skip
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
-    return _sparse(body, M, count, below, progress, what)
+    return _sparse(body, M, count, below, progress, what, shifted)
+
+
+def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, Shifted | None]:
+    """How many modes lie below, and the factor that counted them where it will be of use."""
+    if keeps_two_factors(body) and M.shape[0] > DENSE_PART:
+        try:
+            shifted = shifted_factor(body, M, below)
+            return shifted.below, shifted
+        except SolverError as error:
+            log.info("no second shift: %s", error)
+    return body.count_below(below), None
 
 
 def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
@@ -174,21 +188,44 @@ def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 
 def _sparse(
-    body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str
-) -> Modes:
+    body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str,
+    shifted: Shifted | None = None,
+) -> Modes:  # fmt: skip
+    """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
     rng = np.random.default_rng(2)
     block = _block(body, count)
     start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
-    wanted = min(count + 2, M.shape[0] - body.count)
-    capacity = min(3 * wanted + 8 * block, M.shape[0] - body.count)
+    capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
     lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start
+    if keeps_two_factors(body):
+        cut = first_look(lanczos, count, progress=progress, what=what)
+        try:
+            if shifted is None and cut is not None:
+                shifted = shifted_factor(body, M, cut)
+        except SolverError as error:
+            log.info("no second shift: %s", error)
+        if shifted is not None and cut is not None:
+            with shifted:
+                values, vectors = modes_below(lanczos, shifted, progress=progress, what=what)
+            vectors = fix_signs(vectors[:, :count], body.statics.budget)
+            held = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
+            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
+    return _counted(body, M, lanczos, count, below, progress, what)
+
+
+def _counted(
+    body: ConstrainedStatics, M: sp.csr_array, lanczos: BlockLanczos, count: int, below: float | None,
+    progress: Progress, what: str,
+) -> Modes:  # fmt: skip
+    """Modes by block Lanczos at shift zero, counted afterwards."""
+    wanted = min(count + 2, M.shape[0] - body.count)
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
         cut = below if below is not None else _gap_after(values, count)
         if cut is None:
-            wanted = min(wanted + block, M.shape[0] - body.count)
+            wanted = min(wanted + lanczos.block, M.shape[0] - body.count)
             continue
         counted = int((values < cut).sum())
         lanczos.store()
@@ -210,7 +247,7 @@ def _sparse(
 def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
-        return int(np.clip(count // 2, 8, 16))
+        return int(np.clip(count // 4, 8, 12))
     width = body.statics.budget.columns(len(body.statics.Z), copies=8, widest=WIDEST)
     return int(np.clip(count, 8, max(8, width)))
 

@@ -3,7 +3,7 @@
 The operator F -> G M F, with G a symmetric flexibility, is self-adjoint in the inner product of M; its
 largest eigenvalues 1/lambda belong to the lowest modes. Blocks make the sparse solves several times
 cheaper per column than single vectors and find multiple eigenvalues (Grimes, Lewis, Simon 1994;
-restart: Wu and Simon 2000).
+restart: Wu and Simon 2000). The space may go on with another shift, so that it is a rational Krylov space (Ruhe 1998).
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ TOLERANCE = 1e-9
 MAX_STEPS = 400
 # Growth of the space between two looks at its Ritz values.
 LOOK = 1.05
+# Parts along the space, against the norms of the columns, that one more pass would not make smaller; and most passes.
+ROUND_OFF, PASSES = 1e-8, 3
 
 
 class BlockLanczos:
@@ -50,28 +52,42 @@ class BlockLanczos:
         self.rest_vectors = np.zeros((M.shape[0], 0))
         self.rest = np.zeros((0, 0))
         self.last = slice(0, 0)
+        # First column along which Op of the next block has a part; columns that are eigenvectors already.
+        self.near = self.locked = 0
+        # Op V = V T + W tail with the rest W.
+        self.tail = np.zeros((0, 0))
+        self._turned: Floats | None = None
 
     def expand(self) -> None:
         """One block more: afterwards ``size`` columns satisfy Op V = V T + W E'."""
         k, b = self.size, self.pending.shape[1]
         self.V[:, k : k + b] = self.pending
-        known = [self.V[:, : k + b]]
         W = self.flexibility(self.M_pending)
         MW = self.M @ W
         norms = m_norms(W, MW)
-        H = take_out(known, W, MW, self.budget)
-        # What is left of W keeps the round-off of what was taken out.
-        MW = self.M @ W
-        G = W.T @ MW
-        again = take_out(known, W, MW, self.budget)
-        H += again
+        H = np.zeros((k + b, b))
+        H[self.near :] = take_out([self.V[:, self.near : k + b]], W, MW, self.budget)
+        # What is left of W keeps the round-off of what was taken out, along all of V.
+        for _ in range(PASSES):
+            MW = self.M @ W
+            G = W.T @ MW
+            again = take_out([self.V[:, : k + b]], W, MW, self.budget)
+            H += again
+            if (np.abs(again) <= ROUND_OFF * norms).all():
+                break
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
         self.T[k : k + b, k : k + b] = 0.5 * (H[k:] + H[k:].T)
+        self.tail = np.hstack([np.zeros((b, k)), np.eye(b)])
+        if self._turned is not None:
+            self.T[:k, :k] = symmetric(self.T[:k, :k] + H[:k] @ self._turned)
+            self.tail[:, :k], self._turned = self._turned, None
         self.size = k + b
         self.rest_vectors = W
         self.rest = symmetric(G - again.T @ again)
         self.last = slice(k, k + b)
+        # Op of the next block has no part along what came before this one.
+        self.near = k
         self.pending, self.M_pending = self._next(W, norms)
 
     def _next(self, W: Floats, norms: Floats) -> tuple[Floats, Floats]:
@@ -85,21 +101,42 @@ class BlockLanczos:
         return Q, MQ
 
     def ritz(self) -> tuple[Floats, Floats, Floats]:
-        """Eigenvalues theta (k,), largest magnitude first, coordinates (k, k), residual norms in M (k,)."""
-        theta, Y = sl.eigh(self.T[: self.size, : self.size])
+        """Eigenvalues theta (k,), largest magnitude first, coordinates (size, k), residual norms in M (k,).
+
+        Those of the k columns that are not locked.
+        """
+        free = slice(self.locked, self.size)
+        theta, free_Y = sl.eigh(self.T[free, free])
         order = np.argsort(-np.abs(theta), kind="stable")
-        theta, Y = theta[order], Y[:, order]
-        y = Y[self.last]
+        theta, Y = theta[order], np.zeros((self.size, len(theta)))
+        Y[free] = free_Y[:, order]
+        y = self.tail @ Y
         residual = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", y, self.rest, y), 0.0))
         return theta, Y, residual
 
     def restart(self, keep: int) -> None:
-        """Keep the ``keep`` best Ritz vectors and go on from them."""
+        """Keep the ``keep`` best Ritz vectors and go on from them; none may be locked."""
         theta, Y, _ = self.ritz()
         multiply_into(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep], self.budget)
         self.T[:] = 0.0
         self.T[range(keep), range(keep)] = theta[:keep]
-        self.size = keep
+        self.tail = self.tail @ Y[:, :keep]
+        self.size, self.near = keep, 0
+
+    def turn(self, flexibility: Callable[[Floats], Floats], distance: float, locked: int) -> None:
+        """Go on with the ``flexibility`` of a shift that lies ``distance`` above the one so far.
+
+        The space is kept: what Op V = V T + W tail says of the other operator is known once the next block has been
+        solved for (Ruhe 1998). The ``locked`` best Ritz vectors have converged and stay as they are.
+        """
+        k = self.size
+        self.restart(k)
+        theta = np.diag(self.T)[:k]
+        moved = 1.0 / (1.0 - distance * theta)
+        tail = distance * (self.M_pending.T @ self.rest_vectors) @ self.tail * moved
+        tail[:, :locked] = 0.0
+        self.T[range(k), range(k)] = theta * moved
+        self.flexibility, self.locked, self._turned = flexibility, locked, tail
 
     def store(self) -> None:
         """Put the blocks in use where the budget wants them, before something else needs the memory."""

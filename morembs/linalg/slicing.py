@@ -61,8 +61,8 @@ class Shifted(Closing):
             F[self.rows] = 0.0
         U = np.asarray(self.factor.solve(F))
         if self.body.mean_axes:
-            Z = self.body.statics.Z
-            U -= Z @ (Z.T @ (self.M @ U))
+            # C = M Z; by columns, as the solver leaves them.
+            U -= ((self.body.C.T @ U).T @ self.body.statics.Z.T).T
         elif self.rows is None:
             # Twice: round-off of the first time would leave the subspace.
             for _ in range(2):

@@ -128,8 +128,9 @@ class ConstrainedStatics:
         rhs = np.vstack([top, -(self.statics.Z.T @ F)])
         both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
         lam = both[: self.count]
-        U -= self.X @ lam
-        U += self.statics.Z @ both[self.count :]
+        # By columns, as the solver leaves them.
+        U -= (lam.T @ self.X.T).T
+        U += (both[self.count :].T @ self.statics.Z.T).T
         return U, lam
 
     def flexibility(self, F: Floats) -> Floats:

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.budget import Budget
 from morembs.errors import SolverError
 from morembs.interface import make_interface
 from morembs.linalg import eigen
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.eigen import DENSE, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.slicing import Shifted
 from morembs.problem import Problem
 from tests.support.meshes import box, steel, where
 from tests.support.progress import Heard
@@ -67,9 +69,12 @@ def test_counts_agree_with_the_sorted_list(square_bar, coupling):
 
 
 def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
-    """An eigensolver that fails to see a mode: the count must not let the result pass without it."""
+    """An eigensolver that fails to see a mode: the count must not let the result pass without it.
+
+    Under a budget, where modes are counted behind the eigensolver.
+    """
     calls = []
-    with Problem(square_bar) as problem:
+    with Problem(square_bar, budget=Budget(memory=4 * 2**30)) as problem:
 
         def blind(lanczos, count, **rest):
             theta, Y = largest(lanczos, count + 1, **rest)
@@ -84,6 +89,34 @@ def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
         monkeypatch.setattr(eigen, "largest", lambda *a, **k: (1 / exact[0][1:12], exact[1][:, 1:12]))
         with pytest.raises(SolverError, match="Sturm count finds"):
             lowest_modes(problem.elastic, problem.M, count=10)
+
+
+def test_a_mode_that_both_shifts_miss_is_noticed(square_bar, exact, monkeypatch):
+    """One mode is hidden from the solves at both shifts: the inertia of the second says that it is there."""
+    x = exact[1][:, 2:3]
+    with Problem(square_bar) as problem:
+
+        def hidden(solve, F):
+            U = solve(F)
+            return U - x @ (x.T @ (problem.M @ U))
+
+        solve, apply = problem.elastic.flexibility, Shifted.apply
+        monkeypatch.setattr(problem.elastic, "flexibility", lambda F: hidden(solve, F))
+        monkeypatch.setattr(Shifted, "apply", lambda self, F: hidden(lambda G: apply(self, G), F))
+        with pytest.raises(SolverError, match="Sturm count finds"):
+            lowest_modes(problem.elastic, problem.M, count=10)
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "average", "direct"])
+def test_modes_of_the_held_body_at_two_shifts_are_those_of_lapack(square_bar, coupling):
+    """Rows that are held drop out of the shifted matrix, general constraints border it."""
+    held = [make_interface(square_bar, name="l", nodes=where(square_bar, 0, 0.0), coupling=coupling)]
+    with Problem(square_bar, held) as problem:
+        dense = lowest_modes(problem.internal, problem.M, count=20, by_lapack=True)
+        modes = lowest_modes(problem.internal, problem.M, count=20)
+        assert modes.eigenvalues == pytest.approx(dense.eigenvalues, rel=1e-9)
+        assert np.abs(modes.vectors.T @ (problem.M @ modes.vectors) - np.eye(20)).max() < 1e-12
+        assert np.abs(problem.B.T @ modes.vectors).max() < 1e-9 * np.abs(modes.vectors).max()
 
 
 def test_restarted_lanczos_finds_the_same(square_bar, exact):

@@ -24,6 +24,7 @@ from morembs.linalg.sparse import cholmod_library, cholmod_session, umfpack
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.threads import blas_threads, limit_threads
 from morembs.linalg.sparse.umfpack import Umfpack
 from tests.support import meshes
 
@@ -157,6 +158,20 @@ def test_many_right_hand_sides(kind: type[LinearSolver], cube: tuple[sp.csr_arra
     with kind().factorize(K, "spd") as factor:
         assert _error(K, factor.solve(B), B) < 1e-12
         assert _error(K, factor.solve(B[:, :1]), B[:, :1]) < 1e-12
+
+
+@pytest.mark.parametrize("columns", [15, 16, 41, 150])
+def test_columns_solved_side_by_side_are_the_same(cube: tuple[sp.csr_array, ...], columns: int) -> None:
+    """Three threads of the BLAS share the columns out: the same bytes twice, and as many threads as before."""
+    A, B = cube[0], np.random.default_rng(4).standard_normal((cube[0].shape[0], columns))
+    with Cholmod().factorize(A, "spd") as factor, limit_threads(1):
+        alone = factor.solve(B)
+        with limit_threads(3):
+            together = factor.solve(B)
+            assert np.array_equal(factor.solve(B), together)
+            assert blas_threads() == 3
+    assert np.abs(together - alone).max() < 1e-12 * np.abs(alone).max()
+    assert np.abs(A @ together - B).max() < 1e-11 * np.abs(B).max()
 
 
 def test_right_hand_sides_leave_no_memory_behind(cube: tuple[sp.csr_array, ...]) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_library import (
@@ -28,10 +31,25 @@ from morembs.progress import SILENT, Progress
 Values = NDArray[Any]
 # Columns solved at once. Narrow blocks spend their time in reading the factor; wider ones gain nothing more.
 _BLOCK = 128
+# Fewer columns than this are not worth a thread: it reads the whole factor for them.
+_NARROW = 8
+# The number of threads of the BLAS belongs to the whole process.
+_SIDE_BY_SIDE = threading.Lock()
 _WORDS = {
     -1: "it was built without a part that is needed", -2: "memory could not be allocated",
     -3: "the matrix is too large for its integers", -4: "it found its input invalid",
 }  # fmt: skip
+
+
+class _Place:
+    """Where one thread solves: a workspace of CHOLMOD, and two arrays that it allocates for a block of right-hand sides
+    and uses again for the next."""
+
+    def __init__(self, common: Any) -> None:
+        self.common = common
+        common.print = 0
+        common.error_handler = None
+        self.workspace = [ctypes.c_void_p(), ctypes.c_void_p()]
 
 
 class Session(ForeignObject):
@@ -42,13 +60,11 @@ class Session(ForeignObject):
         self.library = library
         self.common = library.new("common")
         self._factor = ctypes.c_void_p()
-        # Two arrays that CHOLMOD allocates for a block of right-hand sides and uses again for the next.
-        self._workspace = [ctypes.c_void_p(), ctypes.c_void_p()]
         self._solving = threading.Lock()
+        self._blas = ThreadpoolController().select(user_api="blas")
         library.functions["start"](ctypes.byref(self.common))
+        self._places = [_Place(self.common)]
         common = self.common
-        common.print = 0
-        common.error_handler = None
         common.supernodal, common.final_ll, common.quick_return_if_not_posdef = SUPERNODAL, 1, 1
         common.postorder = 1
 
@@ -110,29 +126,53 @@ class Session(ForeignObject):
         with self._solving:
             try:
                 for first in range(0, X.shape[1], _BLOCK):
-                    self._solve_block(X[:, first : first + _BLOCK])
+                    self.call(self._solve_block, X[:, first : first + _BLOCK])
             finally:
                 if not self.abandoned:
                     self._free_workspace()
 
     def _solve_block(self, X: Values) -> None:
+        """Solve in parts side by side, one for each thread of the BLAS.
+
+        The many small products of a solve gain little from threads of their own; parts share what they read.
+        """
+        threads = max((library.num_threads for library in self._blas.lib_controllers), default=1)
+        parts = min(threads, X.shape[1] // _NARROW)
+        if parts < 2:
+            self._solve_part(self._places[0], X)
+            return
+        while len(self._places) < parts:
+            common = self.library.new("common")
+            self.library.functions["start"](ctypes.byref(common))
+            self._places.append(_Place(common))
+        edges = [X.shape[1] * part // parts for part in range(parts + 1)]
+        columns = [X[:, first:last] for first, last in pairwise(edges)]
+        with _SIDE_BY_SIDE, self._blas.limit(limits=1), ThreadPoolExecutor(parts) as pool:
+            list(pool.map(self._solve_part, self._places[:parts], columns))
+
+    def _solve_part(self, place: _Place, X: Values) -> None:
         B, solution = _dense(self.library, X), _dense(self.library, X)
         # CHOLMOD copies the right-hand side before it writes the solution, so both may be one array.
         target = ctypes.pointer(solution)
-        handles = [ctypes.byref(handle) for handle in self._workspace]
-        done = self.run("solve2", 0, self._factor, ctypes.byref(B), None, ctypes.byref(target), None, *handles)
-        if not done or ctypes.addressof(target.contents) != ctypes.addressof(solution):
-            raise SolverError("CHOLMOD failed in the solution")
+        handles = [ctypes.byref(handle) for handle in place.workspace]
+        with self.library.serial_loops():
+            done = self.library.functions["solve2"](
+                0, self._factor, ctypes.byref(B), None, ctypes.byref(target), None, *handles, ctypes.byref(place.common)
+            )
+        if not done or place.common.status < 0 or ctypes.addressof(target.contents) != ctypes.addressof(solution):
+            raise SolverError(f"CHOLMOD failed in the solution: status {int(place.common.status)}")
 
     def _free_workspace(self) -> None:
-        for handle in self._workspace:
-            self.library.functions["free_dense"](ctypes.byref(handle), ctypes.byref(self.common))
+        for place in self._places:
+            for handle in place.workspace:
+                self.library.functions["free_dense"](ctypes.byref(handle), ctypes.byref(place.common))
 
     def _free(self) -> None:
         functions, common = self.library.functions, ctypes.byref(self.common)
         self._free_workspace()
         functions["free_factor"](ctypes.byref(self._factor), common)
-        functions["finish"](common)
+        for place in self._places:
+            functions["finish"](ctypes.byref(place.common))
 
 
 def sparse(library: Library, A: Lower, values: bool = True) -> Any:

@@ -1,0 +1,115 @@
+"""The factor of the Sturm count finds the modes that it counts: one Krylov space at two shifts.
+
+A space at shift zero shows soon where the modes wanted end. The factor of K - sigma M in the gap there counts them, and
+the same space goes on with it (Grimes, Lewis and Simon 1994; Ruhe 1998): modes near either shift converge in few steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import SingularMatrixError, SolverError
+from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
+from morembs.linalg.slicing import Shifted
+from morembs.linalg.statics import NUDGES, ConstrainedStatics
+from morembs.memory import installed_bytes
+from morembs.progress import Progress
+
+Floats = NDArray[np.float64]
+# Residual of the Ritz values between which the second shift is put: their error is about its square.
+ROUGH = 0.03
+# Residual of Ritz values that gain nothing more at the second shift.
+ROUND_OFF = 1e-13
+# An error at the second shift weighs more than at zero: part of the tolerance there.
+PART = 0.1
+# Times the factor that the machine has memory for: another one with its workspace, and all else.
+ROOM = 6
+# How often the space is doubled before a mode that the count finds is given up.
+DOUBLED = 2
+
+
+def keeps_two_factors(body: ConstrainedStatics) -> bool:
+    """Whether there is room for the factor of the Sturm count beside that of the stiffness: not under a budget."""
+    stats = body.statics.factor.stats
+    unlimited = body.statics.budget.memory is None and not stats.out_of_core
+    return unlimited and ROOM * stats.memory_bytes < installed_bytes()
+
+
+def shifted_factor(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted:
+    """Factor at ``sigma``, which moves a little up where it hits an eigenvalue.
+
+    Raises:
+        SolverError: eigenvalues cluster there, or round-off hides them.
+    """
+    for nudge in NUDGES:
+        try:
+            return Shifted(body, M, sigma * (1 + nudge))
+        except SingularMatrixError:
+            continue
+    raise SolverError(f"many eigenfrequencies cluster at {_hz(sigma)}")
+
+
+def first_look(lanczos: BlockLanczos, count: int, *, progress: Progress, what: str) -> float | None:
+    """Grow the space until a gap behind mode ``count`` is known roughly: a shift in it, None where the space ends."""
+    while lanczos.pending.shape[1] and not lanczos.full():
+        lanczos.expand()
+        if lanczos.size <= count:
+            continue
+        theta, _, residual = lanczos.ritz()
+        known = int(np.argmin(np.append(residual <= ROUGH * np.abs(theta), False)))
+        progress.update(f"{min(known, count)} of {count} {what} known roughly")
+        if known > count:
+            values = 1.0 / theta[count - 1 : min(known, count + max(2, count // 10))]
+            k = int(np.argmax(values[1:] / values[:-1]))
+            return float(0.5 * (values[k] + values[k + 1]))
+    return None
+
+
+def modes_below(
+    lanczos: BlockLanczos, shifted: Shifted, *, progress: Progress, what: str
+) -> tuple[Floats, Floats]:
+    """All modes below the shift: eigenvalues ascending (m,), vectors (N, m); the space goes on at that shift.
+
+    Raises:
+        SolverError: the count finds more or fewer than the space.
+    """
+    theta, Y, residual = lanczos.ritz()
+    values, wanted, room = 1.0 / theta, shifted.below, DOUBLED
+    # Those that have converged to round-off at shift zero stay as they are: soft ones are known best there.
+    locked = int(np.argmin(np.append((residual <= ROUND_OFF * np.abs(theta)) & (values < shifted.sigma), False)))
+    if locked < wanted:
+        first = values[:locked]
+        lanczos.turn(shifted.apply, shifted.sigma, locked)
+        done = False
+        while not done:
+            if lanczos.full():
+                room -= 1
+                if room < 0:
+                    break
+                lanczos.enlarge(2 * lanczos.capacity)
+            lanczos.expand()
+            theta, Y, residual = lanczos.ritz()
+            found = theta < 0
+            theta, Y, residual = theta[found], Y[:, found], residual[found]
+            values = shifted.sigma + 1.0 / theta
+            # The more, the nearer to zero a mode is.
+            good = residual <= PART * TOLERANCE * np.abs(theta) * np.minimum(1.0, np.abs(values * theta))
+            progress.update(f"{locked + int(good.sum())} of {wanted} {what} converged")
+            done = bool(locked + len(theta) >= wanted and good.all()) or not lanczos.pending.shape[1]
+        Y = np.hstack([np.eye(lanczos.size, locked), Y])
+        values = np.concatenate([first, values])
+    else:
+        values, Y = values[:locked], Y[:, :locked]
+    if len(values) != wanted:
+        raise SolverError(
+            f"the Sturm count finds {wanted} {what} below {_hz(shifted.sigma)}, the eigensolver {len(values)}; "
+            "ask for a few modes more or less, so that the limit does not cut a cluster"
+        )
+    order = np.argsort(values, kind="stable")
+    return values[order], lanczos.vectors(Y[:, order])
+
+
+def _hz(value: float) -> str:
+    return f"{np.sqrt(max(value, 0.0)) / (2 * np.pi):.6g} Hz"
