@@ -43,6 +43,7 @@ EXPORTERS: Registry[type[Exporter]] = Registry(
 ADVICE: dict[str, str] = {
     **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib", "modelica", "openmodelica", "dymola"), "take 'sid'"),
     **dict.fromkeys(("matlab", "simulink"), "take 'simscape', or 'matrix-market' for the matrices alone"),
+    **dict.fromkeys(("fmi", "fmpy", "omsimulator"), "take 'fmu'"),
     **dict.fromkeys(("nastran", "optistruct"), "take 'dmig' or 'op4'"),
     **dict.fromkeys(("mtx", "ansys", "octave", "julia", "scipy"), "take 'matrix-market'"),
     **dict.fromkeys(("adams", "mnf", "recurdyn"), "modal neutral files (.mnf) are not written; --list names what is"),
