@@ -50,12 +50,13 @@ EXPORTERS: Registry[type[Exporter]] = Registry(
 # Programs by name, in small letters -> what to export to instead.
 ADVICE: dict[str, str] = {
     **dict.fromkeys(("simpack", "fembs", "sid-fem", "embslib"), "take 'sid'"),
-    **dict.fromkeys(("openmodelica", "dymola"), "take 'modelica', or 'sid' for EMBSlib"),
+    **dict.fromkeys(("openmodelica", "dymola"), "take 'modelica', 'fmu', or 'sid' for EMBSlib"),
     **dict.fromkeys(("matlab", "simulink"), "take 'simscape', 'statespace' for control, or 'matrix-market'"),
     **dict.fromkeys(("control", "python-control", "state-space"), "take 'statespace'"),
     **dict.fromkeys(("mjcf", "newton"), "take 'mujoco'"),
     **dict.fromkeys(("openfast", "fast"), "take 'extptfm'"),
     **dict.fromkeys(("chrono",), "its modal assembly wants the inner nodes of a model; take 'matrix-market'"),
+    **dict.fromkeys(("fmi", "fmpy", "omsimulator"), "take 'fmu'"),
     **dict.fromkeys(("nastran", "optistruct"), "take 'dmig' or 'op4'"),
     **dict.fromkeys(("mtx", "ansys", "octave", "julia", "scipy"), "take 'matrix-market'"),
     **dict.fromkeys(

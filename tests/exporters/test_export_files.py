@@ -308,7 +308,7 @@ def test_a_body_without_stiffness(files, tmp_path, to):
     ("given", "words"),
     [("simpack", "take 'sid'"), ("SID", "did you mean 'sid'"), ("Nastran", "take 'dmig' or 'op4'"),
      ("SID_FEM", "take 'sid'"), ("exodyn", "did you mean 'exudyn'"),
-     ("adams", "not written"), ("matlab", "take 'simscape'"), ("vtk", "known: abaqus")],
+     ("adams", "not written"), ("matlab", "take 'simscape'"), ("FMI", "take 'fmu'"), ("vtk", "known: abaqus")],
 )  # fmt: skip
 def test_other_names_of_targets(files, given, words):
     with pytest.raises(InputError, match=words):

@@ -70,3 +70,10 @@ class InCasadi:
 def by_axes(*names: str, axes: str = "xyz") -> list[str]:
     """``name.x``, ``name.y``, ... of each."""
     return [f"{name}.{axis}" for name in names for axis in axes]
+
+
+def run(fmpy, fmu: Path, end: float, step: float, outputs: list[str], **options: object) -> np.ndarray:
+    """Outputs (steps, m) of a simulation by FMPy, as co-simulation unless told."""
+    options.setdefault("fmi_type", "CoSimulation")
+    result = fmpy.simulate_fmu(str(fmu), stop_time=end, output_interval=step, output=outputs, **options)
+    return np.array([result[name] for name in outputs]).T

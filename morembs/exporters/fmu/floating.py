@@ -43,7 +43,7 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
     """
     frame, markers = context.frame, context.markers("a floating body")
     refuse_rigid(context)
-    rows = stress_rows(context, stress, direct=True)
+    rows = stress_rows(context, stress)
     known = identifiers(markers)
     names = [name for name in known.values() for _ in range(6)]
     inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))

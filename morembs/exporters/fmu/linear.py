@@ -65,7 +65,7 @@ def linear_system(
     fixed = _held_columns(context, held)
     free = np.setdiff1d(np.arange(len(columns)), fixed)
     at = _coordinates(context, fixed)
-    rows = stress_rows(context, stress, direct=True)
+    rows = stress_rows(context, stress)
     if not len(columns) and not rows.count:
         raise InputError(f"body {body.name!r} has no interface, so that nothing would go in or come out")
     components = source.input_component.tolist()

@@ -152,7 +152,7 @@ class StressRows:
         return len(self.shapes) // 6
 
 
-def stress_rows(context: ExportContext, nodes: Sequence[int], *, direct: bool) -> StressRows:
+def stress_rows(context: ExportContext, nodes: Sequence[int]) -> StressRows:
     """Stresses at the nodes with these labels, where materials meet one of each.
 
     Raises:
@@ -171,12 +171,10 @@ def stress_rows(context: ExportContext, nodes: Sequence[int], *, direct: bool) -
     rows, names = _points(recovery, nodes)
     take = (6 * rows[:, None] + np.arange(6)).ravel()
     loads = np.zeros((len(take), m)) if recovery.correction is None else np.asarray(recovery.correction[take], float)
-    tensors = [Variable(name=f"{name}.{part}", unit="Pa", about="stress", direct=direct and bool(loads.any()))
-               for name in names for part in _TENSOR]  # fmt: skip
-    sizes = [Variable(name=f"{name}.von_mises", unit="Pa", about="stress", direct=direct and bool(loads.any()))
-             for name in names]  # fmt: skip
+    parts = [*(f"{name}.{part}" for name in names for part in _TENSOR), *(f"{name}.von_mises" for name in names)]
+    outputs = tuple(Variable(name=part, unit="Pa", about="stress", direct=bool(loads.any())) for part in parts)
     shapes = np.asarray(recovery.stress[take], dtype=float) @ recovery.deformation
-    return StressRows(shapes=shapes, loads=loads, outputs=(*tensors, *sizes))
+    return StressRows(shapes=shapes, loads=loads, outputs=outputs)
 
 
 def _points(recovery: Recovery, nodes: Sequence[int]) -> tuple[NDArray[np.int64], list[str]]:
