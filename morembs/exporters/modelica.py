@@ -59,7 +59,6 @@ class Modelica(Exporter):
     name: ClassVar[str] = "modelica"
     suffix: ClassVar[str] = ".mo"
     about: ClassVar[str] = "Modelica package: small motion, large rotations, frames of MultiBody"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
