@@ -161,8 +161,8 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
     yield "    </body>"
     for mode in kept:
         spring = f'stiffness="{float(frame.Ke[mode, mode])!r}" damping="{max(float(frame.De[mode, mode]), 0.0)!r}"'
-        yield f"    <body name={quoteattr(f'{name}:q{mode + 1}')} gravcomp=\"1\">"
-        yield f"      <joint name={quoteattr(f'{name}:q{mode + 1}')} type=\"slide\" axis=\"1 0 0\" {spring}/>"
+        yield f"    <body name={quoteattr(f'{name}:mode:{mode + 1}')} gravcomp=\"1\">"
+        yield f"      <joint name={quoteattr(f'{name}:mode:{mode + 1}')} type=\"slide\" axis=\"1 0 0\" {spring}/>"
         yield '      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         yield "    </body>"
     yield "  </worldbody>"
@@ -174,7 +174,7 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
             for mode in kept:
                 if marker.motion[row, mode]:
                     coefficient = float(marker.motion[row, mode])
-                    yield f"      <joint joint={quoteattr(f'{name}:q{mode + 1}')} coef=\"{coefficient!r}\"/>"
+                    yield f"      <joint joint={quoteattr(f'{name}:mode:{mode + 1}')} coef=\"{coefficient!r}\"/>"
             yield "    </fixed>"
     yield "  </tendon>"
     yield "  <equality>"

@@ -132,6 +132,8 @@ def signals(
     Raises:
         InputError: as ``state_space``.
     """
+    if isinstance(held, str):
+        raise InputError(f'held = {held!r} was given; expected a list such as ["base"]')
     wanted = {"inputs": _chosen(ports, inputs, INPUTS, "input"), "outputs": _chosen(ports, outputs, OUTPUTS, "output")}
     return wanted, _supports(ports, wanted, [row for text in held for row in parts_of(ports, text, ("",), "held")[1]])
 

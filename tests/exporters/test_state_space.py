@@ -272,6 +272,8 @@ def test_bad_input(body, tmp_path):
     for inputs, outputs, held, message in cases:
         with pytest.raises(InputError, match=message):
             state_space(body, inputs, outputs, held=held)
+    with pytest.raises(InputError, match="held = 'base' was given; expected a list"):
+        state_space(body, ["tip:force"], ["tip:velocity"], held="base")
     hysteretic = replace(body, recipe={**body.recipe, STRUCTURAL: 0.02})
     with pytest.raises(InputError, match=r"structural damping of 0\.02"):
         state_space(hysteretic, ["tip:force"], ["tip:velocity"])
