@@ -20,7 +20,7 @@ from morembs.jobs.job import Job, load_job
 from morembs.version import VERSION
 
 # Tables and keys that do not change what is in a body.
-_BESIDE = {"solver": {"threads", "memory", "scratch"}, "output": {"path", "picture"}}
+_BESIDE = {"solver": {"threads", "memory", "scratch"}, "output": {"path", "picture"}, "state_space": {"path"}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +55,7 @@ class Part:
     @property
     def outputs(self) -> tuple[Path, ...]:
         """The files that the job writes."""
-        job = self.loaded
-        return (job.output,) if job.picture is None else (job.output, job.picture)
+        return tuple(self.loaded.results.values())
 
 
 def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[Part, ...]:

@@ -63,19 +63,6 @@ class Part:
             "interfaces": [each.name for each in self.interfaces], "source": self.source,
         }  # fmt: skip
 
-    def inputs(self) -> tuple[Ints, Ints, Ints]:
-        """Of each column of an input matrix (m,) the position of its interface, its motion 0..5 (6: of a generalised
-        force) and the label of its node (-1: a frame, or none)."""
-        index, component, node = (
-            np.full(sum(columns.stop - columns.start for columns in self.columns.values()), -1, dtype=np.int64)
-            for _ in range(3)
-        )
-        for number, interface in enumerate(self.interfaces):
-            columns, (exposed, rows) = self.columns[interface.name], interface.kind.columns(interface)
-            index[columns], component[columns] = number, exposed
-            node[columns] = np.where(rows < 0, -1, self.node_ids[rows])
-        return index, component, node
-
     def grid(self) -> Grid:
         """The cells as VTK keeps them."""
         sizes = [np.full(len(cells.connectivity), cells.connectivity.shape[1]) for cells in self.cells]
@@ -162,6 +149,20 @@ class ElasticBody(Viewed):
     def to_pymor(self) -> Any:
         """The reduced model as a ``pymor.models.iosys.SecondOrderModel``; see ``morembs.to_pymor``."""
         return to_pymor(self.reduced)
+
+
+def input_columns(
+    interfaces: Sequence[Interface], columns: Mapping[str, slice], node_ids: Ints
+) -> tuple[Ints, Ints, Ints]:
+    """Of each column of an input matrix (m,) the position of its interface, its motion 0..5 (6: of a generalised force)
+    and the label of its node (-1: a frame, or none), from the ``columns`` of each interface and all labels."""
+    count = sum(some.stop - some.start for some in columns.values())
+    index, component, node = (np.full(count, -1, dtype=np.int64) for _ in range(3))
+    for number, interface in enumerate(interfaces):
+        some, (exposed, rows) = columns[interface.name], interface.kind.columns(interface)
+        index[some], component[some] = number, exposed
+        node[some] = np.where(rows < 0, -1, node_ids[rows])
+    return index, component, node
 
 
 def make_part(problem: Problem, nodes: str = "all") -> Part:

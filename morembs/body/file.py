@@ -112,9 +112,10 @@ def write_body(
 
 def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, object]) -> dict[str, object]:
     """Values of everything that the bodies share, by the fields of ``tables.FILE``."""
+    from morembs.body.body import input_columns
     from morembs.reducers.base import MODE_KINDS
 
-    index, component, node = part.inputs()
+    index, component, node = input_columns(part.interfaces, part.columns, part.node_ids)
     # Readers of version 1 take the transposed input matrix for the motions.
     symmetric = all(body.reduced.symmetric for body in bodies)
     return {

@@ -104,7 +104,6 @@ class AbaqusExporter(Exporter):
     name: ClassVar[str] = "abaqus"
     suffix: ClassVar[str] = ".inp"
     about: ClassVar[str] = "Abaqus *MATRIX INPUT: reduced matrices on interface nodes"
-    lossless: ClassVar[bool] = False
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 

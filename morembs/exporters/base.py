@@ -141,14 +141,13 @@ class Exporter(ABC):
     """Options of a target; its fields are the keys a user may give.
 
     ``name`` is what the user types, ``suffix`` the end of the file name, ``about`` one line for people;
-    ``lossless`` says whether numbers pass in full double precision; ``needs_frame`` whether the target
-    describes a body in a floating frame; ``holds`` which of LOSSES its files carry: other parts of a body are noted.
+    ``needs_frame`` says whether the target describes a body in a floating frame, ``holds`` which of LOSSES its files
+    carry: other parts of a body are noted.
     """
 
     name: ClassVar[str]
     suffix: ClassVar[str]
     about: ClassVar[str]
-    lossless: ClassVar[bool]
     needs_frame: ClassVar[bool] = True
     holds: ClassVar[frozenset[str]] = frozenset()
 

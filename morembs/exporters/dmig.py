@@ -121,7 +121,6 @@ class DmigExporter(Exporter):
     name: ClassVar[str] = "dmig"
     suffix: ClassVar[str] = ".dmig.bdf"
     about: ClassVar[str] = "Nastran DMIG: reduced matrices on interface grids and scalar points"
-    lossless: ClassVar[bool] = False
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 

@@ -34,7 +34,6 @@ class ExtPtfm(Exporter):
     name: ClassVar[str] = "extptfm"
     suffix: ClassVar[str] = ".extptfm.dat"
     about: ClassVar[str] = "OpenFAST ExtPtfm: Craig-Bampton superelement of a foundation"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
@@ -58,7 +57,7 @@ class ExtPtfm(Exporter):
             file.check()
         modes = len(K) - PLATFORM
         notes = [
-            f"{modes} modes with {name} at rest, of up to {_highest(K, M):.4g} Hz; their time step is that of ExtPtfm",
+            f"{modes} modes with {name} at rest",
             "the loads in the file are zero: waves, current and the weight of the foundation are yours to add",
             "axes are those of the model; OpenFAST has z upwards and x downwind",
         ]
@@ -83,9 +82,3 @@ def _lines(matrices: list[tuple[str, str, Floats]], duration: float) -> Iterator
     for time in (0.0, duration):
         yield f"{time!r}{' 0.0' * (n + 1)}\n"
 
-
-def _highest(K: Floats, M: Floats) -> float:
-    """Highest frequency in Hz of the modes behind the platform."""
-    inner = slice(PLATFORM, None)
-    squares = np.linalg.eigvals(np.linalg.solve(M[inner, inner], K[inner, inner])).real if len(K) > PLATFORM else [0.0]
-    return float(np.sqrt(max(squares)) / (2 * np.pi))

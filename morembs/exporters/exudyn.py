@@ -48,7 +48,6 @@ class Exudyn(Exporter):
     name: ClassVar[str] = "exudyn"
     suffix: ClassVar[str] = ".exudyn.hdf5"
     about: ClassVar[str] = "Exudyn, ObjectFFRFreducedOrder (.hdf5)"
-    lossless: ClassVar[bool] = True
 
     triangles: bool = True
 

@@ -25,7 +25,6 @@ class MatrixMarketExporter(Exporter):
     name: ClassVar[str] = "matrix-market"
     suffix: ClassVar[str] = ".mtx"
     about: ClassVar[str] = "Matrix Market: reduced matrices M, K, D, B, one file each"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 

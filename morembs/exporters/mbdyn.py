@@ -36,7 +36,6 @@ class MBDynExporter(Exporter):
     name: ClassVar[str] = "mbdyn"
     suffix: ClassVar[str] = ".fem"
     about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
-    lossless: ClassVar[bool] = True
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     def _write(self, context: ExportContext) -> Exported:

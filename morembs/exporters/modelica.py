@@ -59,7 +59,6 @@ class Modelica(Exporter):
     name: ClassVar[str] = "modelica"
     suffix: ClassVar[str] = ".mo"
     about: ClassVar[str] = "Modelica package: small motion, large rotations, frames of MultiBody"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
@@ -115,12 +114,12 @@ def _linear(system: StateSpace, ports: Sequence[Port], names: dict[str, str]) ->
         some = slice(at, at + len(words))
         at += len(words)
         about = ", ".join(dict.fromkeys(words))
-        yield f"  parameter Real B_{ident}[n, {len(words)}] = {_matrix(system.B[n:, some])};"
-        yield f"  parameter Real C_{ident}[{len(words)}, n] = {_matrix(system.C[some, :n])};"
+        yield f"  parameter Real {ident}_B[n, {len(words)}] = {_matrix(system.B[n:, some])};"
+        yield f"  parameter Real {ident}_C[{len(words)}, n] = {_matrix(system.C[some, :n])};"
         yield f'  input Real {ident}_force[{len(words)}] "{about} in N, N.m";'
         yield f'  output Real {ident}_motion[{len(words)}] "{about} in m, rad";'
-        terms.append(f"B_{ident}*{ident}_force")
-        outputs.append(f"  {ident}_motion = C_{ident}*q;")
+        terms.append(f"{ident}_B*{ident}_force")
+        outputs.append(f"  {ident}_motion = {ident}_C*q;")
     yield "  Real q[n](each start = 0, each fixed = true) \"Coordinates\";"
     yield "  Real dq[n](each start = 0, each fixed = true);"
     yield "equation"
@@ -232,23 +231,23 @@ def _multibody(markers: dict[str, InterfaceMarker], axes: dict[str, Floats], nam
     idents = [names[name] for name in markers]
     for name in markers:
         ident = names[name]
-        yield f"  Modelica.Mechanics.MultiBody.Interfaces.Frame_a {ident};"
+        yield f"  Modelica.Mechanics.MultiBody.Interfaces.Frame_a {ident}_frame;"
         yield f"  parameter Real {ident}_axes[3, 3] = {_matrix(axes[name])} \"Axes of the interface as rows\";"
         yield f"  Real {ident}_T[3, 3] \"From the inertial frame to the interface\";"
         yield f"  Real {ident}_w[3] \"Its angular velocity, own axes\";"
     yield "equation"
-    yield f"  Connections.root({idents[0]}.R);"
+    yield f"  Connections.root({idents[0]}_frame.R);"
     for ident in idents[1:]:
-        yield f"  Connections.branch({idents[0]}.R, {ident}.R);"
+        yield f"  Connections.branch({idents[0]}_frame.R, {ident}_frame.R);"
     for ident in idents:
         turn, size = f"{ident}_turn", f"(1 + 0.25*({ident}_turn*{ident}_turn))"
         back = f"(identity(3) - (skew({turn}) - 0.5*skew({turn})*skew({turn}))/{size})"
         yield f"  {ident}_T = {ident}_axes*{back}*transpose(R);"
         yield f"  {ident}_w = {ident}_T*R*(w + ({ident}_psi*dq + 0.5*cross({turn}, {ident}_psi*dq))/{size});"
-        yield f"  {ident}.r_0 = {ident}_r;"
-        yield f"  {ident}.R = Modelica.Mechanics.MultiBody.Frames.from_T({ident}_T, {ident}_w);"
-        yield f"  {ident}_f = transpose(R)*transpose({ident}_T)*{ident}.f;"
-        yield f"  {ident}_t = transpose(R)*transpose({ident}_T)*{ident}.t;"
+        yield f"  {ident}_frame.r_0 = {ident}_r;"
+        yield f"  {ident}_frame.R = Modelica.Mechanics.MultiBody.Frames.from_T({ident}_T, {ident}_w);"
+        yield f"  {ident}_f = transpose(R)*transpose({ident}_T)*{ident}_frame.f;"
+        yield f"  {ident}_t = transpose(R)*transpose({ident}_T)*{ident}_frame.t;"
     yield "end MultiBody;"
 
 

@@ -207,7 +207,6 @@ class OP4Exporter(Exporter):
     name: ClassVar[str] = "op4"
     suffix: ClassVar[str] = ".op4"
     about: ClassVar[str] = "Nastran OP4: reduced matrices M, K, D, B"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 

@@ -1,20 +1,25 @@
-"""Names of what goes in and out of a body: interface, quantity, component."""
+"""What goes in and out of a body, by names of interface, quantity and component; and whether supports hold it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.body.body import ElasticBody
+from morembs.body.body import ElasticBody, input_columns
 from morembs.body.stored import StoredBodies
 from morembs.errors import InputError, nearest
-from morembs.model.fe_model import SCALAR
+from morembs.interface import Interface
+from morembs.model import Nodes
+from morembs.model.fe_model import SCALAR, rigid_motion
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+# Ratio of singular values, rows scaled to one, below which supports leave a rigid-body motion.
+HELD = 1e-8
 # Quantity -> unit of a translation, of a rotation.
 UNITS = {
     "displacement": ("m", "rad"), "velocity": ("m/s", "rad/s"), "acceleration": ("m/s2", "rad/s2"),
@@ -50,11 +55,20 @@ def ports_of_file(source: StoredBodies) -> tuple[Port, ...]:
     return _ports(parts, zip(*(values.tolist() for values in columns), strict=True), xyz)
 
 
+def ports_of(
+    interfaces: Sequence[Interface], columns: Mapping[str, slice], node_ids: Ints, nodes: Nodes
+) -> tuple[Port, ...]:
+    """Ports of a model with nodes of the labels ``node_ids`` that is coupled to ``interfaces``, the ``columns`` of each
+    in B; ``nodes`` are those of the interfaces, or more."""
+    xyz = dict(zip(nodes.ids.tolist(), nodes.xyz, strict=True))
+    parts = [(each.name, each.point, each.forces) for each in interfaces]
+    rows = input_columns(interfaces, columns, node_ids)
+    return _ports(parts, zip(*(values.tolist() for values in rows), strict=True), xyz)
+
+
 def ports_of_body(body: ElasticBody) -> tuple[Port, ...]:
     """Ports of a body in memory."""
-    xyz = dict(zip(body.part.nodes.ids.tolist(), body.part.nodes.xyz, strict=True))
-    parts = [(each.name, each.point, each.forces) for each in body.part.interfaces]
-    return _ports(parts, zip(*(values.tolist() for values in body.part.inputs()), strict=True), xyz)
+    return ports_of(body.part.interfaces, body.part.columns, body.part.node_ids, body.part.nodes)
 
 
 def _ports(
@@ -93,3 +107,44 @@ def parts_of(ports: Sequence[Port], text: str, known: Sequence[str], what: str) 
     for word in sorted(named - there):
         raise InputError(f"{what} {text!r}: {name!r} has no component {word!r}; {nearest(word, there)}")
     return quantity, [row for row in own if ports[row].word in named]
+
+
+def refuse_loose(ports: Sequence[Port], rows: Sequence[int], rigid: Floats) -> None:
+    """Refuse supports in some ``rows`` that leave the part a rigid-body motion.
+
+    Args:
+        rigid: motion (m, r) of all degrees of freedom by the r rigid-body motions that the part has.
+
+    Raises:
+        InputError: as said.
+    """
+    at = rigid[list(rows)]
+    size = np.linalg.norm(at, axis=1)
+    _, values, Vt = np.linalg.svd(at / np.where(size > 0, size, 1.0)[:, None])
+    left = Vt[int((values > HELD * values[0]).sum()) :].T
+    if not left.shape[1]:
+        return
+    names = ", ".join(repr(text) for text in dict.fromkeys(ports[row].interface for row in rows))
+    count = left.shape[1]
+    which = _words(ports, rigid @ left[:, 0]) if count == 1 else ""
+    raise InputError(
+        f"the part is not held by the supports {names}; {count} rigid motion{'s are' if count > 1 else ' is'} left"
+        f"{which}; prescribe {'them' if count > 1 else 'it'} as well, or take force inputs"
+    )
+
+
+def _words(ports: Sequence[Port], motion: Floats) -> str:
+    """Words for a rigid-body motion that moves the degrees of freedom by ``motion`` (m,)."""
+    points = np.array([port.point for port in ports])
+    center = points.mean(axis=0)
+    rigid = rigid_motion(points - center, np.array([port.component for port in ports]))
+    twist, *_ = np.linalg.lstsq(rigid, motion, rcond=1e-9)
+    reach = np.abs(points - center).max() or 1.0
+    turns = np.abs(twist[3:]).max() * reach > 1e-6 * np.abs(twist[:3]).max()
+    axis = twist[3:] if turns else twist[:3]
+    if not axis.any():
+        return ""
+    axis = axis / np.linalg.norm(axis)
+    main = int(np.abs(axis).argmax())
+    shown = "xyz"[main] if abs(axis[main]) > 1 - 1e-6 else "(" + ", ".join(f"{value:.2g}" for value in axis) + ")"
+    return f" (rotation about {shown})" if turns else f" (translation along {shown})"

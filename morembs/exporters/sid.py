@@ -42,7 +42,6 @@ class SidFem(Exporter):
     name: ClassVar[str] = "sid"
     suffix: ClassVar[str] = ".SID_FEM"
     about: ClassVar[str] = "standard input data for Simpack (FEMBS) and EMBSlib, text"
-    lossless: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "stiffening"})
 
     dialect: Literal["fembs", "mode-major"] = "fembs"

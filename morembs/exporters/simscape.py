@@ -41,7 +41,6 @@ class Simscape(Exporter):
     name: ClassVar[str] = "simscape"
     suffix: ClassVar[str] = ".mat"
     about: ClassVar[str] = "MATLAB file for the Simscape block Reduced Order Flexible Solid"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 

@@ -12,17 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete
 
 from morembs.body.body import ElasticBody
 from morembs.body.stored import StoredBodies
 from morembs.errors import InputError
 from morembs.exporters.base import choose_body
-from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file
+from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
 from morembs.linalg.columns import symmetric
 from morembs.linalg.eigen import graded_modes
-from morembs.model.fe_model import rigid_motion
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel
 from morembs.summary import summarised
@@ -31,8 +29,6 @@ Floats = NDArray[np.float64]
 # Quantity and row of each degree of freedom that was named.
 Named = Sequence[tuple[str, int]]
 INPUTS, OUTPUTS = ("force", "acceleration", "displacement"), ("displacement", "velocity", "acceleration", "reaction")
-# Ratio of singular values, rows scaled to one, below which supports leave a rigid-body motion.
-HELD = 1e-8
 # Part of the products that it is the sum of, below which a damping force of rigid motion is round-off.
 ROUND_OFF = 1e-10
 
@@ -70,6 +66,9 @@ class StateSpace:
         """
         if not (np.isfinite(step) and step > 0) or self.dt:
             raise InputError(f"step = {step} s was given; expected a positive one, of a system in continuous time")
+        # Not at the top: it takes longer than most exports.
+        from scipy.signal import cont2discrete
+
         A, B, C, D, _ = cont2discrete((self.A, self.B, self.C, self.D), step, "zoh")
         return StateSpace(A=A, B=B, C=C, D=D, names=self.names, units=self.units, dt=float(step))
 
@@ -119,9 +118,24 @@ def state_space(
     reason = frequency_domain_only(recipe)
     if reason:
         raise InputError(f"body {reduced.name!r}: {reason}")
-    wanted = {"inputs": _chosen(ports, inputs, INPUTS, "input"), "outputs": _chosen(ports, outputs, OUTPUTS, "output")}
-    supports = _supports(ports, wanted, [row for text in held for row in parts_of(ports, text, ("",), "held")[1]])
+    wanted, supports = signals(ports, inputs, outputs, held)
+    if supports and reduced.rigid_count:
+        refuse_loose(ports, sorted(supports), reduced.C @ reduced.modes()[1][:, : reduced.rigid_count])
     return _assembled(reduced, ports, wanted, supports)
+
+
+def signals(
+    ports: Sequence[Port], inputs: Sequence[str], outputs: Sequence[str], held: Sequence[str]
+) -> tuple[dict[str, Named], dict[int, str]]:
+    """What ``inputs`` and ``outputs`` name, and the motion of each degree of freedom that does not move freely.
+
+    Raises:
+        InputError: as ``state_space``.
+    """
+    if isinstance(held, str):
+        raise InputError(f'held = {held!r} was given; expected a list such as ["base"]')
+    wanted = {"inputs": _chosen(ports, inputs, INPUTS, "input"), "outputs": _chosen(ports, outputs, OUTPUTS, "output")}
+    return wanted, _supports(ports, wanted, [row for text in held for row in parts_of(ports, text, ("",), "held")[1]])
 
 
 def _chosen(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...], what: str) -> Named:
@@ -175,68 +189,31 @@ class _Held:
     Y: Floats
     mass: Floats
     stiffness: Floats
-    rigid: bool
+    KX: Floats
 
     @classmethod
-    def of(cls, reduced: ReducedModel, ports: Sequence[Port], rows: Sequence[int]) -> _Held:
-        R = reduced.modes()[1][:, : reduced.rigid_count]
+    def of(cls, reduced: ReducedModel, rows: Sequence[int]) -> _Held:
         K, M, same = reduced.K, reduced.M, reduced.symmetric and np.array_equal(reduced.C, reduced.B.T)
         if not rows:
             X = Y = np.zeros((len(K), 0))
             N = W = np.eye(len(K))
         else:
-            _refuse_loose(reduced, ports, rows, R)
             X, N, _ = held_and_free(reduced.C[rows], reduced.name)
             Y, W, _ = (X, N, True) if same else held_and_free(reduced.B[:, rows].T, reduced.name)
-        rigid = len(rows) == R.shape[1] > 0
         if same:
             values, modes = graded_modes(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))
-            values[: 0 if rows else R.shape[1]] = 0.0
+            values[: 0 if rows else reduced.rigid_count] = 0.0
             N = W = N @ modes
             mass, stiffness = np.eye(len(values)), np.diag(values)
             if rows:
-                X = Y = R @ np.linalg.inv(reduced.C[rows] @ R) if rigid else X - N @ ((N.T @ K @ X) / values[:, None])
+                X = Y = X - N @ ((N.T @ K @ X) / values[:, None])
         else:
             mass, stiffness = W.T @ M @ N, W.T @ K @ N
             if rows:
-                X = R @ np.linalg.inv(reduced.C[rows] @ R) if rigid else X - N @ np.linalg.solve(stiffness, W.T @ K @ X)
-        return cls(X=X, N=N, W=W, Y=Y, mass=mass, stiffness=stiffness, rigid=rigid)
-
-
-def _refuse_loose(reduced: ReducedModel, ports: Sequence[Port], rows: Sequence[int], R: Floats) -> None:
-    """Refuse supports that leave the body a rigid-body motion; R (n, r) are those it has."""
-    if not R.shape[1]:
-        return
-    at = reduced.C[rows] @ R
-    size = np.linalg.norm(at, axis=1)
-    _, values, Vt = np.linalg.svd(at / np.where(size > 0, size, 1.0)[:, None])
-    left = Vt[int((values > HELD * values[0]).sum()) :].T
-    if not left.shape[1]:
-        return
-    names = ", ".join(repr(text) for text in dict.fromkeys(ports[row].interface for row in rows))
-    count = left.shape[1]
-    which = _words(ports, reduced.C @ R @ left[:, 0]) if count == 1 else ""
-    raise InputError(
-        f"the part is not held by the supports {names}; {count} rigid motion{'s are' if count > 1 else ' is'} left"
-        f"{which}; prescribe {'them' if count > 1 else 'it'} as well, or take force inputs"
-    )
-
-
-def _words(ports: Sequence[Port], motion: Floats) -> str:
-    """Words for a rigid-body motion that moves the degrees of freedom by ``motion`` (m,)."""
-    points = np.array([port.point for port in ports])
-    center = points.mean(axis=0)
-    rigid = rigid_motion(points - center, np.array([port.component for port in ports]))
-    twist, *_ = np.linalg.lstsq(rigid, motion, rcond=1e-9)
-    reach = np.abs(points - center).max() or 1.0
-    turns = np.abs(twist[3:]).max() * reach > 1e-6 * np.abs(twist[:3]).max()
-    axis = twist[3:] if turns else twist[:3]
-    if not axis.any():
-        return ""
-    axis = axis / np.linalg.norm(axis)
-    main = int(np.abs(axis).argmax())
-    shown = "xyz"[main] if abs(axis[main]) > 1 - 1e-6 else "(" + ", ".join(f"{value:.2g}" for value in axis) + ")"
-    return f" (rotation about {shown})" if turns else f" (translation along {shown})"
+                X = X - N @ np.linalg.solve(stiffness, W.T @ K @ X)
+        # As many supports as rigid-body motions strain nothing: that is known without round-off.
+        KX = np.zeros_like(X) if len(rows) == reduced.rigid_count else K @ X
+        return cls(X=X, N=N, W=W, Y=Y, mass=mass, stiffness=stiffness, KX=KX)
 
 
 def _assembled(
@@ -244,7 +221,7 @@ def _assembled(
 ) -> StateSpace:  # fmt: skip
     """Every signal is a row over [states; inputs]; states are those of moving supports, then of the free motion."""
     rows = sorted(supports)
-    body = _Held.of(reduced, ports, rows)
+    body = _Held.of(reduced, rows)
     X, N, W, Y = body.X, body.N, body.W, body.Y
     M, K, D, B, C = reduced.M, reduced.K, reduced.D, reduced.B, reduced.C
     moving = [row for row in rows if supports[row] == "acceleration"]
@@ -262,11 +239,11 @@ def _assembled(
     loaded = [row for quantity, row in wanted["inputs"] if quantity == "force"]
     F = B[:, loaded] @ signal[[column["force", row] for row in loaded]]
     e, de = signal[2 * k : 2 * k + n], signal[2 * k + n : states]
-    KX, DX = np.zeros_like(X) if body.rigid else K @ X, _without_round_off(D, X)
+    DX = _without_round_off(D, X)
     # X is static, so that its stiffness couples to no free motion of a symmetric body.
     load = F - M @ X @ a - DX @ v
     dde = np.linalg.solve(body.mass, W.T @ load - W.T @ D @ N @ de - body.stiffness @ e)
-    reaction = Y.T @ (M @ (N @ dde) + D @ (N @ de) + K @ (N @ e) + KX @ x - load)
+    reaction = Y.T @ (M @ (N @ dde) + D @ (N @ de) + K @ (N @ e) + body.KX @ x - load)
     q, dq, ddq = X @ x + N @ e, X @ v + N @ de, X @ a + N @ dde
     motion = {"displacement": C @ q, "velocity": C @ dq, "acceleration": C @ ddq}
     output = np.array([

@@ -28,7 +28,7 @@ def write_state_space(path: str | Path, system: StateSpace) -> None:
     The end of ``path`` is .npz or .mat (version 5, texts in cells); every bit is kept.
 
     Raises:
-        InputError: another end, or a displacement input in a .mat file.
+        InputError: another end.
         OutputError: the file cannot be written.
     """
     place = Path(path)
@@ -45,6 +45,20 @@ def write_state_space(path: str | Path, system: StateSpace) -> None:
             file.check()
     else:
         raise InputError(f"{place} was given; a state space goes into a file that ends in .npz or .mat")
+
+
+def refuse_displacement(path: Path, inputs: Sequence[str]) -> None:
+    """Refuse an input that a proper state space does not take, in a .mat file.
+
+    Raises:
+        InputError: as said.
+    """
+    if path.suffix == ".mat" and any(":displacement" in text for text in inputs):
+        raise InputError(
+            f"inputs = {list(inputs)} was given for a .mat file; a proper state space takes the acceleration of a "
+            "support, not its displacement: name that as the input, or write .npz, where the displacement and its two "
+            "derivatives are three inputs"
+        )
 
 
 def read_state_space(path: str | Path) -> StateSpace:
@@ -87,7 +101,6 @@ class StateSpaceExporter(Exporter):
     name: ClassVar[str] = "statespace"
     suffix: ClassVar[str] = ".statespace.npz"
     about: ClassVar[str] = "state space A, B, C, D for control design, also .mat; support motion in, reactions out"
-    lossless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 
@@ -97,12 +110,7 @@ class StateSpaceExporter(Exporter):
     step: float | None = None
 
     def _write(self, context: ExportContext) -> Exported:
-        if context.path.suffix == ".mat" and any(":displacement" in text for text in self.inputs):
-            raise InputError(
-                f"inputs = {self.inputs} was given for a .mat file; a proper state space takes the acceleration of a "
-                "support, not its displacement: name that as the input, or write .npz, where the displacement and its "
-                "two derivatives are three inputs"
-            )
+        refuse_displacement(context.path, self.inputs)
         names = [name for at, name in enumerate(context.source.interfaces) if at in context.source.input_interface]
         if not names and not (self.inputs and self.outputs):
             raise InputError(f"body {context.body.name!r} has no interface, so that nothing goes in or comes out")

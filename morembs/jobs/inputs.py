@@ -178,7 +178,7 @@ def budget_of(job: Job, solver: LinearSolver) -> Budget:
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
     inputs = _inputs(job)
-    for name, path in _results(job).items():
+    for name, path in job.results.items():
         for other, taken in inputs.items():
             if path.resolve() == taken.resolve():
                 raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
@@ -192,7 +192,7 @@ def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
     for key, job in jobs.items():
         for name, path in _inputs(job).items():
             used.setdefault(path.resolve(), []).append((key, name, False))
-        for name, path in _results(job).items():
+        for name, path in job.results.items():
             used.setdefault(path.resolve(), []).append((key, name, True))
     reasons: dict[int, str] = {}
     for path, uses in used.items():
@@ -209,10 +209,6 @@ def _inputs(job: Job) -> dict[str, Path]:
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
     files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
     return {"the job file": job.path, **files}
-
-
-def _results(job: Job) -> dict[str, Path]:
-    return {"[output] path": job.output, **({} if job.picture is None else {"[output] picture": job.picture})}
 
 
 def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:

@@ -62,6 +62,17 @@ class Job:
         """The picture, if one is wanted."""
         return None if self.tables.output.picture is None else self.resolve(self.tables.output.picture)
 
+    @property
+    def state_space(self) -> Path | None:
+        """The file of a state space, if one is wanted."""
+        return None if self.tables.state_space is None else self.resolve(self.tables.state_space.path)
+
+    @property
+    def results(self) -> dict[str, Path]:
+        """The files that the job writes, by the words for each."""
+        named = {"[output] path": self.output, "[output] picture": self.picture, "[state_space] path": self.state_space}
+        return {name: path for name, path in named.items() if path is not None}
+
 
 def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     """Job of a TOML file.

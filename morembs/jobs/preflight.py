@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from morembs.body.build import BodyOptions
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
-from morembs.errors import BudgetError, InputError, enough_megabytes
+from morembs.errors import BudgetError, InputError, enough_megabytes, nearest
 from morembs.floating.frame import check_frame
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
@@ -20,8 +22,9 @@ from morembs.jobs.inputs import (
 )  # fmt: skip
 from morembs.jobs.job import Job
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
-from morembs.model import FEModel
+from morembs.model import FEModel, rigid_motion
 from morembs.model.selection import select_nodes
+from morembs.problem.damping import STRUCTURAL, frequency_domain_only
 from morembs.progress import duration_words
 from morembs.reducers import Facts
 from morembs.reducers.cost import mode_seconds, response_seconds
@@ -88,6 +91,7 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
     _refuse_preload(job, facts.model, facts.interfaces, rigid)
     refuse_reductions_that_do_not_fit(job, facts)
     _refuse_delivery(job, body_options(job), facts.model, facts.coupling, rigid)
+    _refuse_state_space(job, facts, rigid)
     return (*_many_motions(job, facts), *_many_modes(job, facts.size))
 
 
@@ -101,6 +105,30 @@ def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], r
         raise InputError(f"preload: {reason}")
     if rigid != 6:
         raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
+
+
+def _refuse_state_space(job: Job, facts: Facts, rigid: int) -> None:
+    """Refuse signals that there are not, and supports that leave the part loose."""
+    asked = job.tables.state_space
+    if asked is None or job.state_space is None:
+        return
+    # Not at the top: most jobs do without.
+    from morembs.exporters.ports import ports_of, refuse_loose
+    from morembs.exporters.state_space import signals
+    from morembs.exporters.state_space_files import refuse_displacement
+
+    if asked.body is not None and asked.body not in job.reducers:
+        raise InputError(f"[state_space] body = {asked.body!r} was given; {nearest(asked.body, job.reducers)}")
+    if facts.damping.structural:
+        raise InputError(f"[state_space]: {frequency_domain_only({STRUCTURAL: facts.damping.structural})}")
+    refuse_displacement(job.state_space, asked.inputs)
+    nodes = facts.model.nodes
+    ports = ports_of(facts.interfaces, facts.coupling.columns, nodes.ids, nodes)
+    _, supports = signals(ports, asked.inputs, asked.outputs, asked.held)
+    if supports and rigid == 6:
+        points = np.array([port.point for port in ports])
+        moved = rigid_motion(points - points.mean(axis=0), np.array([port.component for port in ports]))
+        refuse_loose(ports, sorted(supports), moved)
 
 
 def _refuse_delivery(job: Job, wanted: BodyOptions, model: FEModel, coupling: Coupling, rigid: int) -> None:

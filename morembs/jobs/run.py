@@ -156,6 +156,7 @@ def _run(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
             warnings=(*of_model, *delivered), progress=progress,
         )  # fmt: skip
+        _write_state_space(job, bodies)
     if job.picture is not None:
         from morembs.jobs.picture import draw
 
@@ -167,6 +168,20 @@ def _run(
         peak_memory_bytes=watch.peak_memory_bytes, response=response, shapes=shapes, warnings=warnings,
         inputs=inputs,
     )  # fmt: skip
+
+
+def _write_state_space(job: Job, bodies: Sequence[ElasticBody]) -> None:
+    """The file that [state_space] asks for."""
+    asked = job.tables.state_space
+    if asked is None or job.state_space is None:
+        return
+    # Not at the top: most jobs do without.
+    from morembs.exporters.state_space import state_space
+    from morembs.exporters.state_space_files import write_state_space
+
+    body = _shown(bodies) if asked.body is None else next(each for each in bodies if each.name == asked.body)
+    system = state_space(body, asked.inputs, asked.outputs, held=asked.held)
+    write_state_space(job.state_space, system if asked.step is None else system.discrete(asked.step))
 
 
 def _read(
@@ -237,7 +252,7 @@ def _delivered(
 
 
 def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
-    """The body whose modes are drawn."""
+    """The body that is recommended, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
     return next(body for body in bodies if body.name == recommended(limits))
 

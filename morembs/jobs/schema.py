@@ -250,6 +250,17 @@ class CertifyTable(Table):
         return self
 
 
+class StateSpaceTable(Table):
+    """``[state_space]``: a file for control design of one body."""
+
+    path: str = Field(pattern=r"\.(npz|mat)$", description="the path of a .npz or .mat file")
+    inputs: list[str] = Field(min_length=1, description='inputs such as ["base:acceleration", "tip:force:z"]')
+    outputs: list[str] = Field(min_length=1, description='outputs such as ["base:reaction", "tip:displacement"]')
+    held: list[str] = Field(default_factory=list, description="names of the interfaces at rest")
+    step: float | None = Field(default=None, gt=0, lt=1e12, description="a step in s for the zero-order hold")
+    body: str | None = Field(default=None, description="the name of a reduction")
+
+
 class FrameTable(Table):
     """``[frame]``: how the body frame follows the body."""
 
@@ -332,6 +343,7 @@ class JobTables(Table):
     output: OutputTable = Field(description="a table [output]")
     response: ResponseTable | None = Field(default=None, description="a table [response]")
     certify: CertifyTable | None = Field(default=None, description="a table [certify]")
+    state_space: StateSpaceTable | None = Field(default=None, description="a table [state_space]")
     frame: FrameTable = Field(default_factory=FrameTable, description="a table [frame]")
     envelope: EnvelopeTable | None = Field(default=None, description="a table [envelope]")
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")

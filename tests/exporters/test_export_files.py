@@ -25,7 +25,7 @@ from morembs.interface import make_interface, matrix_interface
 from morembs.model import NamedColumns
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
-from morembs.reducers import CraigBampton, Modal, StaticModesSwitching
+from morembs.reducers import CraigBampton, Krylov, Modal, StaticModesSwitching
 from morembs.storage.safefile import replacing_all
 from tests.support.meshes import box, steel, where
 from tests.support.processes import apart
@@ -356,3 +356,34 @@ def test_each_frame_has_its_own_file(files, tmp_path):
     assert names == ["beam.SID_FEM", "beam_mean-axes.SID_FEM", "beam_tangent-right.SID_FEM",
                      "beam_chord-left-right.SID_FEM"]  # fmt: skip
     assert len({(tmp_path / name).read_bytes() for name in names}) == 4
+
+
+@pytest.mark.parametrize("to", EXPORTERS)
+def test_a_two_sided_body_passes_with_both_matrices_or_is_refused(tmp_path, to):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
+    with Problem(model, faces) as problem:
+        krylov = Krylov(shifts_hz=[400.0], two_sided=True, inputs=["left"], outputs=["right"])
+        path = write_body(tmp_path / "x.h5", [elastic_body(problem, krylov.reduce(problem), make_part(problem))])
+    try:
+        paths = export_body(path, to).paths
+    except InputError as error:
+        assert re.search("two-sided|not symmetric", str(error)) and contents(tmp_path).keys() == {"x.h5"}
+    else:
+        # These hold C beside B, or equations that were made with both.
+        assert to in ("op4", "matrix-market", "statespace", "modelica") and all(path.exists() for path in paths)
+
+
+@pytest.mark.parametrize("to", EXPORTERS)
+def test_structural_damping_is_refused_or_told_of(tmp_path, to):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
+    with Problem(model, faces, damping=Damping(structural=0.02)) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        path = write_body(tmp_path / "x.h5", [elastic_body(problem, reduced, make_part(problem))])
+    try:
+        told = "\n".join(export_body(path, to).notes)
+    except InputError as error:
+        told = str(error)
+        assert contents(tmp_path).keys() == {"x.h5"}
+    assert "structural damping of 0.02 holds in the frequency domain only" in told

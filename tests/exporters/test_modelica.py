@@ -92,6 +92,20 @@ def test_names_that_are_no_identifiers_are_mapped_and_listed(tmp_path):
     pytest.importorskip("rumoca", reason=INSTALL).format(text)
 
 
+def test_names_of_interfaces_do_not_meet_those_of_the_models(tmp_path):
+    """Nor those of each other: a force of one is no frame of another."""
+    for names in (("q", "q_f"), ("B", "f"), ("w", "R")):
+        (tmp_path / names[0]).mkdir()
+        source, _ = made(tmp_path / names[0], names=names)
+        text = export_body(source, "modelica").paths[0].read_text()
+        for model in re.findall(r"^  model .*?^  end", text, re.MULTILINE | re.DOTALL):
+            pattern = r"^ +(?:(?:parameter|input|output) )?(?:Real|Integer|Modelica\S+) (\w+)"
+            declared = re.findall(pattern, model, re.MULTILINE)
+            assert len(set(declared)) == len(declared) > 5
+        text += f"model T rod.Linear b({names[0]}_force = {{0, 0, 1, 0, 0, 0}}, {names[1]}_force = zeros(6)); end T;\n"
+        assert simulated(text, "T", 0.01, [f"b.{names[0]}_motion[3]"])[0] > 0
+
+
 def test_every_model_is_modelica(tmp_path):
     """The frames of the standard library need that library to run; their syntax needs none."""
     rumoca = pytest.importorskip("rumoca", reason=INSTALL)

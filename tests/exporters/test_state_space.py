@@ -73,6 +73,18 @@ def test_support_motion_is_that_of_the_condensed_stiffness(body, omega):
     assert blockwise(response(system, omega), exact(body, omega)) < 1e-10
 
 
+def test_supports_that_strain_the_part(body):
+    """Both ends move as told, twelve degrees of freedom of a part with six rigid-body motions."""
+    system = state_space(body, ["base:acceleration", "tip:acceleration"], ["base:reaction", "tip:reaction"])
+    r = body.reduced
+    for omega in (1.0, 30.0):
+        s = 1j * omega
+        Z = s * s * r.M + s * r.D + r.K
+        wanted = (Z[:12, :12] - Z[:12, 12:] @ np.linalg.solve(Z[12:, 12:], Z[12:, :12])) / s**2
+        assert blockwise(response(system, omega), wanted) < 1e-10
+    assert len(system.A) == 2 * 12 + 2 * (r.order - 12)
+
+
 def test_the_large_mass_method_has_fewer_digits(body):
     """What a support loaded with a large mass gives for the reaction per acceleration, and what the product gives."""
     system, r, s = state_space(body, ["base:acceleration", "tip:force"], EVERYTHING), body.reduced, 30j
@@ -260,6 +272,8 @@ def test_bad_input(body, tmp_path):
     for inputs, outputs, held, message in cases:
         with pytest.raises(InputError, match=message):
             state_space(body, inputs, outputs, held=held)
+    with pytest.raises(InputError, match="held = 'base' was given; expected a list"):
+        state_space(body, ["tip:force"], ["tip:velocity"], held="base")
     hysteretic = replace(body, recipe={**body.recipe, STRUCTURAL: 0.02})
     with pytest.raises(InputError, match=r"structural damping of 0\.02"):
         state_space(hysteretic, ["tip:force"], ["tip:velocity"])

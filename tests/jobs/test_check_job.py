@@ -43,7 +43,22 @@ def checked(job: Path) -> Any:
     return json.loads(result.stdout)[0]
 
 
+
+
+
+def state_space(inputs: str, held: str = "", path: str = "x.npz", more: str = "") -> str:
+    return f'path = "{path}"\ninputs = ["{inputs}"]\noutputs = ["right:velocity"]\nheld = [{held}]\n{more}'
+
+
 REFUSED = {
+    "a signal of nothing": ({"state_space": state_space("lefft:force")}, "did you mean 'left'?"),
+    "a loose part": ({"state_space": state_space("left:acceleration:x+y+z+ry+rz")}, "is left (rotation about x)"),
+    "displacement in a .mat": ({"state_space": state_space("left:displacement", path="x.mat")}, "proper state space"),
+    "a body of no name": ({"state_space": state_space("left:force", more='body = "bc"')}, "did you mean 'cb'?"),
+    "hysteresis in time": (
+        {"state_space": state_space("left:force"), "damping": "structural = 0.02"}, "structural damping of 0.02"
+    ),
+    "one file twice": ({"state_space": state_space("left:force"), "output": 'path = "x.npz"'}, "would overwrite"),
     "a chord of nothing": ({"frame": 'kind = "chord"'}, "a chord frame was given 0 interfaces"),
     "poles of structural damping": ({"reduce": IRKA, "damping": "structural = 0.02"}, "structural damping"),
     "all resonances undamped": ({"reduce": 'method = "balanced-truncation"\norder = 4'}, "infinite without damping"),

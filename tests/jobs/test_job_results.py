@@ -11,6 +11,8 @@ import pytest
 
 from morembs.body.file import read_body
 from morembs.errors import InputError
+from morembs.exporters.state_space import state_space
+from morembs.exporters.state_space_files import read_state_space
 from morembs.jobs.inputs import budget_of, solver_of
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
@@ -152,3 +154,20 @@ def test_out_of_core_needs_a_solver_that_can(tmp_path):
     job = load_job(decks.folder(tmp_path, {"solver": "out_of_core = true"}))
     with pytest.raises(InputError, match=r"out_of_core = true needs a solver that can; name one: mumps"):
         run_job(job)
+
+
+@pytest.mark.parametrize("step", [None, 1e-6])
+def test_a_state_space_beside_the_body(tmp_path, step):
+    """It is that of the stored body; of two bodies it is the one that is named."""
+    asked = 'path = "x.npz"\ninputs = ["left:acceleration:z"]\noutputs = ["left:reaction", "right:acceleration"]\n'
+    asked += 'held = ["left:x+y+rx+ry+rz"]\nbody = "small"' + ("" if step is None else f"\nstep = {step}")
+    second = 'name = "small"\nmethod = "craig-bampton"\nmodes = 2'
+    run_job(load_job(decks.folder(tmp_path, {"state_space": asked, "reduce2": second})))
+    found = read_state_space(tmp_path / "x.npz")
+    wanted = state_space(read_body(tmp_path / "part.h5"), ["left:acceleration:z"],
+                         ["left:reaction", "right:acceleration"], held=["left:x+y+rx+ry+rz"], name="small")  # fmt: skip
+    wanted = wanted if step is None else wanted.discrete(step)
+    assert found.dt == (step or 0.0) and found.names == wanted.names and len(found.A) == 16
+    for key in "ABCD":
+        matrix = getattr(wanted, key)
+        assert getattr(found, key) == pytest.approx(matrix, rel=1e-9, abs=1e-12 * np.abs(matrix).max()), key
