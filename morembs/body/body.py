@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from morembs.body.stress_shapes import Recovery
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
 from morembs.body.vtkhdf_series import Grid
-from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import RankedTerm
@@ -30,6 +29,8 @@ from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
