@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,7 +14,6 @@ from morembs.body.stress_shapes import Recovery
 from morembs.body.view import Viewed, refuse_no_modes
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
 from morembs.body.vtkhdf_series import Grid, View
-from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import RankedTerm
@@ -27,6 +26,9 @@ from morembs.reducers.base import ReducedModel
 from morembs.reducers.pymor import to_pymor
 from morembs.reducers.switching_tables import StaticModeTables
 from morembs.summary import hertz, kinds_words, summarised
+
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

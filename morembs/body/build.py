@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from morembs.body.body import ElasticBody, Part, elastic_body
 from morembs.body.stress_shapes import stress_recovery
-from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import ranked_terms
@@ -20,6 +20,9 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.switching_tables import StaticModeTables
+
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 
 @dataclass(frozen=True, kw_only=True)

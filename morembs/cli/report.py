@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from rich.table import Table
 
 from morembs.body import ElasticBody
 from morembs.body.tables import certificate_values
-from morembs.certificate.certify import Certificate
 from morembs.cli.certificates import Certified, print_certificates
 from morembs.cli.tables import (
     bytes_words,
@@ -32,6 +31,9 @@ from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
 from morembs.progress import duration_words
+
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10

@@ -6,7 +6,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from morembs.diagnostics.findings import KEPT, Finding, listed
 from morembs.model import Mesh
@@ -20,6 +19,9 @@ COINCIDENT = 1e-6
 
 def close_pairs(xyz: Floats) -> Ints:
     """Pairs (k, 2) of rows of ``xyz`` (n, 3) at one place, ascending in each; of many at one place the nearest few."""
+    # Not at the top, where it would cost every command its memory.
+    from scipy.spatial import cKDTree
+
     if len(xyz) < 2:
         return np.empty((0, 2), dtype=np.int64)
     reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny)

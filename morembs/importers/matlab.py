@@ -7,7 +7,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
 import scipy.sparse as sp
 
 from morembs.errors import InputError
@@ -36,7 +35,9 @@ def import_matlab(
             # The first number of a v4 file has a byte that is zero; text stands there in later ones.
             old = 0 in file.read(4)
         if old:
-            held: dict[str, Any] = scipy.io.loadmat(path, spmatrix=False, mat_dtype=True)
+            from scipy.io import loadmat
+
+            held: dict[str, Any] = loadmat(path, spmatrix=False, mat_dtype=True)
         else:
             matrices = read_matlab_v5(path)
             held, other = dict(matrices.matrices), matrices.other

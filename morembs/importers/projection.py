@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from morembs.model.elements import FACES
 
@@ -47,6 +46,9 @@ def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Proje
 
     Feet are found by Gauss-Newton steps in the coordinates of each face, which are kept within it, and of its edges.
     """
+    # Not at the top, where it would cost every command its memory.
+    from scipy.spatial import cKDTree
+
     width = max(nodes.shape[1] for _, nodes in faces)
     best = Projection(
         np.full(len(points), np.inf), np.zeros((len(points), 3)), np.zeros((len(points), width), dtype=np.int64),

@@ -20,7 +20,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import mmread
 
 from morembs.errors import InputError
 
@@ -165,6 +164,9 @@ def table(block: bytes, columns: int, name: str) -> Floats:
 
 def _triplets(block: bytes, count: int) -> Floats | None:
     """Checked lines "row column value" at once, about twice as fast; None if rows or columns are not above 0."""
+    # Not at the top, where it would cost every command its memory.
+    from scipy.io import mmread
+
     header = b"%%%%MatrixMarket matrix coordinate real general\n%d %d %d\n" % (_INT32, _INT32, count)
     try:
         triplets = mmread(io.BytesIO(header + block.translate(_BLANKS)), spmatrix=False)
@@ -223,6 +225,8 @@ def _parsed(text: bytes, name: str, count: int | None = None) -> Floats:
         count = int((~blank & np.concatenate([np.ones(min(1, len(blank)), dtype=bool), blank[:-1]])).sum())
     if not count:
         return np.empty(0)
+    from scipy.io import mmread
+
     header = b"%%%%MatrixMarket matrix array real general\n%d 1\n" % count
     try:
         values = np.asarray(mmread(io.BytesIO(header + text))).ravel()

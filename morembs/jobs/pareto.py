@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from morembs.certificate.certify import Certificate
 from morembs.errors import InputError
 from morembs.jobs.run import JobResult
+
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 # What is drawn: label, attribute, marker.
 ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
 from morembs.body.shapes import Shapes, mode_shapes
 from morembs.budget import Budget
-from morembs.certificate.certify import Certificate, certify
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
@@ -48,6 +48,9 @@ from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
 from morembs.storage.contents import Content, files_read
 from morembs.summary import summarised
+
+if TYPE_CHECKING:
+    from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -224,6 +227,9 @@ def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -
     certificates: Sequence[Certificate | None] = [None] * len(reduced)
     band = _certified_band(job)
     if band is not None:
+        # Not at the top: many jobs do without, and it takes a part of the memory of small ones.
+        from morembs.certificate.certify import certify
+
         with watch.stage("certify"):
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})

@@ -28,16 +28,16 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array
     kept, slaves, R = _split(T)
     f, m = len(kept), R.shape[1]
     # Coupling of the kept rows with the masters, and of the masters with each other.
-    coupling = [sp.csr_array(A[kept[rows]][:, slaves] @ R) for rows in _pieces(A, kept)]
-    side = sp.csr_array(sp.vstack(coupling)) if coupling else sp.csr_array((0, m))
+    side, dropped = _coupling(A, kept, slaves, R)
     middle = sp.csr_array(R.T @ A[slaves][:, slaves] @ R)
     below = sp.csr_array(sp.hstack([side.T, 0.5 * (middle + middle.T)]))
-    upper = _kept_entries(A, kept, slaves)
-    nnz = upper + side.nnz + below.nnz
+    nnz = int(np.diff(A.indptr).astype(np.int64)[kept].sum()) - dropped + side.nnz + below.nnz
     index = np.int32 if max(nnz, f + m) < np.iinfo(np.int32).max else np.int64
     data, indices = budget.empty(nnz, A.dtype), budget.empty(nnz, index)
     indptr, used, row = np.zeros(f + m + 1, dtype=index), 0, 0
-    parts = (sp.csr_array(sp.hstack([A[kept[rows]][:, kept], side[rows]])) for rows in _pieces(A, kept))
+    place = np.full(A.shape[0], -1, dtype=index)
+    place[kept] = np.arange(f, dtype=index)
+    parts = (sp.csr_array(sp.hstack([_renumbered(A[kept[rows]], place, f), side[rows]])) for rows in _pieces(A, kept))
     for part in chain(parts, [below]):
         part.sort_indices()
         end = used + part.nnz
@@ -100,10 +100,32 @@ def _split(T: sp.csr_array) -> tuple[Ints, Ints, sp.csr_array]:
     return kept, slaves, sp.csr_array(rest[:, f:])
 
 
-def _kept_entries(A: sp.csr_array, kept: Ints, slaves: Ints) -> int:
-    """Number of stored entries of ``A`` in rows and columns ``kept``."""
-    total = int(np.diff(A.indptr).astype(np.int64)[kept].sum())
-    return total - int(sp.csr_array(A[slaves])[:, kept].nnz) if len(slaves) else total
+def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tuple[sp.csr_array, int]:
+    """A[kept][:, slaves] R, and the number of stored entries of A[kept][:, slaves], of which most rows have none."""
+    inside, touched = np.zeros(A.shape[0], dtype=bool), np.zeros(A.shape[0], dtype=bool)
+    inside[slaves] = True
+    for first in range(0, A.nnz, _ENTRIES):
+        hits = (first + np.flatnonzero(inside[A.indices[first : first + _ENTRIES]])).astype(A.indptr.dtype)
+        touched[np.searchsorted(A.indptr, hits, side="right") - 1] = True
+    near = np.flatnonzero(touched[kept])
+    counts, parts, dropped = np.zeros(len(kept), dtype=np.int64), [sp.csr_array((0, R.shape[1]))], 0
+    for rows in _pieces(A, kept[near]):
+        beside = A[kept[near[rows]]][:, slaves]
+        parts.append(sp.csr_array(beside @ R))
+        counts[near[rows]], dropped = np.diff(parts[-1].indptr), dropped + beside.nnz
+    whole = sp.vstack(parts, format="csr")
+    indptr = np.concatenate([[0], np.cumsum(counts)])
+    return sp.csr_array((whole.data, whole.indices, indptr), shape=(len(kept), R.shape[1])), dropped
+
+
+def _renumbered(A: sp.csr_array, place: Ints, count: int) -> sp.csr_array:
+    """``A`` with column j at ``place[j]`` of ``count`` ones; without the columns whose place is below zero."""
+    column = place[A.indices]
+    stays = column >= 0
+    if stays.all():
+        return sp.csr_array((A.data, column, A.indptr), shape=(A.shape[0], count))
+    indptr = np.concatenate([[0], np.cumsum(stays)])[A.indptr]
+    return sp.csr_array((A.data[stays], column[stays], indptr), shape=(A.shape[0], count))
 
 
 def _pieces(A: sp.csr_array, rows: Ints) -> Iterator[slice]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -47,10 +46,13 @@ class DynamicStiffness(Closing):
             raise InputError(
                 f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
             )
-        for part in parts:
-            stiffness = _widened(stiffness, part, budget)
+        places = [_places(stiffness, part, budget) for part in parts]
+        if any((place < 0).any() for place in places):
+            for part in parts:
+                stiffness = _widened(stiffness, part, budget)
+            places = [_places(stiffness, part, budget) for part in parts]
         self.lower = stiffness
-        self._added = [(_places(stiffness, part, budget), part.data) for part in parts]
+        self._added = [(place, part.data) for place, part in zip(places, parts, strict=True)]
         self._analyses: dict[str, Analysis] = {}
 
     def at(self, s: complex) -> Lower:
@@ -138,38 +140,23 @@ def grounded(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> L
 
 
 def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
-    """``A`` with explicit zeros where only ``other`` has entries."""
-    if (_places(A, other, budget) >= 0).all():
-        return A
-    indptr = np.zeros(A.n + 1, dtype=A.indptr.dtype)
-    pieces = []
-    for first, last, keys in _united(A, other):
-        column, row = np.divmod(keys, A.n)
-        indptr[first + 1 : last + 1] = np.bincount(column, minlength=last - first)
-        pieces.append(budget.store(row.astype(A.indices.dtype)))
-        budget.release_if_tight()
-    np.cumsum(indptr, out=indptr)
-    indices = budget.empty(int(indptr[-1]), A.indices.dtype)
-    used = 0
-    for piece in pieces:
-        indices[used : used + len(piece)] = piece
-        used += len(piece)
-    wide = Lower(indptr, indices, budget.empty(used, A.data.dtype))
-    wide.data[:] = 0.0
-    place = _places(wide, A, budget)
-    for first in range(0, A.nnz, _CHUNK):
-        part = slice(first, first + _CHUNK)
-        wide.data[place[part]] = A.data[part]
-        budget.release_if_tight()
-    return wide
-
-
-def _united(A: Lower, other: Lower) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Ranges of columns and the keys of the entries that ``A`` or ``other`` has there."""
+    """``A`` with explicit zeros where only ``other`` has entries: these are few as a rule."""
+    missing = np.flatnonzero(_places(A, other, budget) < 0)
+    column = np.searchsorted(other.indptr, missing, side="right") - 1
+    added = np.cumsum(np.bincount(column + 1, minlength=A.n + 1))
+    size = A.nnz + len(missing)
+    indptr = (A.indptr + added).astype(np.int32 if size <= np.iinfo(np.int32).max else np.int64)
+    indices, data = budget.empty(size, A.indices.dtype), budget.empty(size, A.data.dtype)
     rows = _rows_at_once(A)
     for first in range(0, A.n, rows):
         last = min(first + rows, A.n)
-        yield first, last, np.union1d(_keys(A, first, last), _keys(other, first, last))
+        before, after = slice(A.indptr[first], A.indptr[last]), slice(indptr[first], indptr[last])
+        part = slice(*np.searchsorted(column, [first, last]))
+        row = other.indices[missing[part]]
+        at = np.searchsorted(_keys(A, first, last), (column[part] - first) * A.n + row)
+        indices[after], data[after] = np.insert(A.indices[before], at, row), np.insert(A.data[before], at, 0.0)
+        budget.release_if_tight()
+    return Lower(indptr, indices, data)
 
 
 def _rows_at_once(A: Lower) -> int:

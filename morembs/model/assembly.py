@@ -9,6 +9,7 @@ final arrays, so that peak memory stays near that of K and M themselves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +19,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
 from morembs.model.elements import TYPES, ElementType
 from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh
-from morembs.model.formulations import Formulation, element_mass, formulation_of, geometry
+from morembs.model.formulations import Formulation, Geometry, element_mass, formulation_of, geometry
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
@@ -27,6 +28,8 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 CHUNK_BYTES = 48_000_000
+# Numbers at once where arrays are walked through: they stay in the cache.
+PIECE = 1 << 17
 MASS_INTEGRATION = ("element", "exact", "reduced")
 
 
@@ -71,7 +74,7 @@ def assemble(
     Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell. ``seams``
     says that faces of elements that meet may differ, as programs of decks take them.
 
-    Peak memory: K, M, the node graph (1/9 of the entries of K) and one chunk of about 50 MB times 4.
+    Peak memory: K and M, a sixth as much for the node graph and its masses, and some 100 MB.
 
     Raises:
         InputError: a material names an unknown set, an element has no or two materials, is inverted or
@@ -91,26 +94,23 @@ def assemble(
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
     densities = np.array([material.density for material in materials])
-    done, total = 0, sum(len(block.ids) for block in mesh.blocks)
+    done, total, axes = 0, sum(len(block.ids) for block in mesh.blocks), np.arange(3)
     for block, rows in chunks(mesh):
         which = owner[id(block)][rows]
         x, ids = mesh.nodes.xyz[block.nodes[rows]], block.ids[rows]
-        stiffness = _stiffness(formulation_of(block), TYPES[block.type], x, ids, materials, which)
         rule = block.mass if mass_integration == "element" else mass_integration
         mass = element_mass(block, rule, x, densities[which])
         nodes = block.nodes[rows]
         k = nodes.shape[1]
-        row, col = np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()
-        at = np.asarray(graph[row, col]).ravel().astype(np.int64)
+        at = np.asarray(graph[np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()]).astype(np.int64)
         np.add.at(m_data, at, mass.ravel())
-        # Entry (a, b) of node block `at` lies at 9*start + 3*a*blocks + 3*(at - start) + b of the CSR array.
-        start = graph.indptr[row].astype(np.int64)
-        first = 6 * start + 3 * at
-        step = 3 * blocks_per_row[row]
-        for a in range(3):
-            for b in range(3):
-                values = stiffness[:, a::3, b::3].ravel()
-                np.add.at(k_data, first + a * step + b, values)
+        at = at.reshape(-1, k, k)
+        for part, stiffness in _stiffness(formulation_of(block), TYPES[block.type], x, ids, materials, which):
+            # Entry (a, b) of node block `at` lies at 9*start + 3*a*blocks + 3*(at - start) + b of the CSR array.
+            start = graph.indptr[nodes[part]].astype(np.int64)[:, :, None, None, None]
+            step = (3 * blocks_per_row[nodes[part]])[:, :, None, None, None] * axes[:, None, None]
+            place = 6 * start + 3 * at[part][:, :, None, :, None] + step + axes
+            np.add.at(k_data, place.ravel(), stiffness.ravel())
         done += len(rows)
         budget.release_if_tight()
         progress.update(f"assembled {done} of {total} elements")
@@ -239,29 +239,37 @@ def _scalar_pattern(graph: sp.csr_array, budget: Budget, *, full: bool) -> tuple
     width = 3 if full else 1
     indptr = np.concatenate([[0], np.cumsum(np.repeat(width * blocks, 3))]).astype(graph.indptr.dtype)
     indices = budget.empty(int(indptr[-1]), graph.indices.dtype)
-    # The columns of node block p repeat in the three rows of its node.
-    start = graph.indptr[:-1].repeat(blocks)
-    local = np.arange(graph.nnz, dtype=graph.indices.dtype) - start
-    row_length = (width * blocks).repeat(blocks)
-    for a in range(3):
-        at = 3 * width * start + a * row_length + width * local
-        if full:
-            for b in range(3):
-                indices[at + b] = 3 * graph.indices + b
-        else:
-            indices[at] = 3 * graph.indices + a
+    for begin, end, start, local, row_length in _entries(graph):
+        columns = 3 * graph.indices[begin:end]
+        # The columns of a node block repeat in the three rows of its node.
+        for a in range(3):
+            at = width * (3 * start + a * row_length + local)
+            for b in range(width):
+                indices[at + b] = columns + (b if full else a)
     return indptr, indices
+
+
+def _entries(graph: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Ints]]:
+    """Pieces of ``graph``: their first entry and their end, and for each entry where its row starts, its place in the
+    row, and the length of the row."""
+    ends = graph.indptr[1:].astype(np.int64)
+    first = 0
+    while first < len(ends):
+        last = max(int(np.searchsorted(ends, graph.indptr[first] + PIECE, side="right")), first + 1)
+        begin, end = int(graph.indptr[first]), int(ends[last - 1])
+        lengths = np.diff(graph.indptr[first : last + 1]).astype(np.int64)
+        start = graph.indptr[first:last].astype(np.int64).repeat(lengths)
+        yield begin, end, start, np.arange(begin, end) - start, lengths.repeat(lengths)
+        first = last
 
 
 def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_array:
     """Ms (x) I3 in CSR form."""
     indptr, indices = _scalar_pattern(graph, budget, full=False)
-    blocks = np.diff(graph.indptr)
-    start = graph.indptr[:-1].repeat(blocks)
-    local = np.arange(graph.nnz, dtype=graph.indices.dtype) - start
     data = budget.empty(3 * graph.nnz)
-    for a in range(3):
-        data[3 * start + a * blocks.repeat(blocks) + local] = m_data
+    for begin, end, start, local, row_length in _entries(graph):
+        for a in range(3):
+            data[3 * start + a * row_length + local] = m_data[begin:end]
     M = sp.csr_array((data, indices, indptr), shape=(3 * graph.shape[0],) * 2)
     M.has_canonical_format = True
     return M
@@ -269,19 +277,24 @@ def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_
 
 def _stiffness(
     formulation: Formulation, kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints
-) -> Floats:  # fmt: skip
-    """Stiffness (ne, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3)."""
+) -> Iterator[tuple[slice, Floats]]:
+    """Stiffness (n, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3), piece by piece."""
     constants = np.stack([material.stiffness for material in materials])
-    elements = formulation.elements(kind, x, ids, constants[which])
+    whole = formulation.elements(kind, x, ids, constants[which])
     # C = L L', so that B' C B = (L'B)'(L'B) is one product of a matrix with itself.
-    roots = np.linalg.cholesky(constants).transpose(0, 2, 1)[which]
-    B = np.matmul(roots[:, None], formulation.operator(elements))
-    B *= np.sqrt(elements.here.dV)[..., None, None]
-    ne, nq, _, width = B.shape
-    B = B.reshape(ne, nq * 6, width)
-    stiffness = np.matmul(B.transpose(0, 2, 1), B)
-    if formulation.hourglass is not None:
-        added = formulation.hourglass(elements)
-        for axis in range(3):
-            stiffness[:, axis::3, axis::3] += added
-    return np.asarray(0.5 * (stiffness + stiffness.transpose(0, 2, 1)))
+    roots = np.linalg.cholesky(constants).transpose(0, 2, 1)
+    _, nq, k, _ = whole.here.dN.shape
+    size = max(1, PIECE // (18 * nq * k))
+    for first in range(0, len(x), size):
+        part = slice(first, first + size)
+        here = Geometry(whole.here.dN[part], whole.here.dV[part])
+        elements = replace(whole, x=x[part], C=whole.C[part], here=here)
+        B = np.matmul(roots[which[part]][:, None], formulation.operator(elements))
+        B *= np.sqrt(here.dV)[..., None, None]
+        B = B.reshape(len(B), nq * 6, 3 * k)
+        stiffness = np.matmul(B.transpose(0, 2, 1), B)
+        if formulation.hourglass is not None:
+            added = formulation.hourglass(elements)
+            for axis in range(3):
+                stiffness[:, axis::3, axis::3] += added
+        yield part, 0.5 * (stiffness + stiffness.transpose(0, 2, 1))

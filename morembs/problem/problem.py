@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
+# Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
+FEW_TERMS = 100
 # Limits of modes that differ by less than this part are one limit.
 SAME = 1e-14
 # Part of a static motion or of the stiffness of a mode that round-off may take.
@@ -237,10 +239,16 @@ class Problem(Closing):
         return _orthonormal(free, M), _orthonormal(held, M)
 
     def _magnitudes(self, A: sp.csr_array, Phi: Floats) -> Floats:
-        """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model."""
-        # Frames sum up the forces of their nodes, most of which cancel there.
-        T = abs(self.coupling.T)
-        return np.asarray(T.T @ cancelling(A, T @ np.abs(Phi), self.model.dofs.component == SCALAR))
+        """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model.
+
+        Frames sum up the forces of their nodes, most of which cancel there: their round-off grows with the root of the
+        number of terms, and so do these sums.
+        """
+        T = sp.csc_array(abs(self.coupling.T))
+        size = T.T @ cancelling(A, T @ np.abs(Phi), self.model.dofs.component == SCALAR)
+        terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
+        growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / FEW_TERMS, 1.0)), 1.0)
+        return np.asarray(size * growth[:, None])
 
     def _nodes_of_rows(self) -> NDArray[np.int64]:
         """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from morembs.errors import InputError
 from morembs.interface import Interface
@@ -177,6 +176,9 @@ def chain(xyz: Floats, ids: Ints) -> Ints:
 
 def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
     """Refuse points that lie as close as neighbours without following each other: rings, and rows side by side."""
+    # Not at the top, where it would cost every command its memory.
+    from scipy.spatial import cKDTree
+
     step = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
     distance, near = cKDTree(xyz).query(xyz, k=min(4, len(xyz)))
     apart = np.abs(near - np.arange(len(xyz))[:, None])

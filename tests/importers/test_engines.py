@@ -328,7 +328,8 @@ def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
         imported(tmp_path, TIED)
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
     assert imported(tmp_path, TIED).size == 54
-    (told,) = [each for each in CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines() if "calculix:" in each]
+    lines = CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines()
+    (told,) = [line for line in lines if "calculix:" in line]
     assert told.startswith("--engine calculix:") and "not found" not in told
 
 

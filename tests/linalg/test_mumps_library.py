@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import math
+import platform
+import shutil
+import subprocess
 import sys
 import tempfile
 import threading
@@ -14,7 +18,9 @@ import pytest
 
 from morembs.errors import InputError
 from morembs.linalg.sparse import foreign, mumps_library
+from morembs.linalg.sparse.foreign import open_deep
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
+from morembs.linalg.sparse.rebinding import BLAS, called, rebind, scipy_blas
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import brick, random
 
@@ -116,6 +122,43 @@ def test_the_library_that_casadi_loads_itself_is_taken(tmp_path: Path) -> None:
         (tmp_path / name).write_text("")
     path = mumps_library.casadi_file(tmp_path)
     assert path is not None and path.name == "libcoinmumps.so.3"
+
+
+def test_the_embedded_library_calls_the_blas_of_scipy() -> None:
+    """By the table in memory; a factor that comes of it is checked with those of all solvers."""
+    library = mumps_library.embedded_library("float64")
+    if isinstance(library, str):
+        pytest.skip(library)
+    if not (sys.platform == "linux" and platform.machine() == "x86_64"):
+        pytest.skip("only there the library is known to have a table that can be written")
+    assert library.other_blas
+    loaded, wanted = open_deep(library.path), scipy_blas()
+    places = called(loaded)
+
+    def found() -> dict[str, int]:
+        return {name: ctypes.c_uint64.from_address(places[name]).value for name in wanted}
+
+    assert {f"{name}_" for name in BLAS} == set(wanted) and found() == wanted
+    # What it does not call, and what cannot be written, leaves the table as it is.
+    assert not rebind(loaded, {"dgemm_": 1, "not_there_": 1}) and not rebind(loaded, {})
+    assert found() == wanted
+
+
+def test_a_table_that_cannot_be_written_is_left_alone(tmp_path: Path) -> None:
+    """Libraries linked for safety have a table that is read-only once they are loaded."""
+    if not (sys.platform == "linux" and shutil.which("cc")):
+        pytest.skip("no compiler (cc) for a library that is linked like that")
+    source, library = tmp_path / "caller.c", tmp_path / "libcaller.so"
+    source.write_text("double cos(double); double twice(double x) { return 2.0 * cos(x); }\n")
+    for options, written in (["-Wl,-z,relro,-z,now"], False), (["-Wl,-z,lazy,-z,norelro"], True):
+        subprocess.run(["cc", "-shared", "-fPIC", "-fno-builtin", *options, source, "-o", library, "-lm"], check=True)
+        loaded = ctypes.CDLL(str(library))
+        loaded.twice.restype, loaded.twice.argtypes = ctypes.c_double, [ctypes.c_double]
+        sine = ctypes.cast(ctypes.CDLL("libm.so.6").sin, ctypes.c_void_p).value
+        assert "cos" in called(loaded) and sine is not None
+        assert rebind(loaded, {"cos": sine}) == written
+        assert loaded.twice(0.5) == pytest.approx(2 * (math.sin(0.5) if written else math.cos(0.5)), rel=1e-15)
+        library = tmp_path / "libother.so"
 
 
 def test_arithmetic_that_a_library_lacks_is_refused() -> None:

@@ -86,6 +86,15 @@ def test_a_soft_ground_under_every_node_is_kept(spring: float) -> None:
     assert values == pytest.approx(spring / (MASS / 8), rel=1e-3)
 
 
+def test_a_free_plate_with_a_rigid_side_of_thousands_of_nodes_is_free() -> None:
+    """Rows of its frame sum up a million terms: round-off reaches 7e-14 of them, and is no support."""
+    mesh = box("hex8", (100, 100, 1), (1.0, 1.0, 0.01))
+    model = steel(mesh)
+    side = make_interface(model, name="side", nodes=np.flatnonzero(mesh.nodes.xyz[:, 2] < 1e-9))
+    with Problem(model, [side]) as problem:
+        assert problem.rigid.shape[1] == 6
+
+
 def test_automatic_on_soft_springs_keeps_its_promise() -> None:
     model = block(1e12)
     tip = make_interface(model, name="tip", nodes=np.array([7]), coupling="direct")

@@ -22,6 +22,8 @@ SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2}
 ANALYSE, FACTORIZE, SOLVE, END, FREE_FACTOR = 1, 2, 3, -2, -4
 _SINGULAR = {-10, -40}
 _MILLION = 1_000_000
+# KEEP(421): -1 where updates of symmetric fronts go through DGEMMT.
+_SYMMETRIC_PRODUCT = 420
 _WORDS = {
     -5: "memory could not be allocated", -7: "memory could not be allocated",
     -13: "memory could not be allocated", -8: "integer workspace too small", -9: "workspace too small",
@@ -53,6 +55,9 @@ class Instance(ForeignObject):
         self._data = data
         for number in (1, 2, 3, 4):
             self.control(number, 0)
+        if library.other_blas and data.keep[_SYMMETRIC_PRODUCT] == -1:
+            # By blocks of DGEMM: OpenBLAS makes DGEMMT column by column, and not all others have it.
+            data.keep[_SYMMETRIC_PRODUCT] = 0
 
     def control(self, number: int, value: int) -> None:
         """Set ICNTL(number)."""

@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from morembs.linalg.sparse.foreign import (
     with_header,
     without_comments,
 )
+from morembs.linalg.sparse.rebinding import rebind, scipy_blas
 
 # "No MPI" for the sequential build: its dummy of MPI expects this communicator.
 USE_COMM_WORLD = -987654
@@ -60,6 +61,8 @@ class Library:
     # Debian's build clusters with SCOTCH and crashes at random in low-rank mode; builds with METIS do not.
     low_rank: bool = False
     lock: AbstractContextManager[Any] = LOCK
+    # Whether it calls another BLAS than its own.
+    other_blas: bool = False
 
     @property
     def keeps_analysis(self) -> bool:
@@ -188,6 +191,8 @@ def embedded_library(dtype: str = "float64") -> Library | str:
     try:
         # Its own OpenBLAS must not mix with another one whose symbols are global (an older one lacks
         # DGEMMT): the two share internal names, and the factor came out wrong without an error.
-        return _open(str(path), headers, "d", low_rank=True)
+        library = _open(str(path), headers, "d", low_rank=True)
+        other = hasattr(library.structure, "keep") and rebind(open_deep(str(path)), scipy_blas())
+        return replace(library, other_blas=other)
     except UnusableError as error:
         return f"{path.name} of CasADi cannot be used: {error}"
