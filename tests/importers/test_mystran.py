@@ -180,6 +180,14 @@ def test_kinds_of_properties_have_their_mass(tmp_path, bulk, kilograms):
 
 
 @needs_mystran
+def test_means_are_those_of_grids_that_nothing_holds_along_an_axis(tmp_path):
+    """Bars without area have no stiffness and no mass along themselves."""
+    bars = grids(FRAME[:3]) + "GRID,9,,.2,.3,.4\nRBE3,5,,9,123456,1.,123,1,2\n,3\nCONM2,6,9,,3.\n"
+    bars += "CBAR,1,1,1,2,1.,.3,0.\nCBAR,2,1,2,3,0.,1.,.2\nPBAR,1,1,,2.-7,4.-7,3.-7\n" + STEEL
+    assert masses(imported(tmp_path, bars))[0, 0] == pytest.approx(3.0, rel=1e-12)
+
+
+@needs_mystran
 def test_solids_in_full_are_those_of_own_assembly(tmp_path):
     deck = boxes("PSOLID,1,1,0,TWO,,FULL\n" + STEEL)
     model = imported(tmp_path, deck)

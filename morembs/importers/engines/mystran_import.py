@@ -177,7 +177,10 @@ class _Deck:
         M = sp.csr_array(self.scale * (M + self._shear_masses()))
         tied = turning(whole.ties, len(grids.ids))
         K, loose = with_springs(K, M, self.blocks, grids.xyz, tied, self.held)
-        filled = np.flatnonzero(np.diff(K.indptr) + np.diff(M.indptr))
+        filled = np.diff(K.indptr) + np.diff(M.indptr)
+        # Means are those of displacements along all axes, also of grids that nothing holds along one.
+        filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1
+        filled = np.flatnonzero(filled)
         K, M = (sp.csr_array(A[filled][:, filled]) for A in (K, M))
         equations = whole.equations + self._held(filled)
         node, component = self.row[filled // 6], filled % 6
