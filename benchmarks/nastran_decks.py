@@ -3,7 +3,7 @@
     python -m benchmarks.nastran_decks FOLDER... [--megabytes 1]
     python -m benchmarks.nastran_decks --elements 2000 20000
 
-Decks are files with GRID cards of at most --megabytes; each is imported with --density 7.85e-9 where materials lack one.
+Decks are files with GRID cards of at most --megabytes; each is imported with --density 7.85e-9 if materials lack one.
 Printed are a line for each, with the mass of both and K R of what cancels in it, and the counts. With --elements blocks
 of CHEXA and rolled sheets of CQUAD4 are imported through MYSTRAN: processor seconds of this process and of all runs.
 """

@@ -37,6 +37,16 @@ LOADS = {
 ELASTIC_TABLES = ("ELAS", "ANEL", "HYPE", "FOAM", "GASK", "COMP", "USER", "PELA", "SMA", "BB", "MOONEY", "CAST")
 
 
+# Commands may be cut to their first four letters.
+_SHORT = {
+    name[:4]: name
+    for name in (
+        "NBLOCK", "EBLOCK", "CMBLOCK", "ETBLOCK", "RLBLOCK", "KEYOPT", "RMORE", "RMODIF", "MPDATA", "MPTEMP", "TBDATA",
+        "CMGRP", "CDREAD", "EMORE", "BFBLOCK", "SFEBLOCK", *(name for name in REFUSED if len(name) > 4),
+    )
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Place:
     """Where a command stands, for a problem with it."""
@@ -91,8 +101,8 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
         if not text:
             continue
         fields = [part.strip() for part in text.split(",")]
-        command = fields[0].upper()
-        if options.skips(command):
+        command = _SHORT.get(fields[0].upper()[:4], fields[0].upper())
+        if options.skips(command, fields[0]):
             archive.skipped[command] += 1
             continue
         try:
@@ -136,7 +146,7 @@ def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines
             archive.elements.extend(parts)
     elif command in ("CMBLOCK", "ETBLOCK", "RLBLOCK"):
         _take_table(archive, command, fields, lines)
-    elif command in ("ET", "KEYOP", "KEYOPT", "TYPE", "R", "RMORE", "RMODIF"):
+    elif command in ("ET", "KEYOPT", "TYPE", "R", "RMORE", "RMODIF"):
         _take_type(archive, command, fields)
     elif command in ("MP", "MPDATA", "MPTEMP", "UIMP", "TB"):
         _take_material(archive, command, fields)
@@ -239,7 +249,7 @@ def _take_type(archive: Archive, command: str, fields: list[str]) -> None:
         digits = "".join(c if c.isdigit() else " " for c in fields[2]).split()
         keys = {i: int(float(word)) for i, word in enumerate(fields[3:9], start=1) if word}
         archive.types[int(fields[1])] = int(digits[-1]), keys
-    elif command in ("KEYOP", "KEYOPT"):
+    elif command == "KEYOPT":
         kind = int(fields[1])
         if kind not in archive.types:
             raise InputError(f"{archive.name}: KEYOPT names the element type {kind}, which no ET defines before it")

@@ -114,6 +114,7 @@ def import_ansys_cdb(
     return replace(
         ties, nodes=nodes, mesh=mesh, materials=whole, notes=tuple(notes),
         warnings=(*skipped, *dict.fromkeys(archive.warnings), *said), incomplete=rest,
+        seams=True,
     )  # fmt: skip
 
 

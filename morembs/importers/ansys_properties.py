@@ -12,7 +12,10 @@ from morembs.model.material import Material, isotropic, orthotropic
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
 # Damping and temperature: said, not kept. Conductivity and the like say nothing about a structure and are passed over.
-SAID = {"ALPD": "mass damping", "BETD": "stiffness damping", "DMPR": "damping ratio", "DMPS": "damping ratio"}
+SAID = {
+    "ALPD": "mass damping", "BETD": "stiffness damping", "DAMP": "stiffness damping", "DMPR": "damping ratio",
+    "DMPS": "damping ratio",
+}  # fmt: skip
 _DEFAULT_POISSON = 0.3
 
 

@@ -111,7 +111,8 @@ class Imported:
     or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
     ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry; ``warnings``
     what makes the model another one than that of the file, beside what ``mesh`` warns of. ``incomplete`` maps an
-    element set to what its material lacks: such a model is refused until the set has one.
+    element set to what its material lacks: such a model is refused until the set has one. ``seams`` says that the
+    program of the file takes meshes in which faces of elements that meet differ.
     """
 
     source: str
@@ -133,6 +134,7 @@ class Imported:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     incomplete: Mapping[str, Lacking] = field(default_factory=dict)
+    seams: bool = False
 
     @property
     def ties(self) -> list[Ties]:

@@ -13,6 +13,7 @@ from morembs.model.constraints import Equations
 from morembs.model.elements import TYPES
 
 Ints = NDArray[np.int64]
+LINEAR_EDGES = "edges without middle nodes"
 
 
 def filled(blocks: list[tuple[str, Ints]], first: int) -> tuple[list[Ints], Ints]:
@@ -45,7 +46,7 @@ def middle_equations(pairs: Ints, first: int) -> Equations:
     nodes = np.repeat(first + np.arange(len(pairs)), 3)
     components = np.tile(np.arange(3), len(pairs))
     return Equations(
-        name="edges without middle nodes", nodes=nodes, components=components, offsets=2 * np.arange(count + 1),
+        name=LINEAR_EDGES, nodes=nodes, components=components, offsets=2 * np.arange(count + 1),
         term_nodes=np.repeat(pairs, 3, axis=0).ravel(), term_components=np.repeat(components, 2),
         coefficients=np.full(2 * count, 0.5),
     )  # fmt: skip

@@ -30,6 +30,7 @@ class Materials:
     def __init__(self, file: str, scale: float) -> None:
         self.file, self.scale = file, scale
         self.notes: list[str] = []
+        self.warnings: list[str] = []
         self.lacking: dict[str, Lacking] = {}
 
     def of(
@@ -84,10 +85,15 @@ class Materials:
         what, row = f"{self.file}: MAT1 {mid}", padded(row, 8)
         E, G, nu, rho = (real(text, what) for text in row[1:5])
         given = [bool(text) for text in row[1:4]]
+        if given == [True, False, False]:
+            self.warnings.append(f"MAT1 {mid} gives E only; NU = 0 was taken, as Nastran does")
+            given[2] = True
         if sum(given) < 2:
             raise InputError(f"{what} gives {sum(given)} of E, G and NU; expected two")
         if all(given) and G and abs(E / (2 * G) - 1 - nu) > 1e-2 * (1 + abs(nu)):
-            raise InputError(f"{what}: E = {E:g}, G = {G:g} and NU = {nu:g} contradict each other; give two of them")
+            self.warnings.append(
+                f"MAT1 {mid}: G = {G:g} does not fit E = {E:g} and NU = {nu:g}, which solids take; check the card"
+            )
         if not given[0]:
             E = 2 * G * (1 + nu)
         if not given[2]:

@@ -19,6 +19,7 @@ from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
+from morembs.importers.missing_middles import LINEAR_EDGES
 from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, NamedColumns, Nodes
@@ -28,6 +29,7 @@ from morembs.model.fe_model import SCALAR, refuse_far
 from morembs.model.handedness import right_handed
 from morembs.model.material import Material
 from morembs.model.middle_nodes import mesh_in_order
+from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
@@ -308,9 +310,10 @@ def _from_mesh(
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
     )  # fmt: skip
     part = right_handed(part)
+    part = replace(part, warnings=(*part.warnings, *_seams(imported, part, row)))
     model = assemble(
-        part, materials_in_si(imported.materials, units), mass_integration=mass_integration, budget=budget,
-        progress=progress,
+        part, materials_in_si(imported.materials, units), mass_integration=mass_integration, seams=imported.seams,
+        budget=budget, progress=progress,
     )  # fmt: skip
     dropped = int((row < 0).sum())
     notes = (f"{dropped} nodes belong to no element and were left out",) if dropped else ()
@@ -319,6 +322,22 @@ def _from_mesh(
     else:
         model = replace(model, nodes=every, mesh=replace(part, nodes=every))
     return _Base(model=model, row=row, notes=notes)
+
+
+def _seams(imported: Imported, mesh: Mesh, row: Ints) -> list[str]:
+    """A warning of faces that differ where elements meet, in a file of a program that takes them."""
+    if not imported.seams or len(mesh.blocks) < 2:
+        return []
+    linear = np.zeros(len(mesh.nodes), dtype=bool)
+    for equations in imported.equations:
+        if equations.name == LINEAR_EDGES:
+            linear[row[equations.nodes]] = True
+    count = seam_faces(mesh, linear)
+    return [
+        f"elements of different types meet at {count} faces whose nodes do not match (a quadratic next to a linear "
+        "face, or a quadrilateral next to two triangles): the mesh may open there, as it may in the program of the "
+        "deck [faces-differ]"
+    ] if count else []  # fmt: skip
 
 
 def _picked(nodes: Nodes, order: Ints, row: Ints, units: Units) -> Nodes:

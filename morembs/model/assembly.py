@@ -58,8 +58,8 @@ def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr
 
 
 def assemble(
-    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
+    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False,
+    budget: Budget = UNLIMITED, progress: Progress = SILENT,
 ) -> FEModel:  # fmt: skip
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
@@ -68,7 +68,8 @@ def assemble(
     the stiffness, as CalculiX does: one point in tet4, four in tet10). ``warnings`` tell where that is not the rule of
     the block.
 
-    Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell.
+    Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell. ``seams``
+    says that faces of elements that meet may differ, as programs of decks take them.
 
     Peak memory: K, M, the node graph (1/9 of the entries of K) and one chunk of about 50 MB times 4.
 
@@ -84,7 +85,8 @@ def assemble(
     mesh = mesh_in_order(mesh)
     owner = material_of_elements(mesh, materials)
     _refuse_loose_nodes(mesh)
-    _refuse_gaps(mesh)
+    if not seams:
+        _refuse_gaps(mesh)
     graph = node_graph(mesh)
     blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)

@@ -639,6 +639,9 @@ def test_rigid_beams_and_springs(tmp_path):
     model = model_of(imported)
     R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
     assert abs(model.dependent.S @ R - R).max() < 1e-12 and len(model.nodes) == 13
+    # Commands may be cut to four letters.
+    short = BEAMS.replace("KEYOPT", "keyo").replace("MPDATA", "mpda").replace("EBLOCK", "eblo")
+    assert len(import_ansys_cdb(write(tmp_path, short)).rigid) == 1
     with pytest.raises(InputError, match=r"4 elements MPC184 with KEYOPT.1. = 0 .*--skip MPC184"):
         import_ansys_cdb(write(tmp_path, BEAMS.replace("KEYOPT,2,1,1\n", "")))
     found = import_ansys_cdb(write(tmp_path, SPRINGS)).discrete

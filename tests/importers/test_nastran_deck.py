@@ -15,6 +15,7 @@ from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
+from morembs.model.surface import nodal_areas, outer_faces
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.meshes import STEEL, box, fully_integrated, steel
@@ -263,6 +264,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("RROD,1,10,20,2\n", "do not follow"),
         ("BEGIN,1\n", "superelements of their own"),
         ("PLSOLID,1,2\n", "nonlinear materials"),
+        ("SOL 103\nCEND\nSPC = 1\n", "CEND and no BEGIN BULK"),
         ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
         ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
         ("RBE2,1,10,129,20\n", "'129'"),
@@ -278,8 +280,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
          "by way of itself"),
         ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
-        ("PSOLID,1,1\nMAT1,1,1.,,,1.\n", "gives 1 of E, G and NU"),
-        ("PSOLID,1,1\nMAT1,1,1.,3.,.3,1.\n", "contradict"),
+        ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
         ("GRID,11,,0.,zero,0.\n", "GRID card"),
         ("GRID    11              0.5 1   0.      0.\n", "not one number"),
         ("=,*(1),=\n", "line 11: cards with continuations"),
@@ -344,6 +345,21 @@ def test_a_mean_of_some_directions_is_that_of_nastran(bulk, behind):
     reference = [u[dof_of(model, 600, c)] for c in range(6)]
     assert np.allclose(reference, MEAN @ [u[dof_of(model, *leader)] for leader in LEADERS], atol=1e-9)
     assert max(rigid_fault(model)) < 1e-12
+
+
+def test_rotations_of_a_mean_count_with_the_squared_distance(bulk):
+    """Grid 90 is of no solid, so that its rotations take part; rows made with pyYeti 1.4.7 (formrbe3)."""
+    grids = "GRID,600,,.4,.6,-.5\nGRID,90,,2.,1.,1.\nCELAS2,5,1.,90,1,30,1\n"
+    model = model_of(bulk(CUBE + MAT1 + grids + "RBE3,2,,600,123456,1.,123,10,20\n,.4,123456,90\n"))
+    along_x = [0.431282332303, 0.179060208902, -0.244830704265, 0.431282332303, -0.112523302295, 0.13444680075,
+               0.137435335394, -0.066536906607, 0.110383903515, -0.176920810122, -0.282220727614, -0.216967549096]
+    about_y = [-0.062638567012, -0.051740912026, 0.333614463581, -0.062638567012, 0.065280212489, -0.159238063007,
+               0.125277134024, -0.013539300463, -0.174376400574, 0.160837100111, 0.366732001821, 0.087075522461]
+    leaders = [(10, 0), (10, 1), (10, 2), (20, 0), (20, 1), (20, 2), *((90, c) for c in range(6))]
+    dofs = [dof_of(model, *leader) for leader in leaders]
+    S = model.dependent.S.toarray()
+    assert np.allclose(S[dof_of(model, 600, 0), dofs], along_x, atol=1e-11)
+    assert np.allclose(S[dof_of(model, 600, 4), dofs], about_y, atol=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -424,6 +440,41 @@ def test_edges_without_middle_nodes_are_linear(bulk):
     assert softer[0] > -1e-12 * softer[-1] and softer[-1] > 1e-3 * condensed.max()
 
 
+def test_a_quadratic_element_next_to_a_linear_one(bulk):
+    """Without middle nodes on their common face they fit: a linear field moves the inner nodes of both without forces,
+    and the skin is that of the box. With middle nodes there, and beside two wedges, a warning tells."""
+    text, label = "", {}
+    for i in range(5):
+        for j in range(3):
+            for k in range(3):
+                if (i in (0, 2, 4) and (j != 1 and k != 1)) or (i < 3 and [i % 2, j % 2, k % 2].count(1) == 1):
+                    label[i, j, k] = len(label) + 1
+                    text += f"GRID,{label[i, j, k]},,{i / 2},{j / 2},{k / 2}\n"
+    corners = [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)]
+    edges = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)]
+    middles = [tuple((np.array(corners[a]) + corners[b]) // 2) for a, b in edges]
+
+    def deck(dropped):
+        first = [label[c] for c in corners] + ["" if m[0] == 2 and dropped else label[m] for m in middles]
+        second = [label[i + 2, j, k] for i, j, k in corners]
+        return text + card("CHEXA", ["1", "1", *map(str, first)], "free") + card(
+            "CHEXA", ["2", "1", *map(str, second)], "free"
+        ) + MAT1 + "PARAM,COUPMASS,1\n"
+
+    model = model_of(bulk(deck(True)))
+    assert not any("faces-differ" in each for each in model.warnings)
+    S, x = model.dependent.S, model.nodes.xyz[model.dofs.node]
+    field = (x @ np.random.default_rng(1).normal(size=(3, 3)))[np.arange(len(x)), model.dofs.component]
+    assert abs(S @ field - field).max() < 1e-12
+    assert sum(nodal_areas(model.nodes.xyz, outer_faces(model.mesh))) == pytest.approx(10.0)
+    open_face = bulk(deck(False))
+    assert any("faces-differ" in each for each in model_of(open_face).warnings)
+    with pytest.raises(InputError, match=r"meet at 1 faces .* make it conforming"):
+        assemble(open_face.mesh, open_face.materials)
+    wedges = "GRID,81,,0.,0.,2.\nGRID,82,,1.,0.,2.\nGRID,83,,1.,1.,2.\nCPENTA,8,1,50,60,70,81,82,83\n"
+    assert any("at 1 faces" in each for each in model_of(bulk(CUBE + wedges + MAT1)).warnings)
+
+
 def test_materials_and_text_as_strangers_have_them(bulk):
     """MAT11 along a system, names behind blanks, grids that are there twice, labels of superelements."""
     orthotropic_card = "MAT11,1,2.+11,1.+11,.5+11,.3,.2,.1,4.+10\n,3.+10,2.+10,7850.\n"
@@ -433,6 +484,15 @@ def test_materials_and_text_as_strangers_have_them(bulk):
         set="PSOLID_1", young=(2e11, 1e11, 0.5e11), poisson=(0.3, 0.2, 0.1), shear=(4e10, 3e10, 2e10), density=7850.0
     )
     assert np.allclose(found.materials[0].stiffness, given.stiffness, rtol=1e-14)
+    # A mark of a continuation without its plus sign is no name.
+    first = "".join(word.ljust(8) for word in ("CHEXA", "7", "1", "10", "20", "30", "40", "50", "60"))
+    marked = f"{CUBE[: CUBE.index('CHEXA')]}{first} ABC\n ABC    70      80\n"
+    assert len(bulk(marked + MAT1).mesh.blocks[0].nodes[0]) == 8
+    # Of E, G and NU solids take E and NU, E alone means NU = 0.
+    for card, nu, words in (("1.,3.,.3", 0.3, "does not fit"), ("1.,,", 0.0, "gives E only")):
+        odd = bulk(CUBE + f"PSOLID,1,1\nMAT1,1,{card},1.\n")
+        expected = isotropic(set="PSOLID_1", young=1.0, poisson=nu, density=1.0).stiffness
+        assert np.array_equal(odd.materials[0].stiffness, expected) and any(words in each for each in odd.warnings)
     assert any("given twice" in note for note in found.notes) and any("superelements" in note for note in found.notes)
     assert len(found.nodes) == 8
 
