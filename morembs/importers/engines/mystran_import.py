@@ -163,7 +163,9 @@ class _Deck:
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
             for name, lack in lacking.items() if name not in wanted
         ]  # fmt: skip
-        return self.sections.cards({material.set: material.density for material in filled})
+        cards = self.sections.cards({material.set: material.density for material in filled})
+        self.warnings += self.sections.warnings
+        return cards
 
     def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
         """The model with the matrices (6 n, 6 n) of all n grids of the deck."""
