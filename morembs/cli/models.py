@@ -47,9 +47,9 @@ def import_model(
         list[str] | None, typer.Option(help="Keywords, cards or element types to leave out, between commas.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="The program that assembles a deck: calculix, or calculix:PATH of ccx.")
+        str | None, typer.Option(help="The program that assembles a deck: calculix or mystran, with :PATH of it.")
     ] = None,
-    boundary: Annotated[str, typer.Option(help="With --engine: drop what *BOUNDARY holds, or keep it.")] = "drop",
+    boundary: Annotated[str, typer.Option(help="With --engine: drop what the deck holds, or keep it.")] = "drop",
     preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,
     engine_timeout: Annotated[float, typer.Option(help="With --engine: seconds for each run of it.")] = 600.0,
     keep_files: Annotated[

@@ -81,12 +81,7 @@ def import_nastran(
         parts, middles = list[Part](), None
         with bulk.problems.collected():
             parts, middles = solid_parts(bulk)
-        solid = np.zeros(len(bulk.grids.ids), dtype=bool)
-        for part in parts:
-            solid[part.nodes] = True
-        ties = Ties(bulk.grids, bulk.systems, scale, solid)
-        springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
-        take_ties(bulk, ties, springs)
+        ties, springs = tied(bulk, grids_of(bulk, parts), scale)
         if not parts:
             bulk.problems.refuse()
         equations = (*ties.equations, *([middles] if middles else []))
@@ -103,15 +98,6 @@ def import_nastran(
     if bulk.problems.found:
         bulk.problems.found += lacking_problems(bulk.file, lacking)
     bulk.problems.refuse()
-    skipped = [
-        f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
-        for name, count in bulk.skipped.items()
-    ]
-    cold = [
-        f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
-        for name in OF_TEMPERATURE
-        if name in bulk.noted
-    ]
     return Imported(
         source=bulk.file,
         nodes=nodes,
@@ -123,14 +109,38 @@ def import_nastran(
         masses=on_rows(ties.masses, row),
         discrete=on_rows(springs.found, row),
         notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
-        warnings=(*skipped, *cold, *dict.fromkeys(materials.warnings), *said),
+        warnings=(*left_out(bulk), *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,
         seams=True,
     )
 
 
-def take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
-    """Rigid elements, equations, masses and springs into ``ties`` and ``springs``; faults are problems."""
+def left_out(bulk: Bulk) -> list[str]:
+    """Warnings of cards that were skipped, and of those that make materials depend on temperature."""
+    skipped = [
+        f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
+        for name, count in bulk.skipped.items()
+    ]
+    cold = [
+        f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
+        for name in OF_TEMPERATURE
+        if name in bulk.noted
+    ]
+    return [*skipped, *cold]
+
+
+def grids_of(bulk: Bulk, parts: Sequence[Part]) -> NDArray[np.bool_]:
+    """Which grids solids have."""
+    solid = np.zeros(len(bulk.grids.ids), dtype=bool)
+    for part in parts:
+        solid[part.nodes] = True
+    return solid
+
+
+def tied(bulk: Bulk, solid: NDArray[np.bool_], scale: float) -> tuple[Ties, Springs]:
+    """Rigid elements, equations, masses and springs; their faults are problems. ``solid`` grids have no rotations."""
+    ties = Ties(bulk.grids, bulk.systems, scale, solid)
+    springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
     readers: dict[str, Callable[[list[str]], None]] = {
         "RBE1": ties.rbe1, "RBE2": ties.rbe2, "RBE3": ties.rbe3, "RBAR": ties.rbar, "RROD": ties.rrod,
         "RTRPLT": ties.rtrplt, "CONM2": ties.conm2, "CONM1": springs.conm1, "CBUSH": springs.bush,
@@ -142,6 +152,7 @@ def take_ties(bulk: Bulk, ties: Ties, springs: Springs) -> None:
                 take(row)
     with bulk.problems.collected(next((card for _, card in bulk.cards("MPC")), None), ("--skip MPC",)):
         ties.mpc(bulk.rows["MPC"], bulk.rows["MPCADD"], bulk.text.head)
+    return ties, springs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

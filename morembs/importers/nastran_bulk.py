@@ -71,7 +71,13 @@ class Bulk:
                 refused.setdefault(name, []).append(table)
 
     def _refuse(self, refused: dict[str, list[Table]]) -> None:
-        """A problem for each name of cards that cannot be carried."""
+        """A problem for each name of cards that cannot be carried.
+
+        Raises:
+            InputError: case control stands among them.
+        """
+        if "CEND" in refused:
+            raise InputError(f"{self.file} has CEND and no BEGIN BULK behind it; put that line before the first card")
         # Lines of a file that is no deck have names with other characters; they are not shown.
         named = {name: found for name, found in refused.items() if name.isalnum()}
         for name, found in named.items():

@@ -136,10 +136,12 @@ class Cards:
         self.number = piece.above + 1 + np.flatnonzero(full)
         self.lines = lines
         first = lines[:, 0]
-        # A name may stand behind blanks within its eight columns.
-        named = lines[np.arange(len(lines)), (lines[:, :8] != 32).argmax(axis=1)] & 0xDF
-        begins = (named >= ord("A")) & (named <= ord("Z"))
-        begins[1:] &= ~((first[1:] == 32) & (lines[:-1, 73:80] == lines[1:, 1:8]).all(axis=1))
+        begins = _letters(first)
+        # A name may stand behind blanks within its eight columns, where it is not the mark of the line above.
+        inner = np.flatnonzero(first == 32)
+        inner = inner[(lines[inner, 1:8] != 32).any(axis=1)]
+        named = _letters(lines[inner, (lines[inner, :8] != 32).argmax(axis=1)])
+        begins[inner] = named & (lines[inner - 1, 73:80] != lines[inner, 1:8]).any(axis=1)
         odd = np.flatnonzero(~begins & ~np.isin(first, np.frombuffer(b"+* ,", dtype=np.uint8)))
         if len(odd) or (len(lines) and not begins[0]):
             words = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
@@ -218,6 +220,10 @@ class Cards:
                 f"{self.file}: the line {line[:60]!r} has too many or too long fields; expected {count} of them"
             )
         return text
+
+
+def _letters(codes: Bytes) -> NDArray[np.bool_]:
+    return np.asarray(((codes & 0xDF) >= ord("A")) & ((codes & 0xDF) <= ord("Z")))
 
 
 def tables(text: BulkText) -> Iterator[Table]:

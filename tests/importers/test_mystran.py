@@ -18,6 +18,7 @@ from morembs.importers.to_model import model_of
 from morembs.model import FEModel, rigid_motion
 from tests.support import mystran
 from tests.support.calculix import independent, program
+from tests.support.meshes import box
 from tests.support.mystran import HEAD, STEEL, eigenvalues, grids, needs_mystran, plate, turned
 
 T = turned(0.7, 0.5)
@@ -92,7 +93,8 @@ DECKS = {
     "springs": (SHEET + "GRID,999,,1.,0.,0.\nSPC1,1,123456,999\nCELAS2,901,5.+4,31,3,999,3\nCMASS2,903,1.5,31,1\n"
                 "CBUSH,50,50,33,999,,,,5\nPBUSH,50,K,1.+4,2.+4,3.+4,100.,200.,300.\n" + SYSTEMS, None),
     "bars": (grids(FRAME) + BARS + PBAR + STEEL, None),
-    "bars with shear": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7,1.-7\n" + STEEL, None),
+    "bars with shear": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7\n" + STEEL, None),
+    "bars of skew section": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,,,1.-7\n" + STEEL, None),
     "pins": (grids(FRAME) + BARS.replace(THIRD, f"{THIRD},,56\n") + PBAR + STEEL, None),
     "offsets along turned axes": (grids(FRAME, cd="4") + SYSTEMS + PBAR + STEEL + BARS.replace(
         "SPC1,1,123456,1,6", "SPC1,1,123456,1\nSPC1,1,13,6").replace(THIRD, f"{THIRD},,,.0,.02,.05,.0,.02,.05\n"),
@@ -118,6 +120,12 @@ def test_decks_have_the_frequencies_of_mystran_and_their_mass(tmp_path, name):
         assert_free(free)
     if kilograms is not None:
         assert masses(free) == pytest.approx(kilograms * np.eye(3), rel=1e-8, abs=1e-8 * kilograms)
+
+
+@needs_mystran
+def test_shear_that_mystran_leaves_out_is_told(tmp_path):
+    bars = grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7,1.-7\n" + STEEL
+    assert any("PBAR 1 has I12 and shear factors" in warning for warning in imported(tmp_path, bars).warnings)
 
 
 @needs_mystran
@@ -181,6 +189,14 @@ def test_kinds_of_properties_have_their_mass(tmp_path, bulk, kilograms):
 
 
 @needs_mystran
+def test_means_are_those_of_grids_that_nothing_holds_along_an_axis(tmp_path):
+    """Bars without area have no stiffness and no mass along themselves."""
+    bars = grids(FRAME[:3]) + "GRID,9,,.2,.3,.4\nRBE3,5,,9,123456,1.,123,1,2\n,3\nCONM2,6,9,,3.\n"
+    bars += "CBAR,1,1,1,2,1.,.3,0.\nCBAR,2,1,2,3,0.,1.,.2\nPBAR,1,1,,2.-7,4.-7,3.-7\n" + STEEL
+    assert masses(imported(tmp_path, bars))[0, 0] == pytest.approx(3.0, rel=1e-12)
+
+
+@needs_mystran
 def test_solids_in_full_are_those_of_own_assembly(tmp_path):
     deck = boxes("PSOLID,1,1,0,TWO,,FULL\n" + STEEL)
     model = imported(tmp_path, deck)
@@ -189,6 +205,24 @@ def test_solids_in_full_are_those_of_own_assembly(tmp_path):
     assert np.abs((model.K - own.K).data).max() < 3e-13 * np.abs(own.K.data).max()
     mass = np.ones(own.size) @ (own.M @ np.ones(own.size))
     assert np.ones(own.size) @ (model.M @ np.ones(own.size)) == pytest.approx(mass, rel=1e-12)
+
+
+@needs_mystran
+@pytest.mark.parametrize(("kind", "card", "nearly"), [("hex20", "CHEXA", 1e-13), ("tet10", "CTETRA", 2e-8)])
+def test_quadratic_solids_are_those_of_own_assembly(tmp_path, kind, card, nearly):
+    """Points of MYSTRAN's tetrahedra have nine digits."""
+    mesh = box(kind, (1, 1, 1), (1.0, 1.2, 0.9))
+    # Nastran lists the middles of upright edges before those of the top.
+    order = [*range(12), *range(16, 20), *range(12, 16)] if kind == "hex20" else list(range(10))
+    lines = []
+    for element, nodes in enumerate((mesh.blocks[0].nodes + 1).tolist(), 1):
+        words = [card, str(element), "1", *(str(nodes[i]) for i in order)]
+        lines.append(",".join(words[:9]))
+        lines += [f",{','.join(words[at : at + 8])}" for at in range(9, len(words), 8)]
+    model = imported(tmp_path, grids(mesh.nodes.xyz) + "\n".join(lines) + "\nPSOLID,1,1,0,THREE,,FULL\n" + STEEL)
+    own = model_of(import_file(tmp_path / "deck.bdf"))
+    assert np.abs((model.K - own.K).data).max() < nearly * np.abs(own.K.data).max()
+    assert masses(model) == pytest.approx(masses(own), rel=1e-8, abs=1e-6)
 
 
 @pytest.mark.parametrize("where", ["stored", pytest.param("mystran", marks=needs_mystran)])

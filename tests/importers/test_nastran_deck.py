@@ -264,6 +264,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("RROD,1,10,20,2\n", "do not follow"),
         ("BEGIN,1\n", "superelements of their own"),
         ("PLSOLID,1,2\n", "nonlinear materials"),
+        ("SOL 103\nCEND\nSPC = 1\n", "CEND and no BEGIN BULK"),
         ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
         ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
         ("RBE2,1,10,129,20\n", "'129'"),
@@ -344,6 +345,21 @@ def test_a_mean_of_some_directions_is_that_of_nastran(bulk, behind):
     reference = [u[dof_of(model, 600, c)] for c in range(6)]
     assert np.allclose(reference, MEAN @ [u[dof_of(model, *leader)] for leader in LEADERS], atol=1e-9)
     assert max(rigid_fault(model)) < 1e-12
+
+
+def test_rotations_of_a_mean_count_with_the_squared_distance(bulk):
+    """Grid 90 is of no solid, so that its rotations take part; rows made with pyYeti 1.4.7 (formrbe3)."""
+    grids = "GRID,600,,.4,.6,-.5\nGRID,90,,2.,1.,1.\nCELAS2,5,1.,90,1,30,1\n"
+    model = model_of(bulk(CUBE + MAT1 + grids + "RBE3,2,,600,123456,1.,123,10,20\n,.4,123456,90\n"))
+    along_x = [0.431282332303, 0.179060208902, -0.244830704265, 0.431282332303, -0.112523302295, 0.13444680075,
+               0.137435335394, -0.066536906607, 0.110383903515, -0.176920810122, -0.282220727614, -0.216967549096]
+    about_y = [-0.062638567012, -0.051740912026, 0.333614463581, -0.062638567012, 0.065280212489, -0.159238063007,
+               0.125277134024, -0.013539300463, -0.174376400574, 0.160837100111, 0.366732001821, 0.087075522461]
+    leaders = [(10, 0), (10, 1), (10, 2), (20, 0), (20, 1), (20, 2), *((90, c) for c in range(6))]
+    dofs = [dof_of(model, *leader) for leader in leaders]
+    S = model.dependent.S.toarray()
+    assert np.allclose(S[dof_of(model, 600, 0), dofs], along_x, atol=1e-11)
+    assert np.allclose(S[dof_of(model, 600, 4), dofs], about_y, atol=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -468,6 +484,10 @@ def test_materials_and_text_as_strangers_have_them(bulk):
         set="PSOLID_1", young=(2e11, 1e11, 0.5e11), poisson=(0.3, 0.2, 0.1), shear=(4e10, 3e10, 2e10), density=7850.0
     )
     assert np.allclose(found.materials[0].stiffness, given.stiffness, rtol=1e-14)
+    # A mark of a continuation without its plus sign is no name.
+    first = "".join(word.ljust(8) for word in ("CHEXA", "7", "1", "10", "20", "30", "40", "50", "60"))
+    marked = f"{CUBE[: CUBE.index('CHEXA')]}{first} ABC\n ABC    70      80\n"
+    assert len(bulk(marked + MAT1).mesh.blocks[0].nodes[0]) == 8
     # Of E, G and NU solids take E and NU, E alone means NU = 0.
     for card, nu, words in (("1.,3.,.3", 0.3, "does not fit"), ("1.,,", 0.0, "gives E only")):
         odd = bulk(CUBE + f"PSOLID,1,1\nMAT1,1,{card},1.\n")

@@ -16,12 +16,10 @@ from morembs.importers.engines.mystran_elements import STRUCTURES, Structures, s
 from morembs.importers.engines.mystran_rotations import turning, with_springs
 from morembs.importers.engines.mystran_sections import CARDS, Sections
 from morembs.importers.imported import Imported, nodes_of, on_rows
-from morembs.importers.nastran import bulk_mesh, notes_of, sets_of, solid_parts, take_ties
+from morembs.importers.nastran import bulk_mesh, grids_of, left_out, notes_of, sets_of, solid_parts, tied
 from morembs.importers.nastran_bulk import Bulk
-from morembs.importers.nastran_names import OF_TEMPERATURE, RESTRAINTS
+from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
-from morembs.importers.nastran_rigid import Ties
-from morembs.importers.nastran_springs import Springs
 from morembs.model import DofMap, Mesh, Nodes, rigid_motion
 from morembs.model.constraints import Equations
 from morembs.model.handedness import right_handed
@@ -107,14 +105,10 @@ class _Deck:
             self.sections = Sections(bulk)
             self.structures = Structures(bulk, self.sections)
             self.parts, middles = solid_parts(bulk) if bulk.solids else ([], None)
-            solid = np.zeros(len(bulk.grids.ids), dtype=bool)
-            for part in self.parts:
-                solid[part.nodes] = True
+            solid = grids_of(bulk, self.parts)
             for block in self.structures.blocks:
                 solid[block.nodes] = False
-            self.ties = Ties(bulk.grids, bulk.systems, self.scale, solid)
-            springs = Springs(bulk.grids, bulk.systems, bulk.rows, self.scale)
-            take_ties(bulk, self.ties, springs)
+            self.ties, springs = tied(bulk, solid, self.scale)
             self.held = held_directions(bulk) if keep else {}
             self.whole = Imported(
                 source=bulk.file, rigid=tuple(self.ties.rigid), average=tuple(self.ties.average),
@@ -169,15 +163,20 @@ class _Deck:
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
             for name, lack in lacking.items() if name not in wanted
         ]  # fmt: skip
-        return self.sections.cards({material.set: material.density for material in filled})
+        cards = self.sections.cards({material.set: material.density for material in filled})
+        self.warnings += self.sections.warnings
+        return cards
 
     def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
         """The model with the matrices (6 n, 6 n) of all n grids of the deck."""
         grids, whole = self.bulk.grids, self.whole
         M = sp.csr_array(self.scale * (M + self._shear_masses()))
-        tied = turning(whole.ties, len(grids.ids))
-        K, loose = with_springs(K, M, self.blocks, grids.xyz, tied, self.held)
-        filled = np.flatnonzero(np.diff(K.indptr) + np.diff(M.indptr))
+        turned = turning(whole.ties, len(grids.ids))
+        K, loose = with_springs(K, M, self.blocks, grids.xyz, turned, self.held)
+        filled = np.diff(K.indptr) + np.diff(M.indptr)
+        # Means are those of displacements along all axes, also of grids that nothing holds along one.
+        filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1
+        filled = np.flatnonzero(filled)
         K, M = (sp.csr_array(A[filled][:, filled]) for A in (K, M))
         equations = whole.equations + self._held(filled)
         node, component = self.row[filled // 6], filled % 6
@@ -237,15 +236,7 @@ class _Deck:
         ]
         if self.structures.beams:
             said.append(f"{self.structures.beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
-        said += [
-            f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
-            for name, count in self.bulk.skipped.items()
-        ]
-        return said + [
-            f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
-            for name in OF_TEMPERATURE
-            if name in self.bulk.noted
-        ]
+        return [*said, *left_out(self.bulk)]
 
     def _said(self, version: str, loose: int, rows: int) -> list[str]:
         """What was left out, a sentence each."""

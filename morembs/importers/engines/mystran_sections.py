@@ -42,6 +42,7 @@ class Sections:
     def __init__(self, bulk: Bulk) -> None:
         self.bulk, self.file = bulk, bulk.file
         self.sets: list[str] = []
+        self.warnings: list[str] = []
         self._numbers: dict[tuple[str, int], int] = {}
         self._rows: list[tuple[str, list[str], str]] = []
         self._found = {
@@ -254,6 +255,11 @@ class _Property:
 
     def _bar(self, A: float, I1: float, I2: float, J: float, nsm: float, shear: Sequence[float], I12: float) -> str:
         factors: list[Field] = [factor or "" for factor in shear]
+        if I12 and any(shear):
+            self.of.warnings.append(
+                f"{self.what} has I12 and shear factors K1, K2, which MYSTRAN leaves out beside I12: its bars are "
+                "stiff in shear [formulation-differs]"
+            )
         head: list[Field] = [self.number, self._material(self.row[1], self.density), A, I1, I2, J, nsm]
         return card("PBAR", [*head, *[""] * 9, *factors, I12])
 
