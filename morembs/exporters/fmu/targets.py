@@ -29,7 +29,8 @@ Structure = Literal["auto", "linear", "floating"]
 Method = Literal["auto", "exponential", "midpoint"]
 # Folder of the binaries in version 2, end of that in version 3 behind the processor, end of the library, by system.
 _PLATFORMS = {
-    "linux": ("linux64", "linux", "so"), "darwin": ("darwin64", "darwin", "dylib"), "win32": ("win64", "windows", "dll"),
+    "linux": ("linux64", "linux", "so"), "darwin": ("darwin64", "darwin", "dylib"),
+    "win32": ("win64", "windows", "dll"),
 }  # fmt: skip
 _PROCESSORS = {"arm64": "aarch64", "amd64": "x86_64"}
 # The first day that a zip file knows, so that the same body gives the same bytes.
