@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 import zipfile
 from collections.abc import Mapping
@@ -26,11 +27,12 @@ from morembs.storage.safefile import replacing, replacing_all
 Floats = NDArray[np.float64]
 Structure = Literal["auto", "linear", "floating"]
 Method = Literal["auto", "exponential", "midpoint"]
-# Folder of the binaries by system, in version 2 and in version 3.
+# Folder of the binaries in version 2, end of that in version 3 behind the processor, end of the library, by system.
 _PLATFORMS = {
-    "linux": ("linux64", "x86_64-linux", "so"), "darwin": ("darwin64", "x86_64-darwin", "dylib"),
-    "win32": ("win64", "x86_64-windows", "dll"),
+    "linux": ("linux64", "linux", "so"), "darwin": ("darwin64", "darwin", "dylib"),
+    "win32": ("win64", "windows", "dll"),
 }  # fmt: skip
+_PROCESSORS = {"arm64": "aarch64", "amd64": "x86_64"}
 # The first day that a zip file knows, so that the same body gives the same bytes.
 _DAY = (1980, 1, 1, 0, 0, 0)
 # Part of the outputs that single precision may cost.
@@ -109,8 +111,7 @@ class Fmu(_Equations):
             except OSError as error:
                 file.error = error
             if isinstance(library, bytes):
-                folders = _PLATFORMS.get(sys.platform, _PLATFORMS["linux"])
-                members[f"binaries/{folders[self.fmi == '3.0']}/{name}.{folders[2]}"] = library
+                members[f"binaries/{_library_name(name, self.fmi)}"] = library
             else:
                 notes = (*notes, f"the FMU holds sources only: {library}")
             file.doing = "the FMU"
@@ -207,6 +208,14 @@ def _single_words(code: Code) -> str:
         f"single precision: over {SINGLE_STEPS} steps of random loads outputs differ from double by {error:.1e} of "
         "their largest"
     )
+
+
+def _library_name(name: str, version: Version) -> str:
+    """Folder and name of a library for this machine."""
+    second, third, ending = _PLATFORMS.get(sys.platform, _PLATFORMS["linux"])
+    machine = platform.machine().lower()
+    folder = second if version == "2.0" else f"{_PROCESSORS.get(machine, machine)}-{third}"
+    return f"{folder}/{name}.{ending}"
 
 
 def _zipped(members: Mapping[str, bytes]) -> bytes:
