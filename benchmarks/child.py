@@ -148,16 +148,17 @@ def factor(spec: Spec) -> Row:
     solver = configured(spec, near)
     resident, start = resident_bytes(), time.perf_counter()
     with solver.analyse(A, "spd") as analysis:
-        analysed, plan = time.perf_counter(), analysis.forecast
+        analysed, plan, used = time.perf_counter(), analysis.forecast, time.process_time()
         factorisation = analysis.factorize(A)
-        ready, peak = time.perf_counter(), peak_memory_bytes()
+        ready, peak, used = time.perf_counter(), peak_memory_bytes(), time.process_time() - used
         stats = factorisation.stats
         solves, X = solved(factorisation.solve, B, spec)
         if spec["solver"] == "auto":
             solves["choice"] = stats.backend
     return {
         "dofs": A.n, "resident_bytes": resident, "analyse_seconds": analysed - start, "factor_seconds": stats.seconds,
-        "ready_seconds": ready - start, "factor_peak_bytes": peak - resident, "forecast_bytes": plan.memory,
+        "factor_cpu_seconds": used, "ready_seconds": ready - start, "factor_peak_bytes": peak - resident,
+        "forecast_bytes": plan.memory,
         "flops": None if spec["solver"] == "amg" else plan.flops, "factor_entries": stats.factor_entries,
         "factor_bytes": stats.memory_bytes, "disk_bytes": stats.disk_bytes, "threads": stats.threads,
         "precision": stats.precision, **solves, "backward_error": backward_error(A, norm, X, B),
@@ -274,6 +275,14 @@ def switching(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def startup(spec: Spec) -> Row:
+    """See startup.py."""
+    from startup import bar_body
+
+    bar_body(Path(spec["file"]), modes=10)
+    return {}
+
+
 def certificates(spec: Spec) -> Row:
     """See certify.py."""
     from certify import measure
@@ -302,7 +311,7 @@ def part(spec: Spec) -> Row:
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "job": write_job, "interpolation": interpolation, "frames": frames,
-    "switching": switching, "certify": certificates, "fmu": fmu, "part": part,
+    "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
 }  # fmt: skip
 
 

@@ -119,6 +119,10 @@ def medium(settings: Settings) -> None:
             report.compare(
                 f"default over the fastest ({best}), seconds {words}", ratios(rounds, (DEFAULT, key), (best, key))
             )
+    report.compare(
+        "mumps-embedded over mumps, processor seconds of the factorisation and its check",
+        ratios(rounds, ("mumps-embedded", "factor_cpu_seconds"), ("mumps", "factor_cpu_seconds")),
+    )
     report.write()
 
 

@@ -19,12 +19,19 @@ COINCIDENT = 1e-6
 
 def close_pairs(xyz: Floats) -> Ints:
     """Pairs (k, 2) of rows of ``xyz`` (n, 3) at one place, ascending in each; of many at one place the nearest few."""
+    reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny) if len(xyz) else 0.0
+    # What is near in space is near along any line: of small models no node is left after three of them.
+    rows = np.arange(len(xyz))
+    for line in np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]:
+        along = (xyz[rows] - xyz[0]) @ line
+        order = np.argsort(along)
+        near = np.diff(along[order]) <= 1.01 * reach
+        rows = np.sort(rows[order[np.append(near, False) | np.insert(near, 0, False)]]) if len(near) else rows[:0]
+    if not len(rows):
+        return np.empty((0, 2), dtype=np.int64)
     # Not at the top, where it would cost every command its memory.
     from scipy.spatial import cKDTree
 
-    if len(xyz) < 2:
-        return np.empty((0, 2), dtype=np.int64)
-    reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny)
     # The nearest few are enough: a search for all pairs grows without bounds where many nodes coincide.
     distance, other = cKDTree(xyz).query(xyz, k=min(4, len(xyz)), distance_upper_bound=reach)
     row, column = np.nonzero(np.isfinite(distance))
