@@ -262,7 +262,7 @@ class _Joints:
                 dof = follows[dof]
             return dof
 
-        found = []
+        equations = []
         for couple, first, second in self.pairs:
             if couple.stiffness is not None:
                 continue
@@ -274,14 +274,14 @@ class _Joints:
                 follows[b] = a
             led = list(follows.items())[begin:]
             own, other = np.array(led, dtype=np.int64).T
-            found.append(
+            equations.append(
                 Equations(
                     name=" - ".join(couple.between), nodes=self.dofs.node[own], components=self.dofs.component[own],
                     offsets=np.arange(len(own) + 1), term_nodes=self.dofs.node[other],
                     term_components=self.dofs.component[other], coefficients=np.ones(len(own)),
                 )
             )  # fmt: skip
-        return found
+        return equations
 
     def springs(self, which: str) -> sp.csr_array:
         """``stiffness`` or ``damping`` (N, N) of the elastic couplings."""

@@ -142,8 +142,8 @@ def _chosen(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...],
     """Quantity and row of each degree of freedom that ``texts`` name."""
     if isinstance(texts, str) or not texts:
         raise InputError(f'{what}s = {texts!r} was given; expected a list such as ["tip:{known[0]}"]')
-    found = [parts_of(ports, text, known, what) for text in texts]
-    chosen = [(quantity, row) for quantity, rows in found for row in rows]
+    parts = [parts_of(ports, text, known, what) for text in texts]
+    chosen = [(quantity, row) for quantity, rows in parts for row in rows]
     for quantity, row in chosen:
         if chosen.count((quantity, row)) > 1:
             raise InputError(f"{ports[row].name(quantity)} was given twice as {what}; give it once")
@@ -251,8 +251,8 @@ def _assembled(
         for quantity, row in wanted["outputs"]
     ])  # fmt: skip
     derivative = np.vstack([signal[k : 2 * k], a[[rows.index(row) for row in moving]], de, dde])
-    pairs = [(ports[row], what) for what in ("displacement", "velocity") for row in moving]
-    state_names = [(port.name(what), port.unit(what)) for port, what in pairs]
+    pairs = [(ports[row], quantity) for quantity in ("displacement", "velocity") for row in moving]
+    state_names = [(port.name(quantity), port.unit(quantity)) for port, quantity in pairs]
     state_names += [(f"{mark}q{i + 1}", "") for mark in ("", "d") for i in range(n)]
     kept = _observed(derivative, output, k)
     return StateSpace(

@@ -82,16 +82,16 @@ def import_abaqus(
         if not assembly.blocks:
             raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
         constraints = Constraints(deck, assembly)
-        got = constraints.read()
-        found = materials_of(deck, assembly)
-        ties = Imported(
-            source=deck.name, rigid=tuple(got.rigid), average=tuple(got.average), equations=tuple(got.equations),
-            masses=tuple(got.masses), discrete=tuple(got.discrete),
+        ties = constraints.read()
+        sections = materials_of(deck, assembly)
+        tied = Imported(
+            source=deck.name, rigid=tuple(ties.rigid), average=tuple(ties.average), equations=tuple(ties.equations),
+            masses=tuple(ties.masses), discrete=tuple(ties.discrete),
         ).ties  # fmt: skip
-        mesh, nodes, row = mesh_of(assembly, nodes_of(ties))
-    materials, lacking, said = options.completed(found.materials, found.lacking)
-    if deck.problems.found:
-        deck.problems.found += lacking_problems(deck.name, lacking)
+        mesh, nodes, row = mesh_of(assembly, nodes_of(tied))
+    materials, lacking, said = options.completed(sections.materials, sections.lacking)
+    if deck.problems.entries:
+        deck.problems.entries += lacking_problems(deck.name, lacking)
     deck.problems.refuse()
     surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in constraints.surfaces.nodes.items()}
     for instance in deck.instances.values():
@@ -102,14 +102,14 @@ def import_abaqus(
         nodes=nodes,
         mesh=_with_warnings(mesh, deck),
         materials=materials,
-        rigid=on_rows(got.rigid, row),
-        average=on_rows(got.average, row),
-        equations=on_rows(got.equations, row),
-        masses=on_rows(got.masses, row),
-        discrete=on_rows(got.discrete, row),
+        rigid=on_rows(ties.rigid, row),
+        average=on_rows(ties.average, row),
+        equations=on_rows(ties.equations, row),
+        masses=on_rows(ties.masses, row),
+        discrete=on_rows(ties.discrete, row),
         surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
-        notes=(*_notes(deck), *assembly.notes, *found.notes, *got.notes),
-        warnings=(*skipped_warnings(deck), *got.warnings, *found.warnings, *said),
+        notes=(*_notes(deck), *assembly.notes, *sections.notes, *ties.notes),
+        warnings=(*skipped_warnings(deck), *ties.warnings, *sections.warnings, *said),
         incomplete=lacking,
     )
 
@@ -123,9 +123,9 @@ def _known(dialect: str) -> str:
 def skipped_warnings(deck: Deck) -> list[str]:
     """What was left out as asked, a sentence each."""
     warnings = []
-    for what, count in deck.skipped.items():
-        code = "contact-skipped" if what in ("*CONTACT PAIR", "*CONTACT") else "keywords-skipped"
-        warnings.append(f"{count} {what} left out as asked; stiffness or mass may depend on them [{code}]")
+    for kind, count in deck.skipped.items():
+        code = "contact-skipped" if kind in ("*CONTACT PAIR", "*CONTACT") else "keywords-skipped"
+        warnings.append(f"{count} {kind} left out as asked; stiffness or mass may depend on them [{code}]")
     return warnings
 
 

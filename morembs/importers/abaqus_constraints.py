@@ -30,7 +30,7 @@ _NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")
 
 
 @dataclass
-class Found:
+class DeckTies:
     """What the lines of a deck tie to the mesh; rows are those of all nodes."""
 
     rigid: list[RigidElement] = field(default_factory=list)
@@ -48,21 +48,23 @@ class Constraints:
     def __init__(self, deck: Deck, assembly: Assembly) -> None:
         self.assembly = assembly
         self.deck, self.problems, self.options = deck, deck.problems, deck.options
-        self.found = Found()
+        self.ties = DeckTies()
         self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
         self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
         self._turning: dict[int, int] = {}
-        self._distributing = {one.number: one.nodes[0] for one in assembly.discrete if one.code == "DCOUP3D"}
+        self._distributing = {
+            element.number: element.nodes[0] for element in assembly.discrete if element.code == "DCOUP3D"
+        }
 
-    def read(self) -> Found:
+    def read(self) -> DeckTies:
         """All of them, ties last: they leave alone what follows something else."""
         self.surfaces.read()
         self.axes.read()
-        self.found.notes += self.surfaces.notes
+        self.ties.notes += self.surfaces.notes
         points = Points(self.deck, self.assembly, self.axes)
         points.read()
-        self.found.masses, self.found.discrete = points.masses, points.discrete
-        self.found.warnings += points.warnings
+        self.ties.masses, self.ties.discrete = points.masses, points.discrete
+        self.ties.warnings += points.warnings
         pairs: list[tuple[Placed, Card, Rows]] = []
         for placed in (*self.assembly.placed.values(), self.assembly.top):
             for scope in placed.contents:
@@ -75,17 +77,17 @@ class Constraints:
                         pairs.append((placed, card, rows))
                         continue
                     with self.problems.collected(card, (f"--skip {card.keyword}",)):
-                        self._one(placed, card, rows, kind, [row for row in kind_rows if row])
+                        self._read_card(placed, card, rows, kind, [row for row in kind_rows if row])
         for name, sums in self._sums.items():
             if sums:
                 with self.problems.collected(Card(name[1:], {}, self.deck.name)):
-                    self.found.equations.append(solved(name, map(self._with_rotations, sums), self.axes))
+                    self.ties.equations.append(solved(name, map(self._with_rotations, sums), self.axes))
         glue = Glue(self.assembly, self.surfaces, self._followers(), self.deck.dialect)
         glue.read(pairs)
-        self.found.equations += glue.equations
-        self.found.notes += glue.notes
-        self.found.warnings += glue.warnings
-        return self.found
+        self.ties.equations += glue.equations
+        self.ties.notes += glue.notes
+        self.ties.warnings += glue.warnings
+        return self.ties
 
     def _with_rotations(self, given: tuple[str, list[Term]]) -> tuple[str, list[Term]]:
         """A sum with rotations of rigid bodies at their references, where it has displacements of rotation nodes."""
@@ -95,7 +97,7 @@ class Constraints:
             for node, c, value in terms
         ]
 
-    def _one(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
+    def _read_card(self, placed: Placed, card: Card, rows: Rows, kind: Card | None, kind_rows: Rows) -> None:
         if card.keyword == "COUPLING":
             self.coupling(placed, card, kind, kind_rows)
         elif card.keyword == "KINEMATIC COUPLING":
@@ -112,10 +114,10 @@ class Constraints:
     def _followers(self) -> set[int]:
         """Nodes that follow something in a displacement."""
         nodes: set[int] = set()
-        for rigid in self.found.rigid:
+        for rigid in self.ties.rigid:
             nodes.update(rigid.slaves.tolist() if set(rigid.components) & {0, 1, 2} else [])
-        nodes.update(average.reference for average in self.found.average)
-        for given in self.found.equations:
+        nodes.update(average.reference for average in self.ties.average)
+        for given in self.ties.equations:
             nodes.update(given.nodes[given.components < 3].tolist())
         return nodes
 
@@ -138,17 +140,17 @@ class Constraints:
         if not len(nodes):
             raise InputError(f"{card} {name!r} ties no nodes; check its surface")
         if kind.keyword == "KINEMATIC":
-            self.found.rigid.append(RigidElement(name=title, master=reference, slaves=nodes, components=components))
+            self.ties.rigid.append(RigidElement(name=title, master=reference, slaves=nodes, components=components))
             return
         method = kind.options.get("WEIGHTING METHOD", "UNIFORM").upper()
         if method != "UNIFORM":
             raise InputError(f"{kind} of {name!r} weighs by {method}; expected UNIFORM")
         if not (weights >= 0).all() or not weights.sum() > 0:
             raise InputError(f"{card} {name!r} has weights that are not positive; check its surface")
-        self.found.average.append(
+        self.ties.average.append(
             AverageElement(name=title, reference=reference, nodes=nodes, weights=weights, components=components)
         )
-        self.found.notes.append(
+        self.ties.notes.append(
             f"The distributing coupling {title} weighs nodes of faces by their share of the area, each node of a face "
             "alike, and nodes of a node surface by the numbers given there."
         )
@@ -180,12 +182,12 @@ class Constraints:
         if not len(nodes) or not (given >= 0).all() or not given.sum() > 0:
             raise InputError(f"{card} of {card.need('ELSET')!r} has no nodes with positive weights; check its lines")
         title = self._title(placed, card.options["ELSET"])
-        self.found.average.append(AverageElement(name=title, reference=references[0], nodes=nodes, weights=given))
+        self.ties.average.append(AverageElement(name=title, reference=references[0], nodes=nodes, weights=given))
 
     def _rigid_body(self, placed: Placed, card: Card) -> None:
         options = card.options
         if "ANALYTICAL SURFACE" in options:
-            self.found.notes.append(f"{card} moves an analytical surface and was left out.")
+            self.ties.notes.append(f"{card} moves an analytical surface and was left out.")
             return
         parts = [
             self.assembly.nodes_of(placed, options[key]) for key in ("NSET", "TIE NSET", "PIN NSET") if options.get(key)
@@ -197,15 +199,15 @@ class Constraints:
         slaves = np.unique(np.concatenate(parts))
         title = self._title(placed, options.get("NSET") or options.get("ELSET") or "rigid body")
         if not len(slaves):
-            self.found.notes.append(f"{card} ({title}) has no nodes of solids and was left out.")
+            self.ties.notes.append(f"{card} ({title}) has no nodes of solids and was left out.")
             return
         if options.get("REF NODE"):
             reference = self.assembly.one_node(placed, options["REF NODE"])
             if options.get("POSITION", "INPUT").upper() != "INPUT":
-                self.found.notes.append(f"The reference node of the rigid body {title} stays where the deck has it.")
+                self.ties.notes.append(f"The reference node of the rigid body {title} stays where the deck has it.")
         else:
             reference = self.assembly.new_node(self.assembly.xyz[slaves].mean(axis=0))
-            self.found.notes.append(
+            self.ties.notes.append(
                 f"The rigid body {title} names no reference node; node {self.assembly.ids[reference]} was put at its "
                 "mean place."
             )
@@ -215,7 +217,7 @@ class Constraints:
             turning = self.assembly.one_node(placed, options["ROT NODE"])
             follow = [[(turning, c, 1.0), (reference, 3 + c, -1.0)] for c in range(3)]
             sums = [(f"{card} ({title}), which turns as node {self.assembly.ids[turning]},", terms) for terms in follow]
-            self.found.equations.append(solved(f"*RIGID BODY {title}", sums, self.axes))
+            self.ties.equations.append(solved(f"*RIGID BODY {title}", sums, self.axes))
             self._turning[turning] = reference
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:
@@ -242,12 +244,12 @@ class Constraints:
         slaves = np.unique(slaves[slaves != master])
         if not len(slaves):
             raise InputError(f"{card} ties no nodes to its reference node; check its sets")
-        self.found.rigid.append(RigidElement(name=title, master=master, slaves=slaves, components=components))
+        self.ties.rigid.append(RigidElement(name=title, master=master, slaves=slaves, components=components))
 
     def _title(self, placed: Placed, name: str) -> str:
         """A name that is not taken yet."""
         title = f"{placed.name}.{name}" if placed.name and len(self.assembly.placed) > 1 else name
-        taken = {element.name for element in self.found.rigid} | {element.name for element in self.found.average}
+        taken = {element.name for element in self.ties.rigid} | {element.name for element in self.ties.average}
         count, first = 1, title
         while title in taken:
             count += 1

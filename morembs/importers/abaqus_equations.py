@@ -37,9 +37,9 @@ class Axes:
             for scope in placed.contents:
                 for card, rows in scope.transforms:
                     with self.assembly.problems.collected(card):
-                        self._one(placed, card, [row for row in rows if row])
+                        self._read_transform(placed, card, [row for row in rows if row])
 
-    def _one(self, placed: Placed, card: Card, rows: Rows) -> None:
+    def _read_transform(self, placed: Placed, card: Card, rows: Rows) -> None:
         kind, data = card.options.get("TYPE", "R").upper()[:1], values(rows[0], card) if rows else []
         data += [0.0] * (6 - len(data))
         a, b = np.array(data[:3]), np.array(data[3:6])

@@ -86,14 +86,14 @@ def _members(sets: dict[str, NamedSet], card: Card, text: str, depth: int = 0) -
 
 def _integers(card: Card, row: list[str], defaults: tuple[int | None, ...]) -> list[int]:
     """The fields of a line as integers; None where there is no default."""
-    found = []
+    integers = []
     for i, default in enumerate(defaults):
         text = row[i] if i < len(row) else ""
         value = label(text) if text else default
         if value is None:
             raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected integers")
-        found.append(value)
-    return found
+        integers.append(value)
+    return integers
 
 
 def _line_of_nodes(scope: Scope, card: Card, row: list[str]) -> None:
@@ -137,16 +137,16 @@ def _fill(scope: Scope, card: Card, row: list[str]) -> None:
     """Nodes on lines between those of two sets; of the longer one the first."""
     if len(row) < 2:
         raise InputError(f"{card}: {', '.join(row)!r} was given; expected two sets of nodes and a number of intervals")
-    one, two = (_members(scope.node_sets, card, text) for text in row[:2])
+    first, second = (_members(scope.node_sets, card, text) for text in row[:2])
     intervals, step = _integers(card, row[2:], (None, 1))
     if intervals < 1:
         raise InputError(f"{card}: {intervals} intervals were given; expected one at least")
-    one, two = one[: len(two)], two[: len(one)]
-    a, b = _places(scope, card, one), _places(scope, card, two)
+    first, second = first[: len(second)], second[: len(first)]
+    a, b = _places(scope, card, first), _places(scope, card, second)
     t = np.arange(1, intervals) / intervals
-    ids = one + step * np.arange(1, intervals)[:, None]
+    ids = first + step * np.arange(1, intervals)[:, None]
     xyz = a + t[:, None, None] * (b - a)
-    more = np.concatenate([one, two])
+    more = np.concatenate([first, second])
     _add_nodes(scope, card.options.get("NSET", ""), ids.ravel(), xyz.reshape(-1, 3), more)
 
 
@@ -190,10 +190,10 @@ def _rows_of_elements(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
         i, j, k = (g.ravel() for g in np.indices((numbers[6], numbers[3], numbers[0]))[::-1])
         to = numbers[2] * i + numbers[5] * j + numbers[8] * k
         by = numbers[1] * i + numbers[4] * j + numbers[7] * k
-        made = np.column_stack([master + to, nodes + by[:, None]])
-        scope.elements[code].append(made[1:])
-        more[code] = more.get(code, 0) + len(made) - 1
-        join(scope.element_sets, card.options.get("ELSET", ""), Members(made[:, 0].copy(), [], [], ""))
+        elements = np.column_stack([master + to, nodes + by[:, None]])
+        scope.elements[code].append(elements[1:])
+        more[code] = more.get(code, 0) + len(elements) - 1
+        join(scope.element_sets, card.options.get("ELSET", ""), Members(elements[:, 0].copy(), [], [], ""))
     return more
 
 
@@ -204,10 +204,10 @@ def _copy_elements(scope: Scope, card: Card) -> dict[str, int]:
     old, more = _members(scope.element_sets, card, card.need("OLD SET")), dict[str, int]()
     for code, pieces in scope.elements.items():
         own = np.concatenate(pieces)
-        made = own[np.isin(own[:, 0], old)]
-        if len(made):
-            made = np.column_stack([made[:, 0] + number, made[:, 1:] + by])
-            pieces.append(made)
-            more[code] = len(made)
-            join(scope.element_sets, card.options.get("NEW SET", ""), Members(made[:, 0].copy(), [], [], ""))
+        copies = own[np.isin(own[:, 0], old)]
+        if len(copies):
+            copies = np.column_stack([copies[:, 0] + number, copies[:, 1:] + by])
+            pieces.append(copies)
+            more[code] = len(copies)
+            join(scope.element_sets, card.options.get("NEW SET", ""), Members(copies[:, 0].copy(), [], [], ""))
     return more

@@ -30,7 +30,7 @@ _ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
 
 
 @dataclass
-class Found:
+class SectionMaterials:
     """A material for each solid section, what those of other sets lack, and what is to be said."""
 
     materials: list[Material] = field(default_factory=list)
@@ -39,9 +39,9 @@ class Found:
     warnings: list[str] = field(default_factory=list)
 
 
-def materials_of(deck: Deck, assembly: Assembly) -> Found:
+def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
     """The materials of a deck; sections that name what is not there are problems of it."""
-    found = Found()
+    result = SectionMaterials()
     sections = [
         (placed, scope, card)
         for placed in (*assembly.placed.values(), assembly.top)
@@ -57,16 +57,17 @@ def materials_of(deck: Deck, assembly: Assembly) -> Found:
     for number, (placed, scope, card) in enumerate(sections):
         if card.options.get("ELSET", "").upper() in placed.sets("element"):
             with deck.problems.collected(card):
-                _section(deck, assembly, placed, scope, card, found, owner == number)
-    if not found.materials and not deck.materials:
-        found.notes.append("The deck has no materials; give them when the model is built.")
-    found.notes[:] = dict.fromkeys(found.notes)
-    found.warnings[:] = dict.fromkeys(found.warnings)
-    return found
+                _section(deck, assembly, placed, scope, card, result, owner == number)
+    if not result.materials and not deck.materials:
+        result.notes.append("The deck has no materials; give them when the model is built.")
+    result.notes[:] = dict.fromkeys(result.notes)
+    result.warnings[:] = dict.fromkeys(result.warnings)
+    return result
 
 
 def _section(
-    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, found: Found, last: NDArray[np.bool_]
+    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, result: SectionMaterials,
+    last: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     """The material of a section, which is the ``last`` (solids,) of some elements."""
     elset, name = card.need("ELSET"), card.need("MATERIAL")
@@ -75,11 +76,11 @@ def _section(
             raise InputError(f"{card} of {elset!r} is given with {option}; expected a section of one material")
     numbers = assembly.elements_of(placed, elset)
     if not (numbers < assembly.solids).any():
-        found.notes.append(f"The solid section of {elset} has no elements and was left out.")
+        result.notes.append(f"The solid section of {elset} has no elements and was left out.")
         return
     solids = numbers[numbers < assembly.solids]
     if deck.dialect == "calculix" and not last[solids].all():
-        found.warnings.append(
+        result.warnings.append(
             f"{int((~last[solids]).sum())} elements of the set {elset} are in a later *SOLID SECTION too, whose "
             "material they have, as in CalculiX"
         )
@@ -88,14 +89,14 @@ def _section(
         elset = assembly.new_elements(placed, f"{elset} in its last section", solids[last[solids]])
     if name.upper() not in deck.materials:
         raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
-    given = _properties(deck, name, found)
+    given = _properties(deck, name, result)
     final = assembly.final_name("element", placed, elset)
     of_set = f"the material {name} of the set {final}"
     if "ELASTIC" not in given:
         other = [own.keyword for own, _ in deck.materials[name.upper()] if own.keyword in _NOT_LINEAR]
         missing = "ELASTIC" if "DENSITY" in given else "ELASTIC and no *DENSITY"
         sentence = f"is *{other[0]} only, which is not linear elastic" if other else f"has no *{missing}"
-        found.lacking[final] = Lacking(sentence=f"{of_set} {sentence}")
+        result.lacking[final] = Lacking(sentence=f"{of_set} {sentence}")
         return
     elastic, rows = given["ELASTIC"]
     axes = None
@@ -107,14 +108,14 @@ def _section(
             own_axes = _axes(placed, scope, deck, orientation, elset, name)
         axes = own_axes @ placed.rotation.T
     if "DENSITY" not in given:
-        stiffness = _elastic(elastic, rows, final, name, 1.0, axes, found.warnings).stiffness
-        found.lacking[final] = Lacking(sentence=f"{of_set} has no *DENSITY", stiffness=stiffness)
+        stiffness = _elastic(elastic, rows, final, name, 1.0, axes, result.warnings).stiffness
+        result.lacking[final] = Lacking(sentence=f"{of_set} has no *DENSITY", stiffness=stiffness)
         return
-    density = _numbers(*given["DENSITY"], 1, name, found.warnings)[0]
-    found.materials.append(_elastic(elastic, rows, final, name, density, axes, found.warnings))
+    density = _numbers(*given["DENSITY"], 1, name, result.warnings)[0]
+    result.materials.append(_elastic(elastic, rows, final, name, density, axes, result.warnings))
 
 
-def _properties(deck: Deck, name: str, found: Found) -> dict[str, tuple[Card, Rows]]:
+def _properties(deck: Deck, name: str, result: SectionMaterials) -> dict[str, tuple[Card, Rows]]:
     """*ELASTIC and *DENSITY of a material."""
     given: dict[str, tuple[Card, Rows]] = {}
     for own, rows in deck.materials[name.upper()]:
@@ -126,11 +127,11 @@ def _properties(deck: Deck, name: str, found: Found) -> dict[str, tuple[Card, Ro
         elif own.keyword == "DEFORMATION PLASTICITY" and rows:
             # Its first two constants are Young's modulus and Poisson's ratio.
             given["ELASTIC"] = Card("ELASTIC", {}, own.file, own.line), [rows[0][:2]]
-            found.notes.append(f"Material {name}: of *{own.keyword} the elastic constants were taken.")
+            result.notes.append(f"Material {name}: of *{own.keyword} the elastic constants were taken.")
         elif own.keyword in _TWO_WAYS:
-            found.warnings.append(f"material {name}: *{own.keyword} is not linear; it is elastic both ways here")
+            result.warnings.append(f"material {name}: *{own.keyword} is not linear; it is elastic both ways here")
         elif own.keyword not in _NOT_LINEAR:
-            found.notes.append(f"Material {name}: *{own.keyword} is not carried over.")
+            result.notes.append(f"Material {name}: *{own.keyword} is not carried over.")
     return given
 
 

@@ -140,7 +140,7 @@ class Names:
         scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
-            return self._found("element", scope, np.array([value]), text)
+            return self._rows_by_label("element", scope, np.array([value]), text)
         return self.members("element", scope, rest)
 
     def members(self, kind: str, placed: Placed, name: str, seen: tuple[str, ...] = ()) -> Ints:
@@ -174,7 +174,7 @@ class Names:
         labels, rows = (scope.labels, scope.rows) if kind == "node" else (scope.element_labels, scope.element_rows)
         if part.of_elements:
             return self.nodes_of_elements(self._part("element", placed, replace(part, of_elements=False), name, ()))
-        pieces = [self._found(kind, scope, part.labels, name)]
+        pieces = [self._rows_by_label(kind, scope, part.labels, name)]
         for first, last, step in part.ranges:
             low, high = np.searchsorted(labels, [first, last + 1])
             on = (labels[low:high] - first) % step == 0
@@ -189,7 +189,7 @@ class Names:
             target, rest = self.split(scope, other)
             value = label(rest)
             if value is not None:
-                pieces.append(self._found(kind, target, np.array([value]), name))
+                pieces.append(self._rows_by_label(kind, target, np.array([value]), name))
             else:
                 pieces.append(self.members(kind, target, rest, seen if target is placed else ()))
         return np.concatenate(pieces)
@@ -210,7 +210,7 @@ class Names:
             start += len(ids)
         return np.unique(np.concatenate(rows))
 
-    def _found(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:
+    def _rows_by_label(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:
         if kind == "node":
             return self.rows_of(scope, labels, f"the set {name!r} names")
         at = np.searchsorted(scope.element_labels, labels)

@@ -63,9 +63,9 @@ class Surfaces:
             for scope in placed.contents:
                 for card, rows in scope.surfaces:
                     with self.assembly.problems.collected(card):
-                        self._one(placed, card, [row for row in rows if row], several=several)
+                        self._read_surface(placed, card, [row for row in rows if row], several=several)
 
-    def _one(self, placed: Placed, card: Card, rows: Rows, *, several: bool) -> None:
+    def _read_surface(self, placed: Placed, card: Card, rows: Rows, *, several: bool) -> None:
         name, kind = card.need("NAME"), card.options.get("TYPE", "ELEMENT").upper()
         if kind not in ("ELEMENT", "NODE") or "CROP" in card.options:
             self.notes.append(f"The surface {name} is not one of nodes or faces and was left out.")
@@ -115,7 +115,7 @@ class Surfaces:
         """The surface of sides of solids that data lines name."""
         weight = np.zeros(len(self.assembly.ids))
         inside = np.zeros(len(weight), dtype=bool)
-        found: list[tuple[str, Ints]] = []
+        blocks: list[tuple[str, Ints]] = []
         for row in rows:
             numbers = self.assembly.elements_of(placed, row[0])
             side = row[1].upper() if len(row) > 1 else ""
@@ -127,9 +127,9 @@ class Surfaces:
                 area = 0.5 * np.linalg.norm(np.cross(*legs), axis=1)
                 np.add.at(weight, faces, np.repeat(area[:, None] / faces.shape[1], faces.shape[1], axis=1))
                 inside[faces] = True
-                found.append((kind, faces))
+                blocks.append((kind, faces))
         nodes = np.flatnonzero(inside)
-        return Surface(nodes, weight[nodes], found)
+        return Surface(nodes, weight[nodes], blocks)
 
     def _faces(self, numbers: Ints, side: str, card: Card) -> list[tuple[str, Ints]]:
         """Type and nodes (nf, k) of the faces ``side`` (S1, ...) of elements; of their free faces if it is empty."""

@@ -101,15 +101,15 @@ class Glue:
         if facing is None:
             least = _TOLERANCE * face_size(xyz, master.faces)
             tolerance = max(given, least) if contact or not given else given
-            found = project(xyz[nodes], xyz, master.faces)
-            near = found.distance <= tolerance
+            projection = project(xyz[nodes], xyz, master.faces)
+            near = projection.distance <= tolerance
         else:
             tolerance = given or facing.tolerance
-            found, near = facing.on(xyz[nodes], xyz, count, tolerance)
+            projection, near = facing.on(xyz[nodes], xyz, count, tolerance)
         title = f"*{card.keyword} {card.options.get('NAME') or f'{row[0]} {row[1]}'}"
         beyond = ", or beyond the border of its faces," if facing is not None else ""
         moves = card.options.get("ADJUST", "YES").upper() != "NO"
-        gap = float(np.linalg.norm(found.foot - xyz[nodes], axis=1)[near].max(initial=0.0))
+        gap = float(np.linalg.norm(projection.foot - xyz[nodes], axis=1)[near].max(initial=0.0))
         if gap > 0 and moves:
             self.notes.append(
                 f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {gap:.3g}."
@@ -136,27 +136,27 @@ class Glue:
                 "surfaces, or give POSITION TOLERANCE"
             )
         if moves:
-            xyz[nodes[near]] = found.foot[near]
+            xyz[nodes[near]] = projection.foot[near]
         self.taken.update(nodes[near].tolist())
-        self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+        self.equations.append(_equations(title, nodes[near], projection.nodes[near], projection.weights[near]))
 
     def _everywhere(self) -> None:
         """General contact: outer faces of bodies with those of others within the tolerance; the finer follow."""
         xyz, total = self.assembly.xyz, 0
-        for one, two in combinations(self._bodies(), 2):
-            fine, coarse = sorted((one, two), key=lambda faces: face_size(xyz, faces))
+        for pair in combinations(self._bodies(), 2):
+            fine, coarse = sorted(pair, key=lambda faces: face_size(xyz, faces))
             tolerance = _TOLERANCE * face_size(xyz, coarse)
             inner, nodes = (np.unique(np.concatenate([rows.ravel() for _, rows in faces])) for faces in (coarse, fine))
             box = xyz[inner].min(axis=0) - tolerance, xyz[inner].max(axis=0) + tolerance
             nodes = nodes[((xyz[nodes] >= box[0]) & (xyz[nodes] <= box[1])).all(axis=1)]
             nodes = np.array([node for node in nodes.tolist() if node not in self.taken], dtype=np.int64)
-            found = project(xyz[nodes], xyz, coarse)
-            near = found.distance <= tolerance
+            projection = project(xyz[nodes], xyz, coarse)
+            near = projection.distance <= tolerance
             if near.any():
-                xyz[nodes[near]] = found.foot[near]
+                xyz[nodes[near]] = projection.foot[near]
                 self.taken.update(nodes[near].tolist())
                 title = f"*CONTACT {len(self.equations) + 1}"
-                self.equations.append(_equations(title, nodes[near], found.nodes[near], found.weights[near]))
+                self.equations.append(_equations(title, nodes[near], projection.nodes[near], projection.weights[near]))
                 total += int(near.sum())
         self.warnings.append(
             f"general contact was glued where outer faces of different bodies are within {_TOLERANCE:.0%} of a face of "
@@ -166,14 +166,14 @@ class Glue:
     def _bodies(self) -> list[list[tuple[str, Ints]]]:
         """The outer faces of the parts of the mesh that share no nodes."""
         ends = [(np.repeat(b.nodes[:, 0], b.nodes.shape[1]), b.nodes.ravel()) for b in self.assembly.blocks]
-        one, two = (np.concatenate([pair[i] for pair in ends]) for i in (0, 1))
-        links = sp.coo_array((np.ones(len(one), dtype=bool), (one, two)), shape=(len(self.assembly.ids),) * 2)
+        first, nodes = (np.concatenate([pair[i] for pair in ends]) for i in (0, 1))
+        links = sp.coo_array((np.ones(len(first), dtype=bool), (first, nodes)), shape=(len(self.assembly.ids),) * 2)
         part = connected_components(sp.csr_array(links), directed=False)[1]
         mesh = Mesh(nodes=Nodes(ids=self.assembly.ids, xyz=self.assembly.xyz), blocks=tuple(self.assembly.blocks))
         outer = outer_faces(mesh)
         return [
             [(kind, faces[part[faces[:, 0]] == body]) for kind, faces in outer.items() if body in part[faces[:, 0]]]
-            for body in np.unique(part[one]).tolist()
+            for body in np.unique(part[first]).tolist()
         ]
 
     def _say_left(self, title: str, left: Ints, away: str, late: int) -> None:

@@ -96,8 +96,8 @@ def import_ansys_cdb(
         lacking: dict[str, Lacking] = {}
         materials = _materials(archive, attributes, notes, lacking)
     whole, rest, said = options.completed(materials, lacking)
-    if problems.found:
-        problems.found += lacking_problems(archive.name, rest)
+    if problems.entries:
+        problems.entries += lacking_problems(archive.name, rest)
     problems.refuse()
     _say_rest(archive, notes)
     inner_row = np.cumsum(solid) - 1
@@ -275,12 +275,12 @@ def _materials(
         )
         for number in np.unique(numbers)
     )  # fmt: skip
-    found = tuple(each for each in materials if each is not None)
+    complete = tuple(each for each in materials if each is not None)
     for name, lack in lacking.items():
         table = archive.tables.get(int(name.split()[-1]))
         if table and lack.stiffness is None:
             lacking[name] = Lacking(sentence=f"{lack.sentence}, but a table TB,{table}, which is not read")
-    return found
+    return complete
 
 
 def _say_rest(archive: Archive, notes: list[str]) -> None:

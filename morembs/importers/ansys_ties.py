@@ -117,7 +117,7 @@ def springs(
             f"{name}: COMBIN14 with KEYOPT(1) to KEYOPT(3) = {options.get(1, 0)}, {way}, {turning} is not supported; "
             "expected a linear spring in space"
         )
-    found = []
+    discrete = []
     for label, real, (i, j) in zip(elements.ids.tolist(), elements.real.tolist(), rows.tolist(), strict=True):
         if real not in reals:
             raise InputError(f"{name}: COMBIN14 {label} names the real constants {real}, which are not there")
@@ -133,12 +133,12 @@ def springs(
             raise InputError(f"{name}: COMBIN14 {label} has its nodes at one place and no direction (KEYOPT(2))")
         else:
             part[3 * turning : 3 * turning + 3] = along / np.linalg.norm(along)
-        found += [
+        discrete += [
             spring(f"COMBIN14 {label}", matrix, [(i, part), (j, -part)], value)
             for matrix, value in (("K", k), ("D", c))
             if value
         ]
-    return found
+    return discrete
 
 
 def point_masses(

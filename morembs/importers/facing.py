@@ -66,17 +66,17 @@ class Facing:
         height = np.einsum("nx,nx->n", self._normal[at], points - self._base[at, 0])
         tied = (at >= 0) & (np.abs(height) <= tolerance)
         width = max(nodes.shape[1] for _, nodes in self.faces)
-        found = Projection(
+        projection = Projection(
             np.abs(height), points.copy(), np.zeros((len(points), width), dtype=np.int64),
             np.zeros((len(points), width)),
         )  # fmt: skip
         for part, (kind, nodes) in enumerate(self.faces):
             own = np.flatnonzero(tied & (self._part[at] == part))
             faces = nodes[self._row[at[own]]]
-            found.nodes[own] = faces[:, :1]
-            found.nodes[own, : nodes.shape[1]] = faces
-            found.weights[own, : nodes.shape[1]], found.foot[own] = on_face(kind, points[own], xyz[faces])
-        return found, tied
+            projection.nodes[own] = faces[:, :1]
+            projection.nodes[own, : nodes.shape[1]] = faces
+            projection.weights[own, : nodes.shape[1]], projection.foot[own] = on_face(kind, points[own], xyz[faces])
+        return projection, tied
 
     def _faced(self, points: Floats, start: int, end: int) -> Ints:
         """The triangle that each point (n, 3) faces, -1 for none."""

@@ -87,7 +87,7 @@ def import_nastran(
         equations = (*ties.equations, *([middles] if middles else []))
         everything = Imported(
             source=bulk.file, rigid=tuple(ties.rigid), average=tuple(ties.average), masses=tuple(ties.masses),
-            equations=equations, discrete=tuple(springs.found),
+            equations=equations, discrete=tuple(springs.elements),
         )  # fmt: skip
         mesh, nodes, row = bulk_mesh(bulk, parts, nodes_of(everything.ties), notes)
         pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
@@ -95,8 +95,8 @@ def import_nastran(
         assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
     given = DeckOptions(density={name: scale * value for name, value in options.density.items()})
     whole, lacking, said = given.completed(assigned, materials.lacking)
-    if bulk.problems.found:
-        bulk.problems.found += lacking_problems(bulk.file, lacking)
+    if bulk.problems.entries:
+        bulk.problems.entries += lacking_problems(bulk.file, lacking)
     bulk.problems.refuse()
     return Imported(
         source=bulk.file,
@@ -107,7 +107,7 @@ def import_nastran(
         average=on_rows(ties.average, row),
         equations=on_rows(equations, row),
         masses=on_rows(ties.masses, row),
-        discrete=on_rows(springs.found, row),
+        discrete=on_rows(springs.elements, row),
         notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
         warnings=(*left_out(bulk), *dict.fromkeys(materials.warnings), *said),
         incomplete=lacking,

@@ -79,18 +79,18 @@ class Bulk:
         if "CEND" in refused:
             raise InputError(f"{self.file} has CEND and no BEGIN BULK behind it; put that line before the first card")
         # Lines of a file that is no deck have names with other characters; they are not shown.
-        named = {name: found for name, found in refused.items() if name.isalnum()}
-        for name, found in named.items():
-            count, line = sum(map(len, found)), min(int(table.lines.min()) for table in found)
+        named = {name: card_tables for name, card_tables in refused.items() if name.isalnum()}
+        for name, card_tables in named.items():
+            count, line = sum(map(len, card_tables)), min(int(table.lines.min()) for table in card_tables)
             reason = f": {REASONS[name]}" if name in REASONS else ""
             what = (
-                f"{found[0].file}, line {line}: {count} {name} cannot be carried{reason}; take them out, or "
+                f"{card_tables[0].file}, line {line}: {count} {name} cannot be carried{reason}; take them out, or "
                 f"give --skip {name} if the model is right without them"
             )
             self.problems.add(
-                Problem(what=what, file=found[0].file, line=line, keyword=name, flags=(f"--skip {name}",))
+                Problem(what=what, file=card_tables[0].file, line=line, keyword=name, flags=(f"--skip {name}",))
             )
-        odd = [table for name, found in refused.items() if name not in named for table in found]
+        odd = [table for name, card_tables in refused.items() if name not in named for table in card_tables]
         if odd:
             line = int(odd[0].lines.min())
             what = (

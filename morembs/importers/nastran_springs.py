@@ -25,7 +25,7 @@ class Springs:
 
     def __init__(self, grids: Grids, systems: Systems, rows: dict[str, Rows], scale: float) -> None:
         self.grids, self.systems, self.rows, self.scale = grids, systems, rows, scale
-        self.found: list[DiscreteElement] = []
+        self.elements: list[DiscreteElement] = []
         self._properties: dict[str, dict[int, list[str]]] = {}
 
     def scalar(self, name: str, row: list[str]) -> None:
@@ -52,7 +52,7 @@ class Springs:
             ends.append((grid, sign * self.systems.direction(grid, int(component) - 1, self.grids)))
         if not ends:
             raise InputError(f"{what} is on no grid; expected one or two")
-        self.found.append(spring(f"{name}_{row[0]}", matrix, ends, value * (self.scale if matrix == "M" else 1.0)))
+        self.elements.append(spring(f"{name}_{row[0]}", matrix, ends, value * (self.scale if matrix == "M" else 1.0)))
 
     def _property(self, name: str) -> dict[int, list[str]]:
         if name not in self._properties:
@@ -89,7 +89,7 @@ class Springs:
         for key, matrix in (("K", "K"), ("B", "D")):
             if values[key].any():
                 entries = motion.T @ (values[key][:, None] * motion)
-                self.found.append(
+                self.elements.append(
                     DiscreteElement(
                         name=f"CBUSH_{row[0]}", matrix=matrix, nodes=nodes, components=components, values=entries
                     )
@@ -143,7 +143,7 @@ class Springs:
         M[np.tril_indices(6)] = [real(text, what) for text in row[3:24]]
         M = M + np.tril(M, -1).T
         T = np.kron(np.eye(2), self.systems.axes(integer(row[2], what), self.grids.xyz[node], self.grids))
-        self.found.append(
+        self.elements.append(
             DiscreteElement(
                 name=f"CONM1_{row[0]}", matrix="M", nodes=np.full(6, node), components=np.arange(6),
                 values=self.scale * T.T @ M @ T,

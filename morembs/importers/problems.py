@@ -55,11 +55,11 @@ class Problems:
 
     def __init__(self, source: str, given: Sequence[str] = ()) -> None:
         self.source, self.given = source, tuple(given)
-        self.found: list[Problem] = []
+        self.entries: list[Problem] = []
 
     def add(self, problem: Problem) -> None:
         """One more."""
-        self.found.append(problem)
+        self.entries.append(problem)
 
     @contextmanager
     def collected(self, where: object = None, flags: tuple[str, ...] = ()) -> Iterator[None]:
@@ -67,9 +67,9 @@ class Problems:
         try:
             yield
         except DeckError as error:
-            self.found += error.problems
+            self.entries += error.problems
         except InputError as error:
-            self.found.append(
+            self.entries.append(
                 Problem(
                     what=str(error), file=getattr(where, "file", ""), line=getattr(where, "line", 0),
                     keyword=getattr(where, "keyword", ""), flags=flags,
@@ -97,8 +97,8 @@ class Problems:
         Raises:
             DeckError: anything was.
         """
-        if self.found:
-            raise DeckError(self.source, self.found, self.given)
+        if self.entries:
+            raise DeckError(self.source, self.entries, self.given)
 
 
 def _message(source: str, problems: Sequence[Problem], given: Sequence[str]) -> str:

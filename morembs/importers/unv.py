@@ -39,7 +39,7 @@ _NODE, _ELEMENT = 7, 8
 
 
 @dataclass
-class _Found:
+class _Contents:
     """What a file holds, by labels."""
 
     ids: list[int] = field(default_factory=list)
@@ -56,16 +56,16 @@ def import_unv(path: str | Path) -> Imported:
     Raises:
         InputError: not a universal file, cut off, or with elements that are not supported.
     """
-    path, found = Path(path), _Found()
+    path, contents = Path(path), _Contents()
     for number, lines in _datasets(path):
         try:
-            _take(number, lines, found, path.name)
+            _take(number, lines, contents, path.name)
         except (ValueError, IndexError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{path.name}: the dataset {number} cannot be read ({error}); write it again") from error
-    mesh = _mesh(found, path.name)
-    return Imported(source=path.name, nodes=mesh.nodes, mesh=mesh, notes=tuple(found.notes))
+    mesh = _mesh(contents, path.name)
+    return Imported(source=path.name, nodes=mesh.nodes, mesh=mesh, notes=tuple(contents.notes))
 
 
 def read_unv(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
@@ -101,10 +101,10 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise InputError(f"{path.name} ends within a dataset; it is cut off, write it again")
 
 
-def _take(number: int, lines: list[str], found: _Found, name: str) -> None:
+def _take(number: int, lines: list[str], contents: _Contents, name: str) -> None:
     if number == 164:
         said = lines[0][10:30].strip() or lines[0].split()[0]
-        found.notes.append(f"{name} says that its units are {said} (dataset 164)")
+        contents.notes.append(f"{name} says that its units are {said} (dataset 164)")
     elif number in _NODES:
         step = _NODES[number]
         for at in range(0, len(lines) - step + 1, step):
@@ -112,15 +112,15 @@ def _take(number: int, lines: list[str], found: _Found, name: str) -> None:
             if len(words) != 7:
                 raise ValueError(f"{lines[at]!r} is no node")
             label, *_ = (int(word) for word in words[:4])
-            found.ids.append(label)
-            found.xyz.append([float(word) for word in words[4:]])
+            contents.ids.append(label)
+            contents.xyz.append([float(word) for word in words[4:]])
     elif number in _ELEMENTS:
-        _take_elements(lines, found, name)
+        _take_elements(lines, contents, name)
     elif number in _GROUPS:
-        _take_groups(lines, found)
+        _take_groups(lines, contents)
 
 
-def _take_elements(lines: list[str], found: _Found, name: str) -> None:
+def _take_elements(lines: list[str], contents: _Contents, name: str) -> None:
     at = 0
     while at < len(lines):
         words = [int(word) for word in lines[at].split()]
@@ -134,9 +134,9 @@ def _take_elements(lines: list[str], found: _Found, name: str) -> None:
         if kind in SOLIDS:
             if len(nodes) != len(SOLIDS[kind][1]):
                 raise ValueError(f"element {label} has {len(nodes)} nodes")
-            found.elements.setdefault(kind, []).append([label, *nodes])
+            contents.elements.setdefault(kind, []).append([label, *nodes])
         elif kind in _FLAT:
-            found.flat += 1
+            contents.flat += 1
         else:
             raise InputError(
                 f"{name}: element {label} is of the kind {kind}, which is not supported; expected solids "
@@ -144,7 +144,7 @@ def _take_elements(lines: list[str], found: _Found, name: str) -> None:
             )
 
 
-def _take_groups(lines: list[str], found: _Found) -> None:
+def _take_groups(lines: list[str], contents: _Contents) -> None:
     at = 0
     while at + 1 < len(lines):
         count, title = int(lines[at].split()[-1]), lines[at + 1].strip()
@@ -153,22 +153,22 @@ def _take_groups(lines: list[str], found: _Found) -> None:
         while len(words) < 4 * count:
             words += [int(word) for word in lines[at].split()]
             at += 1
-        members = found.groups.setdefault(title, [])
+        members = contents.groups.setdefault(title, [])
         members += [(words[i], words[i + 1]) for i in range(0, 4 * count, 4)]
 
 
-def _mesh(found: _Found, name: str) -> Mesh:
-    if not found.elements:
+def _mesh(contents: _Contents, name: str) -> Mesh:
+    if not contents.elements:
         raise InputError(f"{name} has no solid elements (datasets 780 or 2412); expected a mesh of solids")
-    if not found.ids:
+    if not contents.ids:
         raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again")
-    order = np.argsort(found.ids, kind="stable")
-    ids, xyz = np.array(found.ids, dtype=np.int64)[order], np.array(found.xyz)[order]
+    order = np.argsort(contents.ids, kind="stable")
+    ids, xyz = np.array(contents.ids, dtype=np.int64)[order], np.array(contents.xyz)[order]
     twice = ids[1:][np.diff(ids) == 0]
     if len(twice):
         raise InputError(f"{name} defines the node {twice[0]} twice; expected each node once")
     blocks = []
-    for kind, rows in found.elements.items():
+    for kind, rows in contents.elements.items():
         table = np.array(rows, dtype=np.int64)
         at = np.minimum(np.searchsorted(ids, table[:, 1:]), max(len(ids) - 1, 0))
         wrong = table[:, 1:][ids[at] != table[:, 1:]]
@@ -177,10 +177,10 @@ def _mesh(found: _Found, name: str) -> Mesh:
             raise InputError(f"{name}: elements name nodes that are not defined: {some}")
         shape, vtk = SOLIDS[kind]
         blocks.append(ElementBlock(type=shape, nodes=at[:, vtk], ids=table[:, 0]))
-    if found.flat:
-        found.notes.append(f"{found.flat} elements that are no solids were left out")
+    if contents.flat:
+        contents.notes.append(f"{contents.flat} elements that are no solids were left out")
     node_sets, element_sets = {}, {}
-    for title, members in found.groups.items():
+    for title, members in contents.groups.items():
         of_nodes = np.array([label for kind, label in members if kind == _NODE], dtype=np.int64)
         of_elements = np.array([label for kind, label in members if kind == _ELEMENT], dtype=np.int64)
         chosen = np.flatnonzero(np.isin(ids, of_nodes))

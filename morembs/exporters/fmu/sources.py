@@ -161,7 +161,7 @@ def glue(code: Code, version: str) -> dict[str, str]:
     nominal = code._table("NOMINAL", np.array([variable.nominal for variable in code.system.states]))
     model = (
         f'#include "{code.name}.h"\ntypedef {code.name}_body Body;\n{sizes}'
-        + "".join(f"#define body_{what} {code.name}_{what}\n" for what in ("start", "rates", "observe", "advance"))
+        + "".join(f"#define body_{entry} {code.name}_{entry}\n" for entry in ("start", "rates", "observe", "advance"))
         + nominal.replace("const real", "const double")
     )
     text = "".join((*own.values(), *shared.values(), model))

@@ -180,12 +180,12 @@ def stress_rows(context: ExportContext, nodes: Sequence[int]) -> StressRows:
 def _points(recovery: Recovery, nodes: Sequence[int]) -> tuple[NDArray[np.int64], list[str]]:
     rows, names = [], []
     for label in dict.fromkeys(nodes):
-        found = np.flatnonzero(recovery.points == label)
-        if not len(found):
+        points = np.flatnonzero(recovery.points == label)
+        if not len(points):
             known = recovery.points
             nearest = known[np.argsort(np.abs(known - label), kind="stable")[:3]].tolist()
             raise InputError(f"stress: node {label} has no stress in the file; the nearest labels are {nearest}")
-        rows += found.tolist()
-        several = len(found) > 1
-        names += [f"stress.node_{label}" + (f".material_{recovery.material[row]}" if several else "") for row in found]
+        rows += points.tolist()
+        several = len(points) > 1
+        names += [f"stress.node_{label}" + (f".material_{recovery.material[row]}" if several else "") for row in points]
     return np.array(rows, dtype=np.int64), names

@@ -24,7 +24,7 @@ from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.engines.calculix_expansion import read_expansion
 from morembs.importers.engines.calculix_rows import Expanded
-from morembs.importers.engines.run import Program, found, run
+from morembs.importers.engines.run import Program, find_executable, run
 from morembs.scratch import ScratchFolder
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,8 @@ def find_ccx(given: str = "") -> Program:
     Raises:
         InputError: there is none.
     """
-    path = found("calculix", given, "MOREMBS_CCX", ("ccx", "ccx_2.22", "ccx_2.21", "ccx_2.20", "CalculiX"), CURE)
+    executables = ("ccx", "ccx_2.22", "ccx_2.21", "ccx_2.20", "CalculiX")
+    path = find_executable("calculix", given, "MOREMBS_CCX", executables, CURE)
     return Program(name="ccx", path=path)
 
 
@@ -202,7 +203,7 @@ _UNTOLD = (
 
 def _errors(said: str) -> list[str]:
     """Each *ERROR with the lines that go on with it, once."""
-    found, lines = [], said.splitlines()
+    errors, lines = [], said.splitlines()
     for i, line in enumerate(lines):
         if "*ERROR" in line.upper():
             rest = []
@@ -210,8 +211,8 @@ def _errors(said: str) -> list[str]:
                 if not following.strip() or "*" in following[:3]:
                     break
                 rest.append(following.strip())
-            found.append(" ".join([line.strip(), *rest]))
-    return list(dict.fromkeys(found))
+            errors.append(" ".join([line.strip(), *rest]))
+    return list(dict.fromkeys(errors))
 
 
 def _last_words(said: str) -> str:

@@ -169,14 +169,14 @@ class FlatDeck:
         if own.options.get("TYPE", "ELEMENT").upper() == "NODE":
             return np.unique(np.concatenate([self.assembly.nodes_of(where, row[0]) for row in rows]))
         surfaces = Surfaces(self.assembly)
-        found = [_NONE]
+        pieces = [_NONE]
         for row in rows:
             numbers = self.assembly.elements_of(where, row[0])
             if (numbers < self.assembly.solids).all():
-                found.append(surfaces.of_faces(where, [row], own).nodes)
+                pieces.append(surfaces.of_faces(where, [row], own).nodes)
             else:
-                found.append(self.assembly.nodes_of_elements(numbers))
-        return np.unique(np.concatenate(found))
+                pieces.append(self.assembly.nodes_of_elements(numbers))
+        return np.unique(np.concatenate(pieces))
 
     def _find_surface(self, placed: Placed, text: str, card: Card) -> tuple[Placed, Card, Rows]:
         scope, rest = self.assembly.split(placed, text)

@@ -138,7 +138,7 @@ class _Writer:
     def _plain(self, placed: Placed, card: Card, rows: Rows) -> None:
         if card.keyword == "SPRING":
             numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
-            axial = any(one.code == "SPRINGA" and one.number in numbers for one in self.assembly.discrete)
+            axial = any(element.code == "SPRINGA" and element.number in numbers for element in self.assembly.discrete)
             if axial and len(rows) > 1 and not any("." in text for text in rows[0]):
                 # The line of directions, which one along its axis has none of.
                 rows = rows[1:]
@@ -157,17 +157,17 @@ class _Writer:
         rotary inertia. Only those on shells and beams are its own."""
         numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
         value, left = point_value(placed, card, rows), []
-        for one in self.assembly.discrete:
-            if one.number not in numbers:
+        for element in self.assembly.discrete:
+            if element.number not in numbers:
                 continue
-            if card.keyword == "MASS" and one.nodes[0] in self._expanded:
-                left.append(one.number)
+            if card.keyword == "MASS" and element.nodes[0] in self._expanded:
+                left.append(element.number)
                 continue
-            name = f"{card.options['ELSET']}:{one.label}"
+            name = f"{card.options['ELSET']}:{element.label}"
             if card.keyword == "MASS":
-                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=float(value[0, 0])))
+                self.flat.masses.append(PointMass(name=name, node=element.nodes[0], mass=float(value[0, 0])))
             else:
-                self.flat.masses.append(PointMass(name=name, node=one.nodes[0], mass=0.0, inertia=value))
+                self.flat.masses.append(PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value))
         if left:
             out = self.flat.deck
             out.masses |= set(left)

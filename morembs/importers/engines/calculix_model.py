@@ -88,9 +88,9 @@ class Exported:
         probed = np.flatnonzero(~held)
         S = sp.csr_array((len(node), len(self.plain.node)))
         if len(probed):
-            found = ccx.probe(self.plain, node[probed], direction[probed])
+            probes = ccx.probe(self.plain, node[probed], direction[probed])
             into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
-            S = sp.csr_array(into @ found)
+            S = sp.csr_array(into @ probes)
         return node, direction, S if self.T is None else sp.csr_array(S @ self.T)
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
@@ -217,8 +217,8 @@ class Exported:
         scalar = mapped.component == SCALAR
         own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
-            made = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)
-            key = np.where(mapped.owner < 0, -mapped.owner, made)
+            group_key = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)
+            key = np.where(mapped.owner < 0, -mapped.owner, group_key)
             keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
             at[own] = len(nodes) + inverse
             places = mapped.place[own][where]

@@ -108,9 +108,9 @@ def map_rows(
     given = RowMap(owner=owner[group], component=direction - 1, group=group, place=by_group[group])
     if known.all():
         return given
-    made = np.flatnonzero(of_group > count)
+    extra = np.flatnonzero(of_group > count)
     knots = 0 if expanded is None else len(expanded.knots)
-    turns = {int(of_group[g]) for g in [*made[:bodies], *made[bodies : bodies + 2 * knots : 2]]} | set(turning)
+    turns = {int(of_group[g]) for g in [*extra[:bodies], *extra[bodies : bodies + 2 * knots : 2]]} | set(turning)
     center = xyz.mean(axis=0)
     length = float(np.abs(xyz - center).max()) or 1.0
     return _Solved(K, given, known, turns, of_group, center, length).mapped(xyz, expanded, turning)
@@ -144,10 +144,10 @@ def _by_count(
 
 
 class _Solved:
-    """The rest by rigid motion, where it tells them; ``made`` are labels that are rotations where it leaves that open
+    """The rest by rigid motion, where it tells them; ``turns`` are labels that are rotations where it leaves that open
     (the axis of a straight beam)."""
 
-    def __init__(self, K: sp.csr_array, given: RowMap, known: Bools, made: set[int], of_group: Ints, center: Floats,
+    def __init__(self, K: sp.csr_array, given: RowMap, known: Bools, turns: set[int], of_group: Ints, center: Floats,
                  length: float) -> None:  # fmt: skip
         self.K, self.given, self.known, self.of_group = K, given, known, of_group
         self.center, self.length = center, length
@@ -156,7 +156,7 @@ class _Solved:
         self.R = np.zeros((len(self.owner), 6))
         rows = known[given.group]
         self.R[rows] = rigid_motion((self.place[rows] - center) / length, self.component[rows])
-        likely = np.flatnonzero(~rows & np.isin(of_group[given.group], list(made)))
+        likely = np.flatnonzero(~rows & np.isin(of_group[given.group], list(turns)))
         self.R[likely, 3 + self.component[likely]] = 1.0 / length
 
     def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
@@ -257,11 +257,11 @@ class _Solved:
 
 def _candidates(label: int, xyz: Floats, expanded: Expanded | None) -> list[tuple[int, Floats]]:
     """Owners and places that rows of a label may have."""
-    found: list[tuple[int, Floats]] = [(label, xyz[label - 1])] if label <= len(xyz) else []
+    candidates: list[tuple[int, Floats]] = [(label, xyz[label - 1])] if label <= len(xyz) else []
     if expanded is not None:
         at = np.flatnonzero(expanded.parent == label)
-        found += [(-int(expanded.nodes[i]), expanded.xyz[i]) for i in at]
-    return found
+        candidates += [(-int(expanded.nodes[i]), expanded.xyz[i]) for i in at]
+    return candidates
 
 
 def _motion(K: sp.csr_array, R: Floats, known: NDArray[np.bool_]) -> Floats:
@@ -278,13 +278,13 @@ def _motion(K: sp.csr_array, R: Floats, known: NDArray[np.bool_]) -> Floats:
     scaled = sp.csc_array(D @ inner @ D)
     right = -(part[:, np.flatnonzero(known)] @ R[known]) / size
     factor = sla.splu(sp.csc_array(scaled + _PROXIMAL * sp.eye_array(len(rest), format="csc")))
-    found = R[rest] * size
+    motion = R[rest] * size
     for _ in range(_ROUNDS):
-        step = factor.solve(right - scaled @ found)
-        found = found + step
-        if np.abs(step).max() < _SETTLED * np.abs(found).max():
+        step = factor.solve(right - scaled @ motion)
+        motion = motion + step
+        if np.abs(step).max() < _SETTLED * np.abs(motion).max():
             break
-    return np.asarray(found / size)
+    return np.asarray(motion / size)
 
 
 def strain(K: sp.csr_array, rows: RowMap) -> float:

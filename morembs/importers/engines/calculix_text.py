@@ -56,10 +56,10 @@ def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: 
 
     for part in blocks:
         block(_CODES[part.type, part.formulation], part.nodes)
-    for one in assembly.discrete:
-        if one.code in _DISCRETE or one.number in masses:
-            number = one.number + 1
-            block(one.code, np.array([one.nodes]))
+    for element in assembly.discrete:
+        if element.code in _DISCRETE or element.number in masses:
+            number = element.number + 1
+            block(element.code, np.array([element.nodes]))
     number = 1 + assembly.solids + len(assembly.discrete)
     for code, _, nodes in assembly.others:
         block(code, nodes)

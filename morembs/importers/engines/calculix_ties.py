@@ -132,7 +132,7 @@ class Ties:
             raise InputError(f"{card} has neither *KINEMATIC nor *DISTRIBUTING; expected one")
         if kind.keyword == "DISTRIBUTING":
             self.flat.constraints.coupling(placed, card, kind, rows)
-            self.flat.average = self.flat.constraints.found.average
+            self.flat.average = self.flat.constraints.ties.average
             return
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
         self._kinematic(reference, self.flat.deck.nodes_of_surface(placed, card.need("SURFACE"), card), rows)
@@ -140,4 +140,4 @@ class Ties:
     def distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Weights of nodes at the node of an element DCOUP3D."""
         self.flat.constraints.distributing_coupling(placed, card, rows)
-        self.flat.average = self.flat.constraints.found.average
+        self.flat.average = self.flat.constraints.ties.average

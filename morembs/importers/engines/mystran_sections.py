@@ -45,7 +45,7 @@ class Sections:
         self.warnings: list[str] = []
         self._numbers: dict[tuple[str, int], int] = {}
         self._rows: list[tuple[str, list[str], str]] = []
-        self._found = {
+        self._properties = {
             kind: {name: self._by_number(name) for name in names} for kind, names in CARDS.items()
         }  # fmt: skip
         self._materials = {name: self._by_number(name) for name in _MATERIALS}
@@ -55,13 +55,13 @@ class Sections:
         key = (kind + element, pid)
         if key not in self._numbers:
             if own:
-                found = [("CONROD", list(own))]
+                matches = [("CONROD", list(own))]
             else:
-                found = [(name, rows[pid]) for name, rows in self._found[kind].items() if pid in rows]
-            if len(found) != 1:
+                matches = [(name, rows[pid]) for name, rows in self._properties[kind].items() if pid in rows]
+            if len(matches) != 1:
                 expected = " or ".join(CARDS[kind])
                 raise InputError(f"{what} names the property {pid}; expected one {expected} with that number")
-            name, row = found[0]
+            name, row = matches[0]
             self._numbers[key] = len(self.sets) + 1
             self.sets.append(f"{name}_{pid}")
             self._rows.append((name, row, element))
@@ -87,8 +87,8 @@ class Sections:
         result: list[tuple[str, ...]] = []
         for i, (name, (kind, row, element)) in enumerate(zip(self.sets, self._rows, strict=True)):
             with self.bulk.problems.collected():
-                made = _Property(self, i + 1, f"{self.file}: {name.replace('_', ' ')}", row, densities.get(name))
-                result.append(made.cards(kind, element))
+                property_ = _Property(self, i + 1, f"{self.file}: {name.replace('_', ' ')}", row, densities.get(name))
+                result.append(property_.cards(kind, element))
         return result
 
     def shear_mass(self, number: int) -> float:

@@ -31,7 +31,7 @@ class Program:
     version: str = ""
 
 
-def found(name: str, given: str, variable: str, executables: Sequence[str], cure: str) -> Path:
+def find_executable(name: str, given: str, variable: str, executables: Sequence[str], cure: str) -> Path:
     """The executable: ``given``, or what the environment ``variable`` names, or the first of ``executables`` in PATH.
 
     Raises:
