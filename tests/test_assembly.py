@@ -31,7 +31,7 @@ def ends(model: FEModel, **places: float) -> list[morembs.Interface]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Make:
+def make_piece(tmp_path_factory: pytest.TempPathFactory) -> Make:
     """Path of the body of a piece, with all its modes unless a reducer is given."""
     folder = tmp_path_factory.mktemp("pieces")
 
@@ -46,8 +46,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Make:
 
 
 @pytest.fixture(scope="module")
-def piece(made: Make) -> StoredBodies:
-    return read_body(made("whole"))
+def piece(make_piece: Make) -> StoredBodies:
+    return read_body(make_piece("whole"))
 
 
 def row(piece: StoredBodies, count: int, turn: np.ndarray | None = None, **options: object) -> FEModel:
@@ -76,8 +76,8 @@ def test_pieces_with_all_their_modes_are_the_uncut_bar(count: int, piece: Stored
         loads = slice(0, 6), slice(6 * count, 6 * count + 6)
         H = morembs.full_response(uncut, 2 * np.pi * np.array([150.0, 900.0]))[:, loads[0], loads[1]]
     model = row(piece, count)
-    found, problem = lowest(model, first="p0:L", last=f"p{count - 1}:R")
-    assert found == pytest.approx(expected, rel=1e-9)
+    frequencies, problem = lowest(model, first="p0:L", last=f"p{count - 1}:R")
+    assert frequencies == pytest.approx(expected, rel=1e-9)
     assert problem.mass_properties[0] == pytest.approx(mass, rel=1e-12)
     assert problem.mass_properties[1] == pytest.approx(center, rel=1e-12)
     assert problem.mass_properties[2] == pytest.approx(inertia, rel=1e-10, abs=1e-12)
@@ -114,11 +114,11 @@ def test_a_hinge_is_a_motion_more_and_a_stiff_spring_nearly_none(piece: StoredBo
     assert errors[0] < 2e-2 and errors[1] == pytest.approx(errors[0] / 10, rel=0.1)
 
 
-def test_any_free_body_with_its_interface_motions_is_a_part(made: Make) -> None:
+def test_any_free_body_with_its_interface_motions_is_a_part(make_piece: Make) -> None:
     """Twenty modes, or moments: the assembly of small bodies has the low frequencies of the uncut one."""
-    exact, _ = lowest(row(read_body(made("all")), 2), count=3, first="p0:L", last="p1:R")
+    exact, _ = lowest(row(read_body(make_piece("all")), 2), count=3, first="p0:L", last="p1:R")
     for name, reducer in (("cb", morembs.CraigBampton(modes=20)), ("free", morembs.FreeInterface(modes=20))):
-        small, _ = lowest(row(read_body(made(name, reducer)), 2), count=3, first="p0:L", last="p1:R")
+        small, _ = lowest(row(read_body(make_piece(name, reducer)), 2), count=3, first="p0:L", last="p1:R")
         assert (small >= exact * (1 - 1e-9)).all() and small == pytest.approx(exact, rel=2e-3)
 
 
@@ -160,9 +160,9 @@ picture = "arm.png"
 """
 
 
-def test_a_job_reduces_an_assembly_and_keeps_its_shapes(made: Make, tmp_path: Path) -> None:
+def test_a_job_reduces_an_assembly_and_keeps_its_shapes(make_piece: Make, tmp_path: Path) -> None:
     job = tmp_path / "arm.toml"
-    body = made("part", morembs.CraigBampton(modes=20))
+    body = make_piece("part", morembs.CraigBampton(modes=20))
     job.write_text(JOB.replace("BODY", str(body)))
     checked = CliRunner().invoke(app, ["check", str(job)])
     assert checked.exit_code == 0, checked.output
@@ -171,7 +171,7 @@ def test_a_job_reduces_an_assembly_and_keeps_its_shapes(made: Make, tmp_path: Pa
     arm = read_body(tmp_path / "arm.h5")
     assert any("own errors are not in them" in warning for warning in arm.warnings)
     (small,) = arm.bodies.values()
-    exact, _ = lowest(row(read_body(made("all again")), 2), count=4, first="p0:L", last="p1:R")
+    exact, _ = lowest(row(read_body(make_piece("all again")), 2), count=4, first="p0:L", last="p1:R")
     assert small.frequencies_hz[6:10] == pytest.approx(exact, rel=5e-3)
     # The nodes of both parts move with the shapes: those of both sides of the joint as one.
     joint = np.flatnonzero(np.abs(arm.coordinates[:, 0] - LENGTH) < 1e-9)
@@ -187,7 +187,7 @@ def test_a_job_reduces_an_assembly_and_keeps_its_shapes(made: Make, tmp_path: Pa
     assert beside.exit_code == 2 and body.exists()
 
 
-def test_parts_that_do_not_fit_are_refused(made: Make, piece: StoredBodies) -> None:
+def test_parts_that_do_not_fit_are_refused(make_piece: Make, piece: StoredBodies) -> None:
     a, b = Substructure(name="a", bodies=piece), Substructure(name="b", bodies=piece, position=(LENGTH, 0, 1e-5))
     joint = Couple(between=("a:R", "b:L"))
     with pytest.raises(InputError, match=r"a:R and b:L are 1e-05 m apart"):
@@ -205,9 +205,9 @@ def test_parts_that_do_not_fit_are_refused(made: Make, piece: StoredBodies) -> N
         assemble_bodies([a, near], [replace(joint, stiffness=(1.0,))])
     with pytest.raises(InputError, match="damping beside stiffness"):
         assemble_bodies([a, near], [replace(joint, damping=(1.0,) * 6)])
-    structural = read_body(made("structural", morembs.CraigBampton(modes=4), structural=0.02))
+    structural = read_body(make_piece("structural", morembs.CraigBampton(modes=4), structural=0.02))
     with pytest.raises(InputError, match="has structural damping"):
         assemble_bodies([replace(a, bodies=structural)], [])
-    modal = read_body(made("modal", morembs.Modal(modes=4)))
+    modal = read_body(make_piece("modal", morembs.Modal(modes=4)))
     with pytest.raises(InputError, match="are not independent in its"):
         assemble_bodies([replace(a, bodies=modal)], [])

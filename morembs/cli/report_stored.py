@@ -61,7 +61,7 @@ def _refuse_model(path: Path) -> None:
 
 
 def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> dict[str, Any]:
-    """A body file as plain values, SI units; ``found`` says for each body what is wrong with it."""
+    """A body file as plain values, SI units; ``diagnoses`` say what is wrong with each body."""
     first = next(iter(stored.bodies.values()))
     origin = stored.provenance
     return {
@@ -131,7 +131,7 @@ def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
-    """What a body file holds, and warnings of what is ``found`` wrong with each body."""
+    """What a body file holds, and warnings of what ``diagnoses`` say is wrong with each body."""
     from rich.markup import escape
 
     from morembs.cli.certificates import Certified, print_certificates

@@ -86,9 +86,9 @@ def test_a_linear_body_moves_as_scipy_has_it(source, method, precision, limit):
     options = {"structure": "linear", "step": 2e-5, "method": method, "precision": precision, "damping_ratio": 0.01}
     done = export_body(source, "c", path=source.with_name(f"{method}_{precision}.c"), options=options)
     loads = np.random.default_rng(4).standard_normal(12)
-    found, wanted = run(done.paths[0], 300, loads), expected(source, 300, 2e-5, loads, method)
+    outputs, wanted = run(done.paths[0], 300, loads), expected(source, 300, 2e-5, loads, method)
     for at in (slice(3 * k, 3 * k + 3) for k in range(8)):
-        assert np.abs(found[:, at] - wanted[:, at]).max() < limit * np.abs(wanted[:, at]).max()
+        assert np.abs(outputs[:, at] - wanted[:, at]).max() < limit * np.abs(wanted[:, at]).max()
     # What single precision costs was measured with the export.
     told = [note for note in done.notes if note.startswith("single precision: over 1000 steps")]
     assert len(told) == (precision == "single")
@@ -99,10 +99,10 @@ def test_a_linear_body_moves_as_scipy_has_it(source, method, precision, limit):
 def test_a_held_body_is_carried_by_its_support(source):
     """Reactions are those of the weight at rest; the last inputs are motions of the support, which stays."""
     path = exported(source, "held", to="c", held=["left-end"], stress=[8], step=5.0, damping_ratio=0.5)
-    found = run(path, 3, [0, 0, 0, 0, 0, 0, 0, 0, -9.81])[-1]
+    outputs = run(path, 3, [0, 0, 0, 0, 0, 0, 0, 0, -9.81])[-1]
     mass = read_body(source).mass
-    assert found[:3] == pytest.approx([0, 0, 9.81 * mass], abs=1e-9)
-    assert found[4] == pytest.approx(-9.81 * mass * LENGTH / 2, rel=1e-9)
+    assert outputs[:3] == pytest.approx([0, 0, 9.81 * mass], abs=1e-9)
+    assert outputs[4] == pytest.approx(-9.81 * mass * LENGTH / 2, rel=1e-9)
 
 
 @needs_compiler
@@ -120,9 +120,9 @@ def test_a_floating_body_converges_to_the_simulator_by_the_midpoint_rule(tmp_pat
     wanted, errors = (16 * (4 * c - b) / 3 - (4 * b - a) / 3) / 15, []
     for count in (100, 200):
         path = exported(source, f"floating_{count}", to="c", step=end / count)
-        found = run(path, count, [0, 0, -9.81, *[0] * 6, *load])[-1]
+        outputs = run(path, count, [0, 0, -9.81, *[0] * 6, *load])[-1]
         # Outputs: position, quaternion and twist of the first end, then of the tip.
-        errors.append(np.abs(found[13:16] - wanted).max())
+        errors.append(np.abs(outputs[13:16] - wanted).max())
     assert errors[0] < 1e-4 * LENGTH and errors[0] / errors[1] == pytest.approx(4, rel=0.05)
 
 

@@ -36,7 +36,7 @@ def read(path):
     """Matrices and loads by the keywords of the documentation, in any case; other lines with ! are comments."""
     lines = path.read_text().splitlines()
     assert lines[0].startswith("!") and "flex 5 format" in lines[1].lower()
-    header, found, at = {}, {}, 0
+    header, matrices, at = {}, {}, 0
     while at < len(lines):
         line = lines[at].lower()
         for key in ("!dimension:", "!time increment in simulation:", "!total simulation time in file:"):
@@ -46,25 +46,25 @@ def read(path):
         n = int(header.get("!dimension:", 0))
         for key in ("mass matrix", "stiffness matrix", "damping matrix"):
             if line.startswith(f"!{key}"):
-                found[key] = np.array([row.split() for row in lines[at + 1 : at + 1 + n]], dtype=float)
+                matrices[key] = np.array([row.split() for row in lines[at + 1 : at + 1 + n]], dtype=float)
                 at += 1 + n
         if line.startswith("!loading"):
             steps = round(header["!total simulation time in file:"] / header["!time increment in simulation:"]) + 1
-            found["loads"] = np.array([row.split() for row in lines[at + 1 : at + 1 + steps]], dtype=float)
+            matrices["loads"] = np.array([row.split() for row in lines[at + 1 : at + 1 + steps]], dtype=float)
             at += 1 + steps
-    return header, found
+    return header, matrices
 
 
 def test_the_file_is_the_foundation(tmp_path):
     model, body, source = foundation(tmp_path)
     done = export_body(source, "extptfm")
     assert done.paths == (tmp_path / "post.extptfm.dat",)
-    header, found = read(done.paths[0])
+    header, matrices = read(done.paths[0])
     n = body.reduced.order
     assert list(header.values()) == [n, 10000.0, 10000.0] and n == 11
-    M, K, D = (found[f"{key} matrix"] for key in ("mass", "stiffness", "damping"))
+    M, K, D = (matrices[f"{key} matrix"] for key in ("mass", "stiffness", "damping"))
     assert M.shape == K.shape == D.shape == (n, n)
-    assert found["loads"].shape == (2, n + 2) and not found["loads"][:, 1:].any()
+    assert matrices["loads"].shape == (2, n + 2) and not matrices["loads"][:, 1:].any()
     # Craig and Bampton: no static coupling, modes of unit mass, and the frequencies of the body.
     assert not K[:6, 6:].any() and M[6:, 6:] == pytest.approx(np.eye(n - 6), abs=1e-12)
     hertz = np.sqrt(sl.eigvalsh(K, M)) / (2 * np.pi)
@@ -86,9 +86,9 @@ def test_one_of_several_interfaces_carries_the_tower(tmp_path):
     (first,) = [note for note in export_body(source, "extptfm").notes if "stands on" in note]
     assert first == "the tower stands on tower, nothing can be attached to boat"
     done = export_body(source, "extptfm", options={"interface": "boat", "duration": 600.0})
-    header, found = read(done.paths[0])
-    K, M = found["stiffness matrix"], found["mass matrix"]
-    assert header["!total simulation time in file:"] == 600.0 and found["loads"][-1, 0] == 600.0
+    header, matrices = read(done.paths[0])
+    K, M = matrices["stiffness matrix"], matrices["mass matrix"]
+    assert header["!total simulation time in file:"] == 600.0 and matrices["loads"][-1, 0] == 600.0
     assert np.sqrt(sl.eigvalsh(K, M)) / (2 * np.pi) == pytest.approx(body.frequencies_hz, rel=1e-9)
     assert any("nothing can be attached to tower" in note for note in done.notes)
     with pytest.raises(InputError, match="did you mean 'boat'"):

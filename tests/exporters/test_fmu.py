@@ -79,9 +79,9 @@ def test_a_free_body_moves_as_scipy_has_it(fmpy, source, fmi):
     moved = [by_axes(*(f"{end}.{kind}" for end in ("left_end", "tip") for kind in kinds))
              for kinds in (("displacement", "rotation"), ("velocity", "angular_velocity"))]  # fmt: skip
     given = signals(times, dict(zip(names, loads.T, strict=True)) | no_gravity(count + 1))
-    found = run(fmpy, fmu, times[-1], step, [*moved[0], *moved[1]], input=given)
+    motions = run(fmpy, fmu, times[-1], step, [*moved[0], *moved[1]], input=given)
     for at in (slice(3 * k, 3 * k + 3) for k in range(8)):
-        assert np.abs(found[:, at] - expected[:, at]).max() < 1e-10 * np.abs(expected[:, at]).max()
+        assert np.abs(motions[:, at] - expected[:, at]).max() < 1e-10 * np.abs(expected[:, at]).max()
 
 
 def test_model_exchange_takes_the_same_way(fmpy, source):
@@ -119,8 +119,8 @@ def test_stresses_are_those_of_the_recovery(fmpy, source, held):
     tensor = recovery.at(solution[None, :n], np.concatenate([solution[n:], load])[None])[0, recovery.points == NODE][0]
     names = [f"stress.node_{NODE}.{part}" for part in ("xx", "yy", "zz", "xy", "yz", "zx", "von_mises")]
     start = dict(zip(by_axes("tip.force", "tip.moment"), load, strict=True)) | {"damping_ratio": 0.5}
-    found = run(fmpy, held, 20.0, 10.0, names, start_values=start)[-1]
-    assert found == pytest.approx([*tensor, float(von_mises(tensor))], abs=1e-9 * np.abs(tensor).max())
+    stresses = run(fmpy, held, 20.0, 10.0, names, start_values=start)[-1]
+    assert stresses == pytest.approx([*tensor, float(von_mises(tensor))], abs=1e-9 * np.abs(tensor).max())
 
 
 def test_a_support_moves_the_body_with_it(held):
@@ -137,9 +137,9 @@ def test_a_support_moves_the_body_with_it(held):
     pull = rng.standard_normal(3)
     accelerated = system(states, dict(zip(by_axes("left_end.acceleration"), pull, strict=True)))
     weighed = system(states, dict(zip(by_axes("gravity"), -pull, strict=True)))
-    for one, other in zip(accelerated, weighed, strict=True):
-        for name, value in one.items():
-            assert value == pytest.approx(other[name], rel=1e-9, abs=1e-9)
+    for results, expected in zip(accelerated, weighed, strict=True):
+        for name, value in results.items():
+            assert value == pytest.approx(expected[name], rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

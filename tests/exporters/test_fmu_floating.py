@@ -67,7 +67,7 @@ def test_a_floating_body_accelerates_as_in_the_simulator(source, fmi):
     assert [rates[name] for name in by_axes("position")] == pytest.approx(v)
     for name, marker in zip(("left_end", "tip"), at, strict=True):
         assert [outputs[f"{name}.position.{a}"] for a in "xyz"] == pytest.approx(marker.position, abs=1e-13)
-        twist = [outputs[one] for one in by_axes(f"{name}.velocity", f"{name}.angular_velocity")]
+        twist = [outputs[variable] for variable in by_axes(f"{name}.velocity", f"{name}.angular_velocity")]
         assert twist == pytest.approx(marker.jacobian @ speed, abs=1e-12 * np.abs(marker.jacobian @ speed).max())
         turn = np.array([outputs[f"{name}.quaternion.{a}"] for a in "wxyz"])
         # R e of a unit quaternion, by e + 2 s x (s x e + w e).
@@ -76,8 +76,8 @@ def test_a_floating_body_accelerates_as_in_the_simulator(source, fmi):
     recovery = stored_recovery(source, "strip")
     in_body = (loads.reshape(4, 3) @ TURN).reshape(1, 12)
     tensor = recovery.at((frame.elastic @ q)[None], in_body)[0, np.flatnonzero(recovery.points == NODE)[0]]
-    found = [outputs[f"stress.node_{NODE}.{part}"] for part in ("xx", "yy", "zz", "xy", "yz", "zx")]
-    assert found == pytest.approx(tensor, rel=1e-9, abs=1e-9 * np.abs(tensor).max())
+    stresses = [outputs[f"stress.node_{NODE}.{part}"] for part in ("xx", "yy", "zz", "xy", "yz", "zx")]
+    assert stresses == pytest.approx(tensor, rel=1e-9, abs=1e-9 * np.abs(tensor).max())
     assert outputs[f"stress.node_{NODE}.von_mises"] == pytest.approx(float(von_mises(tensor)), rel=1e-9)
 
 
@@ -85,10 +85,10 @@ def test_damping_of_a_floating_body_is_that_of_its_modes(source):
     """The rate of one mode changes by 2 zeta omega of its rate in mean axes, where modes do not couple."""
     system = InCasadi(export_body(source, "fmu", path=source.with_name("mean.fmu"), frame="mean-axes").paths[0])
     states = {"quaternion.w": 1.0, "q_rate[2]": 1e-3}
-    (one, _), (two, _) = (system(states, {}, {"damping_ratio": ratio}) for ratio in (0.0, 0.1))
+    (undamped, _), (damped, _) = (system(states, {}, {"damping_ratio": ratio}) for ratio in (0.0, 0.1))
     omega = 2 * np.pi * read_body(source).bodies["strip"].frequencies_hz[7]
-    assert two["q_rate[2]"] - one["q_rate[2]"] == pytest.approx(-2 * 0.1 * omega * 1e-3, rel=1e-9)
-    assert abs(two["q_rate[3]"] - one["q_rate[3]"]) < 1e-6 * omega * 1e-3
+    assert damped["q_rate[2]"] - undamped["q_rate[2]"] == pytest.approx(-2 * 0.1 * omega * 1e-3, rel=1e-9)
+    assert abs(damped["q_rate[3]"] - undamped["q_rate[3]"]) < 1e-6 * omega * 1e-3
 
 
 def reference(frame, end, steps, load, spin):

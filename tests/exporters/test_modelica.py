@@ -19,7 +19,7 @@ from tests.support.meshes import box, steel, where
 INSTALL = "Rumoca is not installed: pip install rumoca"
 
 
-def made(folder, names=("left", "right"), couplings=("rigid", "average"), **options):
+def write_rod(folder, names=("left", "right"), couplings=("rigid", "average"), **options):
     model = steel(box("hex8", (4, 1, 1), (0.5, 0.02, 0.01)), young=1e8)
     faces = [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
              for name, x, coupling in zip(names, (0.0, 0.5), couplings, strict=True)]  # fmt: skip
@@ -39,21 +39,21 @@ def simulated(text, model, end, names):
 
 
 def test_small_motion(tmp_path):
-    source, body = made(tmp_path)
+    source, body = write_rod(tmp_path)
     text = export_body(source, "modelica").paths[0].read_text()
     assert text.startswith('package rod "') and text.endswith("end rod;\n")
     text += "model T rod.Linear b(right_force = {0, 0.2, 1, 0, 0, 0}, left_force = {0, 0, -1, 0, 0.5, 0}); end T;\n"
-    found = simulated(text, "T", 0.01, [f"b.right_motion[{i}]" for i in range(1, 7)])
+    motion = simulated(text, "T", 0.01, [f"b.right_motion[{i}]" for i in range(1, 7)])
     system = state_space(body, ["right:force:y+z", "left:force:z+ry"], ["right:displacement"]).discrete(0.01)
     wanted = (system.C @ system.B) @ [0.2, 1.0, -1.0, 0.5]
-    assert found == pytest.approx(wanted, rel=1e-6, abs=1e-7 * np.abs(wanted).max())
+    assert motion == pytest.approx(wanted, rel=1e-6, abs=1e-7 * np.abs(wanted).max())
     assert np.abs(wanted[2]) > 1e-5
 
 
 @pytest.mark.parametrize("options", [{}, {"kind": "tangent", "interfaces": ("left",)}], ids=["mean axes", "tangent"])
 def test_large_rotations(tmp_path, options):
     """A spinning rod under gravity and a force at its end; a tangent frame has all couplings."""
-    source, body = made(tmp_path, **options)
+    source, body = write_rod(tmp_path, **options)
     text = export_body(source, "modelica").paths[0].read_text()
     text += """model T
       rod.Floating b(g = {0, 0, -9.81}, w(start = {3, -2, 20}), v(start = {0.1, 0, 0}));
@@ -63,14 +63,14 @@ def test_large_rotations(tmp_path, options):
       b.left_f = zeros(3);
       b.left_t = zeros(3);
     end T;"""
-    found = simulated(text, "T", 0.05, [f"b.{name}_r[{i}]" for name in ("left", "right") for i in (1, 2, 3)])
+    positions = simulated(text, "T", 0.05, [f"b.{name}_r[{i}]" for name in ("left", "right") for i in (1, 2, 3)])
     system = System(gravity=(0, 0, -9.81))
     rod = system.add(FlexibleBody(read_body(source).bodies["cb"].floating, name="rod",
                                   angular_velocity=(3.0, -2.0, 20.0), velocity=(0.1, 0.0, 0.0)))  # fmt: skip
     system.add(PointLoad(rod.marker("right"), force=(0.0, 5.0, 10.0), moment=(0.05, 0.0, 0.0)))
     result = simulate(system, end=0.05, step=5e-5)
     wanted = np.concatenate([result.position(rod.marker(name))[-1] for name in ("left", "right")])
-    assert found == pytest.approx(wanted, abs=2e-6)
+    assert positions == pytest.approx(wanted, abs=2e-6)
     # It turned by a radian and bent by millimetres.
     bent = body.floating.markers["right"].motion[:3] @ result.elastic(rod).T
     assert np.abs(bent).max() > 1.5e-3
@@ -81,7 +81,7 @@ def test_names_that_are_no_identifiers_are_mapped_and_listed(tmp_path):
     known = identifiers(given, ["MultiBody"])
     assert known == {"big_end": "big_end", "der": "der_2", "MultiBody": "MultiBody_2", "big end": "big_end_2",
                      "2nd": "n2nd", "Größe": "Gr__e"}  # fmt: skip
-    source, _ = made(tmp_path, names=("big end", "der"))
+    source, _ = write_rod(tmp_path, names=("big end", "der"))
     done = export_body(source, "modelica", path=tmp_path / "my rod.mo")
     notes = "\n".join(done.notes)
     for name, ident in (("big end", "big_end"), ("der", "der_2"), ("my rod", "my_rod")):
@@ -96,7 +96,7 @@ def test_names_of_interfaces_do_not_meet_those_of_the_models(tmp_path):
     """Nor those of each other: a force of one is no frame of another."""
     for names in (("q", "q_f"), ("B", "f"), ("w", "R")):
         (tmp_path / names[0]).mkdir()
-        source, _ = made(tmp_path / names[0], names=names)
+        source, _ = write_rod(tmp_path / names[0], names=names)
         text = export_body(source, "modelica").paths[0].read_text()
         for model in re.findall(r"^  model .*?^  end", text, re.MULTILINE | re.DOTALL):
             pattern = r"^ +(?:(?:parameter|input|output) )?(?:Real|Integer|Modelica\S+) (\w+)"
@@ -109,7 +109,7 @@ def test_names_of_interfaces_do_not_meet_those_of_the_models(tmp_path):
 def test_every_model_is_modelica(tmp_path):
     """The frames of the standard library need that library to run; their syntax needs none."""
     rumoca = pytest.importorskip("rumoca", reason=INSTALL)
-    source, body = made(tmp_path)
+    source, body = write_rod(tmp_path)
     text = export_body(source, "modelica").paths[0].read_text()
     assert re.findall(r"^  model (\w+)", text, re.MULTILINE) == ["Linear", "Floating", "MultiBody"]
     rumoca.format(text)
@@ -121,7 +121,7 @@ def test_every_model_is_modelica(tmp_path):
 
 
 def test_what_the_package_leaves_out_is_said(tmp_path):
-    source, _ = made(tmp_path, couplings=("rigid", "direct"))
+    source, _ = write_rod(tmp_path, couplings=("rigid", "direct"))
     done = export_body(source, "modelica")
     assert "only the model Linear has right: the others need frames that turn" in done.notes
     model = steel(box("hex8", (3, 1, 1), (0.3, 0.02, 0.01)))

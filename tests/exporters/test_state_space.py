@@ -26,7 +26,7 @@ BASE, TIP = slice(0, 6), slice(6, 12)
 EVERYTHING = ["base:reaction", "tip:displacement", "tip:velocity", "tip:acceleration"]
 
 
-def made(coupling="rigid", reducer=None, young=2.1e11, **damping):
+def reduced_body(coupling="rigid", reducer=None, young=2.1e11, **damping):
     model = steel(box("hex8", (6, 2, 2), (0.5, 0.05, 0.03)), young=young)
     with Problem(model, ends(model, coupling, base=0.0, tip=0.5), damping=Damping(**damping)) as problem:
         return elastic_body(problem, (reducer or CraigBampton(modes=8)).reduce(problem, "body"), make_part(problem))
@@ -36,7 +36,7 @@ def made(coupling="rigid", reducer=None, young=2.1e11, **damping):
 def body():
     """Soft free beam, so that dense dynamic stiffnesses are known to many digits at low frequencies. Its damping is not
     symmetric: part of the stiffness and a skew part, as flow in a tube has."""
-    free = made(young=1e5, beta=1e-3)
+    free = reduced_body(young=1e5, beta=1e-3)
     D = free.reduced.D
     size = np.sqrt(np.outer(np.diag(free.reduced.M), np.diag(free.reduced.M)))
     skewed = np.triu(np.random.default_rng(3).standard_normal(D.shape) * size, 1)
@@ -103,7 +103,7 @@ def test_the_large_mass_method_has_fewer_digits(body):
 
 def test_a_shaken_part_pulls_with_its_mass(body):
     """Slow accelerations of the only support: the reaction is the rigid mass, and no state drifts with the support."""
-    damped = made(modal=0.02)
+    damped = reduced_body(modal=0.02)
     system = state_space(damped, ["base:acceleration"], ["base:reaction", "tip:acceleration"])
     assert len(system.A) == 2 * (damped.reduced.order - 6)
     assert system.poles().real.max() < 0
@@ -154,7 +154,8 @@ def test_displacements_go_in_with_their_derivatives(body):
 
 def test_a_two_sided_body(tmp_path):
     """Forces and motions of its interfaces are not of one coordinate; prescribed motion is that of the outputs."""
-    body = made(reducer=Krylov(shifts_hz=[400.0], two_sided=True, inputs=["base"], outputs=["base", "tip"]), beta=1e-5)
+    two_sided = Krylov(shifts_hz=[400.0], two_sided=True, inputs=["base"], outputs=["base", "tip"])
+    body = reduced_body(reducer=two_sided, beta=1e-5)
     r = body.reduced
     assert not r.symmetric
     system = state_space(read_body(write_body(tmp_path / "b.h5", [body])), ["base:acceleration"], EVERYTHING[:2])
@@ -244,11 +245,11 @@ def test_generalised_forces(tmp_path):
     interface = morembs.matrix_interface(system, name="drive", matrix="B")
     with Problem(system, [interface]) as problem:
         body = elastic_body(problem, CraigBampton(modes=4).reduce(problem, "cb"), make_part(problem, "interfaces"))
-    found = state_space(body, ["drive:force"], ["drive:displacement"])
-    (name,) = found.names["inputs"]
-    assert name.startswith("drive:force:") and found.units["inputs"] == ("N",)
+    reduced = state_space(body, ["drive:force"], ["drive:displacement"])
+    (name,) = reduced.names["inputs"]
+    assert name.startswith("drive:force:") and reduced.units["inputs"] == ("N",)
     wanted = drive[free] @ spl.spsolve(K, drive[free])
-    assert found.dc_gain() == pytest.approx(np.array([[wanted]]), rel=1e-9)
+    assert reduced.dc_gain() == pytest.approx(np.array([[wanted]]), rel=1e-9)
 
 
 def test_bad_input(body, tmp_path):
@@ -289,7 +290,7 @@ def test_bad_input(body, tmp_path):
 
 
 def test_on_the_command_line(tmp_path):
-    write_body(tmp_path / "b.h5", [made(modal=0.02)])
+    write_body(tmp_path / "b.h5", [reduced_body(modal=0.02)])
     done = command("export", "b.h5", "--to", "statespace", "--set", "inputs=base:acceleration:z", "--set",
                    "outputs=base:reaction:z,tip:acceleration:z", "--set", "held=base:x+y+rx+ry+rz",
                    "--out", "x.mat", folder=tmp_path)  # fmt: skip

@@ -109,18 +109,18 @@ def statespace(source, paths):
 
 
 def extptfm(source, paths):
-    _, found = read_extptfm(paths[0])
-    return frequencies(found["stiffness matrix"], found["mass matrix"])
+    _, matrices = read_extptfm(paths[0])
+    return frequencies(matrices["stiffness matrix"], matrices["mass matrix"])
 
 
 def modelica(source, paths):
     """Motion of the small end 0.2 ms after it is pushed."""
     text = paths[0].read_text()
     text += "model T rod.Linear b(SMALLEND_force = {0, 1, 1, 0, 0, 0}, BIGEND_force = zeros(6)); end T;\n"
-    found = simulated(text, "T", 2e-4, [f"b.SMALLEND_motion[{axis}]" for axis in range(1, 7)])
+    motion = simulated(text, "T", 2e-4, [f"b.SMALLEND_motion[{axis}]" for axis in range(1, 7)])
     system = state_space(source, ["SMALLEND:force:y+z"], ["SMALLEND:displacement"]).discrete(2e-4)
     wanted = system.C @ system.B @ [1.0, 1.0]
-    return float(np.abs(found - wanted).max() / np.abs(wanted).max())
+    return float(np.abs(motion - wanted).max() / np.abs(wanted).max())
 
 
 def mujoco(source, paths):
@@ -164,13 +164,13 @@ def test_the_client_of_each_target_has_the_rod(rod, to):
     assert files[to] and all(path.stat().st_size > 100 for path in files[to])
     if to not in CLIENTS:
         pytest.skip(f"no client of {to} is here; its own tests say what was checked")
-    found = CLIENTS[to](source, files[to])
-    if not isinstance(found, float):
+    difference = CLIENTS[to](source, files[to])
+    if not isinstance(difference, float):
         body = source.bodies["rod"]
         wanted = body.frequencies_hz[6:]
-        found = float(np.abs(found[-len(wanted) :] / wanted - 1).max())
+        difference = float(np.abs(difference[-len(wanted) :] / wanted - 1).max())
     shown = float(table()[to]["difference"])
-    assert found < shown, found
+    assert difference < shown, difference
 
 
 def test_the_table_says_what_every_target_holds():

@@ -69,17 +69,17 @@ def lines(mesh, shift=0, order=None, per_line=7):
 @pytest.mark.parametrize("kind", TYPES)
 def test_every_type_gives_the_stiffness_of_the_mesh_it_was_written_from(kind, deck):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
-    found = deck(lines(mesh) + STEEL_LINES + "*SOLID SECTION, ELSET=Body, MATERIAL=STEEL\n")
-    assert np.array_equal(found.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
-    model = assemble(fully_integrated(found.mesh), found.materials)
+    imported = deck(lines(mesh) + STEEL_LINES + "*SOLID SECTION, ELSET=Body, MATERIAL=STEEL\n")
+    assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
+    model = assemble(fully_integrated(imported.mesh), imported.materials)
     assert abs(model.K - steel(mesh).K).max() == 0 and abs(model.M - steel(mesh).M).max() == 0
 
 
 def test_inner_nodes_of_hex27_are_taken_from_where_they_are(deck):
     """Abaqus puts the centre before the faces, and lists these bottom, top, front, right, back, left."""
     mesh = box("hex27", (1, 1, 1), (1.0, 1.0, 1.0))
-    found = deck(lines(mesh, order=[*range(20), 26, 24, 25, 22, 21, 23, 20]))
-    assert np.array_equal(found.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
+    imported = deck(lines(mesh, order=[*range(20), 26, 24, 25, 22, 21, 23, 20]))
+    assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
 
 
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6", "wedge15"])
@@ -94,28 +94,28 @@ def test_meshio_reads_the_same_deck_alike(kind, tmp_path, monkeypatch):
 
 
 def test_all_that_hangs_on_a_body_keeps_its_labels(deck):
-    found = deck(FULL)
-    mesh, nodes = found.mesh, found.nodes
+    imported = deck(FULL)
+    mesh, nodes = imported.mesh, imported.nodes
     assert mesh.nodes.ids.tolist() == [10, 20, 30, 40, 50, 60, 70, 80] and mesh.blocks[0].ids.tolist() == [7]
     assert nodes.ids.tolist() == [*mesh.nodes.ids.tolist(), 500, 600]
-    labels = {name: nodes.ids[rows].tolist() for name, rows in {**nodes.sets, **found.surfaces}.items()}
+    labels = {name: nodes.ids[rows].tolist() for name, rows in {**nodes.sets, **imported.surfaces}.items()}
     assert labels == {
         "Every": [10, 20, 30, 40, 50, 60, 70, 80], "Ref": [500], "Bottom": [10, 20, 30, 40],
         "Both": [10, 20, 30, 40, 50], "Top": [50, 60, 70, 80], "Skin": [10, 20, 30, 40, 50, 60, 70, 80],
         "Points": [10, 20, 30, 40, 50],
     }  # fmt: skip
     assert mesh.element_sets["Alias"][0].tolist() == [0] and "Tip" not in mesh.element_sets
-    (rigid,), (average,), (mass, spin) = found.rigid, found.average, found.masses
+    (rigid,), (average,), (mass, spin) = imported.rigid, imported.average, imported.masses
     assert rigid.name == "Flange" and nodes.ids[rigid.master] == 500 and rigid.components == (0, 1, 2)
     assert nodes.ids[rigid.slaves].tolist() == [50, 60, 70, 80]
     assert nodes.ids[average.reference] == 600 and average.weights.tolist() == [2, 2, 2, 2, 1]
     assert (mass.mass, nodes.ids[mass.node], spin.mass) == (2.5, 500, 0.0)
     assert spin.inertia.tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
-    (material,) = found.materials
+    (material,) = imported.materials
     assert material.set == "Cube" and np.allclose(material.stiffness, isotropic(set="", **STEEL).stiffness)
-    told = " ".join(found.notes)
+    told = " ".join(imported.notes)
     assert "*BOUNDARY is not applied" in told and "*CLOAD" in told and "C3D8" in mesh.warnings[0]
-    assert assemble(mesh, found.materials).M.sum() / 3 == pytest.approx(7850.0)
+    assert assemble(mesh, imported.materials).M.sum() / 3 == pytest.approx(7850.0)
 
 
 @pytest.mark.parametrize("within", [*range(3, len(FULL), len(FULL) // 8), FULL.index(" MATERIAL=Steel")])
@@ -142,22 +142,22 @@ def test_faces_of_a_surface_are_those_of_their_numbers(kind, deck):
     text += f"*ELEMENT, TYPE={CODES[kind]}\n1, " + ",\n".join(str(i + 1) for i in range(len(x))) + "\n"
     for k in range(len(corners)):
         text += f"*SURFACE, NAME=F{k + 1}\n1, S{k + 1}\n"
-    found = deck(text)
+    imported = deck(text)
     for k, listed in enumerate(corners):
         plane = x[[int(i) - 1 for i in listed.split()]]
         normal = np.cross(plane[1] - plane[0], plane[2] - plane[0])
         on_it = np.flatnonzero(np.abs((x - plane[0]) @ normal) < 1e-12)
-        assert found.surfaces[f"F{k + 1}"].tolist() == on_it.tolist()
+        assert imported.surfaces[f"F{k + 1}"].tolist() == on_it.tolist()
 
 
 def test_free_faces_leave_out_those_between_elements(deck):
     mesh = box("hex8", (3, 1, 1), (3.0, 1.0, 1.0))
     middle = int(np.argsort(mesh.nodes.xyz[mesh.blocks[0].nodes][:, :, 0].mean(axis=1))[1]) + 1
-    found = deck(lines(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*SURFACE, NAME=All\nBody,\n")
+    imported = deck(lines(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*SURFACE, NAME=All\nBody,\n")
     # Weights tell faces from nodes: a distributing coupling gets the area of the four free faces.
     text = lines(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*NODE\n99,0,0,0\n"
     tied = deck(text + "*COUPLING, CONSTRAINT NAME=C, REF NODE=99, SURFACE=S\n*DISTRIBUTING\n")
-    assert len(found.surfaces["All"]) == 16 and len(found.surfaces["S"]) == 8
+    assert len(imported.surfaces["All"]) == 16 and len(imported.surfaces["S"]) == 8
     assert tied.average[0].weights.sum() == pytest.approx(4.0)
 
 
@@ -175,9 +175,9 @@ PARTS = (
 
 def test_instances_are_moved_with_their_material_directions(deck):
     mesh = box("hex8", (2, 1, 1), (0.3, 0.2, 0.1))
-    found = deck(PARTS.format(mesh=lines(mesh)))
-    one, two = (found.mesh.blocks[0].nodes[rows] for rows in ([0, 1], [2, 3]))
-    x, y = (found.nodes.xyz[e] for e in (one, two))
+    imported = deck(PARTS.format(mesh=lines(mesh)))
+    first, second = (imported.mesh.blocks[0].nodes[rows] for rows in ([0, 1], [2, 3]))
+    x, y = (imported.nodes.xyz[e] for e in (first, second))
     # Shifted by (1, 2, 3), then turned by 30 degrees about the upright axis through (1, 2, 3).
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     assert np.allclose((y - [1, 2, 3])[..., 0], c * x[..., 0] - s * x[..., 1])
@@ -186,15 +186,15 @@ def test_instances_are_moved_with_their_material_directions(deck):
         "young": (100e9, 20e9, 10e9), "poisson": (0.3, 0.25, 0.2), "shear": (5e9, 4e9, 3e9), "density": 2700.0,
     }  # fmt: skip
     turned = orthotropic(set="", **constants, axes=np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
-    assert [m.set for m in found.materials] == ["One.Body", "Two.Body"]
-    assert np.allclose(found.materials[0].stiffness, orthotropic(set="", **constants).stiffness)
-    assert np.allclose(found.materials[1].stiffness, turned.stiffness, atol=1.0)
+    assert [m.set for m in imported.materials] == ["One.Body", "Two.Body"]
+    assert np.allclose(imported.materials[0].stiffness, orthotropic(set="", **constants).stiffness)
+    assert np.allclose(imported.materials[1].stiffness, turned.stiffness, atol=1.0)
     count = len(mesh.nodes)
-    assert len(np.unique(found.nodes.ids)) == 2 * count + 1 and any("raised" in note for note in found.notes)
-    sets = {name: found.nodes.ids[rows].tolist() for name, rows in found.nodes.sets.items()}
+    assert len(np.unique(imported.nodes.ids)) == 2 * count + 1 and any("raised" in note for note in imported.notes)
+    sets = {name: imported.nodes.ids[rows].tolist() for name, rows in imported.nodes.sets.items()}
     assert sets["One.Left"] == [1] and sets["Two.Left"] == sets["Own"] and sets["Both"] == [1, *sets["Own"]]
-    assert found.nodes.ids[found.rigid[0].slaves].tolist() == sets["Both"]
-    model = assemble(found.mesh, found.materials)
+    assert imported.nodes.ids[imported.rigid[0].slaves].tolist() == sets["Both"]
+    model = assemble(imported.mesh, imported.materials)
     assert model.M.sum() / 3 == pytest.approx(2 * 0.006 * 2700)
 
 
@@ -236,9 +236,9 @@ def test_turned_orientation_of_a_section(deck):
 def test_included_files_may_hold_keywords_or_data(tmp_path, deck):
     (tmp_path / "nodes.txt").write_text(CUBE.split("*")[0])
     (tmp_path / "rest.inp").write_text("*ELEMENT" + CUBE.split("*ELEMENT")[1])
-    found = deck("*NODE\n*INCLUDE, INPUT=nodes.txt\n*INCLUDE, INPUT=rest.inp\n*NSET, NSET=A\n10\n")
+    imported = deck("*NODE\n*INCLUDE, INPUT=nodes.txt\n*INCLUDE, INPUT=rest.inp\n*NSET, NSET=A\n10\n")
     again = deck("*NODE, INPUT=nodes.txt\n*INCLUDE, INPUT=rest.inp\n")
-    assert len(found.nodes) == len(again.nodes) == 8 and found.nodes.sets["A"].tolist() == [0]
+    assert len(imported.nodes) == len(again.nodes) == 8 and imported.nodes.sets["A"].tolist() == [0]
     (tmp_path / "loop.inp").write_text("*INCLUDE, INPUT=deck.inp\n")
     with pytest.raises(InputError, match="includes itself"):
         deck("*INCLUDE, INPUT=loop.inp\n")
@@ -309,16 +309,16 @@ def test_forms_of_numbers_and_lines(deck):
     """Blank fields are 0, further fields are normals, lines may end with a comma, and in the way of Windows."""
     text = "*NODE\n1, , ,\n2, 1.D0\n3, 0., 1., , 0., 0., 1.\n 4 , 0 , 0 , +1.E0 ,\n"
     text += "*ELEMENT, TYPE=C3D4\n 1 , 1 , 2 , 3 ,\n 4 ,\n"
-    found = deck(text.replace("\n", "\r\n"))
-    assert found.nodes.xyz.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    imported = deck(text.replace("\n", "\r\n"))
+    assert imported.nodes.xyz.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
     assert deck("*NODE, SYSTEM=C\n" + SOLID.split("\n", 1)[1].replace("1,0,0\n", "1,90,0\n")).nodes.xyz[1].tolist() == (
         pytest.approx([0, 1, 0], abs=1e-15)
     )
 
 
 def test_ranges_say_what_they_lack(deck):
-    found = deck(SOLID + "*NSET, NSET=A, GENERATE\n10, 100000000000, 10\n")
-    assert len(found.nodes.sets["A"]) == 8 and any("do not exist" in note for note in found.notes)
+    imported = deck(SOLID + "*NSET, NSET=A, GENERATE\n10, 100000000000, 10\n")
+    assert len(imported.nodes.sets["A"]) == 8 and any("do not exist" in note for note in imported.notes)
 
 
 def test_conrod_and_cube_with_the_materials_of_their_decks(shared_data):
@@ -343,10 +343,10 @@ def test_tet10_block_against_abaqus(shared_data):
 
 
 def test_surface_of_a_deck_by_abaqus(shared_data):
-    found = import_abaqus(shared_data / "ansys_rotor" / "rotorDiscTest.inp")
-    low, high = found.nodes.xyz.min(axis=0), found.nodes.xyz.max(axis=0)
-    assert len(found.nodes) == 115 and np.isfinite([low, high]).all()
-    on_skin = found.nodes.xyz[found.surfaces["Surface"]]
+    imported = import_abaqus(shared_data / "ansys_rotor" / "rotorDiscTest.inp")
+    low, high = imported.nodes.xyz.min(axis=0), imported.nodes.xyz.max(axis=0)
+    assert len(imported.nodes) == 115 and np.isfinite([low, high]).all()
+    on_skin = imported.nodes.xyz[imported.surfaces["Surface"]]
     assert np.allclose([on_skin.min(axis=0), on_skin.max(axis=0)], [low, high])
 
 

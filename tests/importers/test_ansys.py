@@ -221,9 +221,9 @@ def test_rotor_of_ansys_and_abaqus(shared_data):
         mapping=folder / "rotorAnsysMatrixDofMappingVector.txt",
         nodes=folder / "rotorAnsysNodalCoordinates.txt",
     )
-    found = hertz(imported.K, imported.M)
-    assert found[6] == pytest.approx(ROTOR_ANSYS_HZ, rel=1e-9)
-    assert found[6:10] == pytest.approx(ROTOR_HZ, abs=1e-6) and imported.notes == ()
+    frequencies = hertz(imported.K, imported.M)
+    assert frequencies[6] == pytest.approx(ROTOR_ANSYS_HZ, rel=1e-9)
+    assert frequencies[6:10] == pytest.approx(ROTOR_HZ, abs=1e-6) and imported.notes == ()
     K, M = (read_abaqus_matrix(folder / f"rotorDiscTest{kind}1.mtx").matrix for kind in ("STIF", "MASS"))
     assert hertz(0.01 * K, M)[6] == pytest.approx(ROTOR_ABAQUS_HZ, rel=1e-9)
 
@@ -436,8 +436,8 @@ def test_archives_of_ansys_against_the_library(shared_data):
         for key, labels in theirs.node_components.items():
             assert set(ours.nodes.ids[ours.nodes.sets[key]]) == set(labels) & set(ours.nodes.ids)
         for key, labels in theirs.element_components.items():
-            found = [b.ids[rows] for b, rows in zip(ours.mesh.blocks, ours.mesh.element_sets[key], strict=True)]
-            assert set(np.concatenate(found)) == set(labels)
+            members = [b.ids[rows] for b, rows in zip(ours.mesh.blocks, ours.mesh.element_sets[key], strict=True)]
+            assert set(np.concatenate(members)) == set(labels)
 
 
 def test_beam_against_frequencies_of_ansys(shared_data):
@@ -448,8 +448,8 @@ def test_beam_against_frequencies_of_ansys(shared_data):
     assert mesh.materials[0].stiffness == pytest.approx(stiffness)
     material = isotropic(set="material 1", young=16.9e6, poisson=0.31, density=4.1408e-4)
     with Problem(assemble(mesh.mesh, [material])) as problem:
-        found = problem.elastic_modes(count=6).frequencies_hz
-    assert found == pytest.approx(FREE_HZ, rel=1e-8)
+        frequencies = problem.elastic_modes(count=6).frequencies_hz
+    assert frequencies == pytest.approx(FREE_HZ, rel=1e-8)
 
 
 def components(*given):
@@ -488,17 +488,17 @@ def test_materials_isotropic_and_orthotropic(tmp_path):
     compliance = []
     for prefix, nu in (("PR", major), ("NU", minor)):
         text = common + "".join(f"MP,{prefix}{p},1,{v!r}\n" for p, v in zip(("XY", "XZ", "YZ"), nu, strict=True))
-        (found,) = import_ansys_cdb(write(tmp_path, hex_deck(after=text))).materials
-        assert found.set == "material 1" and found.density == 1500
-        compliance.append(np.linalg.inv(found.stiffness))
+        (material,) = import_ansys_cdb(write(tmp_path, hex_deck(after=text))).materials
+        assert material.set == "material 1" and material.density == 1500
+        compliance.append(np.linalg.inv(material.stiffness))
     # Tension along x shortens y by PRXY / EX; shear in the order yz, zx, xy.
     for S in compliance:
         assert S[:3, 0] == pytest.approx([1 / e[0], -major[0] / e[0], -major[1] / e[0]])
         assert S[:3, 1] == pytest.approx([-major[0] / e[0], 1 / e[1], -major[2] / e[1]])
         assert np.diag(S)[3:] == pytest.approx([1 / g[2], 1 / g[1], 1 / g[0]])
-    one = "MP,EX,1,2.1e11\nMP,NUXY,1,0.3\nMP,DENS,1,7850\n"
-    (found,) = import_ansys_cdb(write(tmp_path, hex_deck(after=one))).materials
-    assert found.stiffness == pytest.approx(isotropic(set="s", **STEEL).stiffness)
+    constants = "MP,EX,1,2.1e11\nMP,NUXY,1,0.3\nMP,DENS,1,7850\n"
+    (material,) = import_ansys_cdb(write(tmp_path, hex_deck(after=constants))).materials
+    assert material.stiffness == pytest.approx(isotropic(set="s", **STEEL).stiffness)
 
 
 def test_two_materials_own_their_elements(tmp_path):
@@ -601,14 +601,14 @@ def test_edges_without_middle_nodes_are_linear(tmp_path):
     text = deck(mesh)
     middle = [f"{101 + n:10d}" for n in mesh.blocks[0].nodes[0][8:]]
     at = text.index("EBLOCK")
-    found = []
+    models = []
     for count in (1, 12):
         lines = text[at:]
         for word in middle[:count]:
             lines = lines.replace(word, f"{0:10d}", 1)
         imported = import_ansys_cdb(write(tmp_path, text[:at] + MP_STEEL + lines))
-        found.append((imported, model_of(imported)))
-    (imported, model), (linear, _) = found
+        models.append((imported, model_of(imported)))
+    (imported, model), (linear, _) = models
     assert linear.mesh.blocks[0].type == "hex8" and "12 nodes of no element" in linear.notes[-1]
     assert imported.mesh.blocks[0].type == "hex20" and imported.nodes.ids[-1] == 121 and not imported.incomplete
     S, R = model.dependent.S, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
@@ -644,8 +644,8 @@ def test_rigid_beams_and_springs(tmp_path):
     assert len(import_ansys_cdb(write(tmp_path, short)).rigid) == 1
     with pytest.raises(InputError, match=r"4 elements MPC184 with KEYOPT.1. = 0 .*--skip MPC184"):
         import_ansys_cdb(write(tmp_path, BEAMS.replace("KEYOPT,2,1,1\n", "")))
-    found = import_ansys_cdb(write(tmp_path, SPRINGS)).discrete
-    along, across = ([each for each in found if label in each.name] for label in ("14 10", "14 11"))
+    springs = import_ansys_cdb(write(tmp_path, SPRINGS)).discrete
+    along, across = ([each for each in springs if label in each.name] for label in ("14 10", "14 11"))
     a = np.array([3.0, 0.5, 0.5]) - box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)).nodes.xyz[2]
     a /= np.linalg.norm(a)
     assert np.allclose(along[0].values, 100 * np.kron([[1, -1], [-1, 1]], np.outer(a, a)))
@@ -666,9 +666,9 @@ def test_tetrahedra_with_pressure_are_plain_and_warned_of(tmp_path):
     head, _, tail = text.partition("(19i10)\n")
     four = element_lines([(i, 1, 1, 1, 101 + rows) for i, rows in enumerate(mesh.blocks[0].nodes, start=1)])
     plain = head.replace("ET,1,45", "ET,1,285") + "(19i10)\n" + four + tail[tail.index("        -1\n") :]
-    found = [import_ansys_cdb(write(tmp_path, each)) for each in (text, plain)]
-    assert np.array_equal(found[0].mesh.blocks[0].nodes, found[1].mesh.blocks[0].nodes)
-    assert not found[0].mesh.warnings and "SOLID285" in found[1].mesh.warnings[0]
+    archives = [import_ansys_cdb(write(tmp_path, each)) for each in (text, plain)]
+    assert np.array_equal(archives[0].mesh.blocks[0].nodes, archives[1].mesh.blocks[0].nodes)
+    assert not archives[0].mesh.warnings and "SOLID285" in archives[1].mesh.warnings[0]
 
 
 def test_elements_left_out_on_request(tmp_path):
@@ -756,9 +756,9 @@ def test_equations_and_coupled_dofs(tmp_path):
         material + "CE,R5.0,DEFI,       3,       1,  0.0\nCE,R5.0,NODE,     101,UX  ,  2.0    ,     102,UX  , -1.0\n"
         "CE,R5.0,NODE,     103,UY  , -0.5\nCE,7,0,104,UZ,1,105,UZ,1\nCE,7,0,106,UZ,3\nCP,4,UY,107,108,109\n"
     )
-    found = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
-    (given,) = found.equations
-    ids = found.nodes.ids
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
+    (given,) = imported.equations
+    ids = imported.nodes.ids
     first = [(int(ids[n]), int(c)) for n, c in zip(given.nodes, given.components, strict=True)]
     assert first == [(101, 0), (104, 2), (108, 1), (109, 1)]
     assert given.coefficients.tolist() == [0.5, 0.25, -1.0, -3.0, 1.0, 1.0]
@@ -769,10 +769,10 @@ def test_equations_and_coupled_dofs(tmp_path):
 
 def test_materials_of_tables_and_of_temperature(tmp_path):
     table = "TB,ELAS,1,1,2,ISOT\nTBDATA,1,2.1e11,0.3\n"
-    found = import_ansys_cdb(write(tmp_path, hex_deck(after=table)), density={"material 1": 7850.0})
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(after=table)), density={"material 1": 7850.0})
     like = isotropic(set="", young=2.1e11, poisson=0.3, density=7850.0)
-    assert found.materials[0].stiffness == pytest.approx(like.stiffness) and found.materials[0].density == 7850.0
+    assert imported.materials[0].stiffness == pytest.approx(like.stiffness) and imported.materials[0].density == 7850.0
     warm = "MPDATA,R5.0,2,EX,1,1,2e11,1e11\nMP,PRXY,1,0.3\nMP,DENS,1,7850\n"
-    found = import_ansys_cdb(write(tmp_path, hex_deck(after=warm)))
-    assert found.materials[0].stiffness[3, 3] == pytest.approx(2e11 / 2.6)
-    assert "EX of material 1 depends on temperature; its first value was taken" in found.warnings[0]
+    imported = import_ansys_cdb(write(tmp_path, hex_deck(after=warm)))
+    assert imported.materials[0].stiffness[3, 3] == pytest.approx(2e11 / 2.6)
+    assert "EX of material 1 depends on temperature; its first value was taken" in imported.warnings[0]

@@ -133,8 +133,8 @@ def test_groups_add_up_to_the_whole(tmp_path):
     whole = imported(tmp_path, MIXED, grids=1000)
     parts = imported(tmp_path, MIXED, grids=9, jobs=2)
     assert np.array_equal(whole.dofs.node, parts.dofs.node)
-    for one, other in ((whole.K, parts.K), (whole.M, parts.M)):
-        assert np.abs((one - other).data).max() <= 1e-13 * np.abs(one.data).max()
+    for matrix, summed in ((whole.K, parts.K), (whole.M, parts.M)):
+        assert np.abs((matrix - summed).data).max() <= 1e-13 * np.abs(matrix.data).max()
     assert (imported(tmp_path, MIXED, grids=9, jobs=1).K != parts.K).nnz == 0
 
 

@@ -69,14 +69,14 @@ PAIR = (
 
 
 def test_tied_nodes_have_the_weights_that_calculix_gives_them(read):
-    found = read(PAIR + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION)
-    (tie,) = found.equations
-    labels = found.nodes.ids
+    imported = read(PAIR + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION)
+    (tie,) = imported.equations
+    labels = imported.nodes.ids
     assert tie.name == "*TIE GLUE" and labels[tie.nodes].tolist() == [11, 11, 11, 12, 12, 12, 13, 13, 13, 14, 14, 14]
     # As the spring probe reads them off ccx at (0.1, 0.2) of the face.
     first = {(int(labels[node]), c): value for (node, c), value in terms(tie, 0).items()}
     assert first == pytest.approx({(5, 0): 0.72, (6, 0): 0.08, (7, 0): 0.02, (8, 0): 0.18}, abs=1e-14)
-    K, M, R = reduced(model_of(found))
+    K, M, R = reduced(model_of(imported))
     assert np.abs(K @ R).max() < 1e-12 * np.abs(K).max()
     assert R[:, 0] @ M @ R[:, 0] == pytest.approx(7850 * (1 + 0.6**3), rel=1e-12)
     assert np.linalg.matrix_rank(K, tol=1e-9 * np.abs(K).max()) == len(K) - 6
@@ -84,12 +84,12 @@ def test_tied_nodes_have_the_weights_that_calculix_gives_them(read):
 
 def test_nodes_near_the_master_are_moved_to_it_and_far_ones_are_told(read):
     text = PAIR.replace("11, 0.1, 0.2, 1.0", "11, 0.1, 0.2, 1.01").replace("13, 0.7, 0.8, 1.0", "13, 0.7, 0.8, 1.3")
-    found = read(text + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION, dialect="abaqus")
-    place = dict(zip(found.nodes.ids.tolist(), found.nodes.xyz.tolist(), strict=True))
+    imported = read(text + "*TIE, NAME=GLUE\nABOVE, BELOW\n" + SECTION, dialect="abaqus")
+    place = dict(zip(imported.nodes.ids.tolist(), imported.nodes.xyz.tolist(), strict=True))
     assert place[11] == pytest.approx([0.1, 0.2, 1.0], abs=1e-12) and place[13][2] == 1.3
-    assert any("3 nodes were moved to the faces they follow, by up to 0.01" in note for note in found.notes)
+    assert any("3 nodes were moved to the faces they follow, by up to 0.01" in note for note in imported.notes)
     away = "1 nodes are further than 0.05 from the other surface and are not tied (13)"
-    assert any(away in warning for warning in found.warnings)
+    assert any(away in warning for warning in imported.warnings)
     kept = read(text + "*TIE, NAME=GLUE, ADJUST=NO, POSITION TOLERANCE=0.4\nABOVE, BELOW\n" + SECTION)
     assert kept.nodes.xyz[kept.nodes.ids == 11][0, 2] == 1.01 and len(kept.equations[0]) == 12
     assert not any("were moved" in note for note in kept.notes)
@@ -119,9 +119,9 @@ LIMIT = float((1 / 3 + np.sqrt(2) / 6) / 2 / 40)
 def test_nodes_beyond_the_border_of_a_master_stay_free_as_in_the_program(beyond, high, option, dialect, tied, read):
     """Limits as bisection of CalculiX 2.20 gives them: 0.0071129 beyond the border, whatever the tolerance is."""
     text = PAIR.replace("12, 0.7, 0.2, 1.0", f"12, {1 + beyond!r}, 0.2, {1 + high!r}")
-    found = read(text + f"*TIE, NAME=GLUE{option}\nABOVE, BELOW\n" + SECTION, dialect=dialect)
-    assert (12 in found.nodes.ids[found.equations[0].nodes]) == tied
-    assert tied != any("1 nodes are further than" in said and "not tied (12)" in said for said in found.warnings)
+    imported = read(text + f"*TIE, NAME=GLUE{option}\nABOVE, BELOW\n" + SECTION, dialect=dialect)
+    assert (12 in imported.nodes.ids[imported.equations[0].nodes]) == tied
+    assert tied != any("1 nodes are further than" in said and "not tied (12)" in said for said in imported.warnings)
 
 
 @pytest.mark.parametrize("kind", FACES)
@@ -136,10 +136,11 @@ def test_feet_on_plane_and_curved_faces(kind):
     normal = np.cross(legs[:, 0], legs[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     away = rng.uniform(-0.02, 0.02, (20, 1))
-    got = project(N @ bent + away * normal, bent, [(kind, np.arange(len(bent))[None])])
-    assert got.foot == pytest.approx(N @ bent, abs=1e-12)
-    assert got.distance == pytest.approx(np.abs(away[:, 0]), abs=1e-12)
-    assert got.weights == pytest.approx(N, abs=1e-10) and got.weights.sum(axis=1) == pytest.approx(np.ones(20))
+    projection = project(N @ bent + away * normal, bent, [(kind, np.arange(len(bent))[None])])
+    assert projection.foot == pytest.approx(N @ bent, abs=1e-12)
+    assert projection.distance == pytest.approx(np.abs(away[:, 0]), abs=1e-12)
+    assert projection.weights == pytest.approx(N, abs=1e-10)
+    assert projection.weights.sum(axis=1) == pytest.approx(np.ones(20))
 
 
 def test_contact_is_refused_skipped_or_glued(read):
@@ -157,9 +158,9 @@ def test_contact_is_refused_skipped_or_glued(read):
 def test_equations_between_sets_and_along_turned_axes(read):
     text = cube(1) + "*NODE\n90, 2., 2., 2.\n*NSET, NSET=TOP\n5, 6\n*NSET, NSET=LOW\n1, 2\n" + SECTION
     three = "3\n3, 1, 1., 4, 1, -.5,\n90, 1, -.5\n"
-    found = read(text + "*EQUATION\n2\nTOP, 3, 2., LOW, 3, -1.\n" + three + "2\n1, 11, 1., 2, 11, 1.\n")
-    (equations,) = found.equations
-    ids = found.nodes.ids
+    imported = read(text + "*EQUATION\n2\nTOP, 3, 2., LOW, 3, -1.\n" + three + "2\n1, 11, 1., 2, 11, 1.\n")
+    (equations,) = imported.equations
+    ids = imported.nodes.ids
     assert [(int(ids[n]), int(c)) for n, c in zip(equations.nodes, equations.components, strict=True)] == [
         (5, 2), (6, 2), (3, 0),
     ]  # fmt: skip
@@ -179,12 +180,12 @@ def test_equations_between_sets_and_along_turned_axes(read):
 
 def test_multipoint_constraints_of_two_and_three_nodes(read):
     text = cube(1) + "*NODE\n90, .25, 0., 0.\n91, 5., 5., 5.\n" + SECTION
-    found = read(text + "*MPC\nLINEAR, 90, 1, 2\nLINK, 91, 7\nPIN, 5, 8\n")
-    (equations,) = found.equations
+    imported = read(text + "*MPC\nLINEAR, 90, 1, 2\nLINK, 91, 7\nPIN, 5, 8\n")
+    (equations,) = imported.equations
     assert len(equations) == 3 + 1 + 3
     assert terms(equations, 0) == {(0, 0): 0.75, (1, 0): 0.25}
     link = terms(equations, 3)
-    row = found.nodes.ids.tolist().index(91)
+    row = imported.nodes.ids.tolist().index(91)
     motion = sum(value * 0.3 for (node, _), value in link.items() if node == 6)
     assert equations.nodes[3] == row and motion == pytest.approx(3 * 0.3)
     with pytest.raises(InputError, match=r"'STRAIGHT' is not linear.*--skip MPC leaves all"):
@@ -194,9 +195,9 @@ def test_multipoint_constraints_of_two_and_three_nodes(read):
 
 def test_nodes_of_sets_are_paired_by_their_labels_not_by_the_order_of_lines(read):
     loose = "*NODE\n92, 5., 0., 0.\n91, 5., 1., 0.\n*NSET, NSET=A\n91, 92\n*NSET, NSET=B\n1, 2\n"
-    found = read(cube(1) + loose + "*EQUATION\n2\nA, 1, 1., B, 1, -1.\n" + SECTION)
-    (equations,) = found.equations
-    labels = found.nodes.ids
+    imported = read(cube(1) + loose + "*EQUATION\n2\nA, 1, 1., B, 1, -1.\n" + SECTION)
+    (equations,) = imported.equations
+    labels = imported.nodes.ids
     pairs = {int(labels[a]): int(labels[next(iter(terms(equations, i)))[0]]) for i, a in enumerate(equations.nodes)}
     assert pairs == {91: 1, 92: 2}
 
@@ -224,8 +225,8 @@ def test_springs_of_calculix_act_along_global_directions(dialect, axis, read):
     """Whatever axes their nodes have, as ccx 2.20 does: frequencies within 4e-7 of its own."""
     turned = "*NSET, NSET=T\n1\n*TRANSFORM, NSET=T, TYPE=R\n0., 1., 0., -1., 0., 0.\n"
     spring = "*ELEMENT, TYPE=SPRING1, ELSET=G\n51, 1\n*SPRING, ELSET=G\n2\n70.\n"
-    found = read(cube(1) + turned + spring + SECTION, dialect=dialect)
-    model, plain = model_of(found), model_of(replace(found, discrete=()))
+    imported = read(cube(1) + turned + spring + SECTION, dialect=dialect)
+    model, plain = model_of(imported), model_of(replace(imported, discrete=()))
     assert (model.K - plain.K).toarray().diagonal()[:3] == pytest.approx(np.eye(3)[axis] * 70.0, abs=1e-4)
 
 
@@ -236,8 +237,8 @@ def test_a_shifted_instance_takes_the_axis_of_its_coordinates_along(read):
     coefficients = []
     for shift in ("", "100., 0., 0.\n"):
         deck = part + axes + equation + "*END PART\n*ASSEMBLY, NAME=A\n*INSTANCE, NAME=I, PART=P\n" + shift
-        found = read(deck + "*END INSTANCE\n*END ASSEMBLY\n" + STEEL_LINES, dialect="abaqus")
-        coefficients.append(sorted(terms(found.equations[0], 0).values()))
+        imported = read(deck + "*END INSTANCE\n*END ASSEMBLY\n" + STEEL_LINES, dialect="abaqus")
+        coefficients.append(sorted(terms(imported.equations[0], 0).values()))
     assert coefficients[0] == pytest.approx(coefficients[1], rel=1e-12)
 
 
@@ -251,9 +252,9 @@ SPRINGS = (
 
 
 def test_springs_and_dashpots_are_entries_of_k_and_d(read):
-    found = read(SPRINGS + SECTION)
-    model, plain = model_of(found), model_of(read(cube(1) + SECTION))
-    n, last = plain.size, found.nodes.ids.tolist().index(90)
+    imported = read(SPRINGS + SECTION)
+    model, plain = model_of(imported), model_of(read(cube(1) + SECTION))
+    n, last = plain.size, imported.nodes.ids.tolist().index(90)
     expected = np.zeros((n + 3, n + 3))
     expected[:n, :n] = plain.K.toarray()
     at = {(int(node), int(c)): i for i, (node, c) in enumerate(zip(model.dofs.node, model.dofs.component, strict=True))}
@@ -271,7 +272,7 @@ def test_springs_and_dashpots_are_entries_of_k_and_d(read):
     part[[at[7, c] for c in range(3)]], part[[at[last, c] for c in range(3)]] = -line, line
     assert model.D.toarray() == pytest.approx(3.0 * np.outer(part, part), abs=1e-12)
     assert model.M.toarray()[-3:, -3:] == pytest.approx(9.0 * np.eye(3))
-    assert any("its slope at zero was taken" in warning for warning in found.warnings)
+    assert any("its slope at zero was taken" in warning for warning in imported.warnings)
 
 
 @pytest.mark.parametrize(
@@ -292,22 +293,22 @@ def test_a_force_at_zero_elongation_stiffens_across_its_line(table, slope, force
     across = force / np.sqrt(10) * (np.eye(3) - np.outer(line, line))
     K = model_of(read(text, dialect="calculix")).K.toarray()[-3:, -3:]
     assert pytest.approx(along + across, rel=1e-12, abs=1e-12) == K
-    found = read(text, dialect="abaqus")
-    assert model_of(found).K.toarray()[-3:, -3:] == pytest.approx(along, rel=1e-12, abs=1e-12)
-    assert any(f"a force of {force:g} at zero elongation" in said for said in found.warnings) == bool(force)
+    imported = read(text, dialect="abaqus")
+    assert model_of(imported).K.toarray()[-3:, -3:] == pytest.approx(along, rel=1e-12, abs=1e-12)
+    assert any(f"a force of {force:g} at zero elongation" in said for said in imported.warnings) == bool(force)
 
 
 def test_rigid_bodies_without_reference_and_distributing_elements(read):
     text = cube(1) + "*NSET, NSET=TOP\n5, 6, 7, 8\n*NODE\n90, .5, .5, 2.\n" + SECTION
-    found = read(text + "*RIGID BODY, NSET=TOP\n")
-    (rigid,) = found.rigid
-    assert found.nodes.xyz[rigid.master] == pytest.approx([0.5, 0.5, 1.0]) and found.nodes.ids[rigid.master] == 91
-    found = read(
+    imported = read(text + "*RIGID BODY, NSET=TOP\n")
+    (rigid,) = imported.rigid
+    assert imported.nodes.xyz[rigid.master] == pytest.approx([0.5, 0.5, 1.0]) and imported.nodes.ids[rigid.master] == 91
+    imported = read(
         text + "*ELEMENT, TYPE=DCOUP3D, ELSET=E\n7, 90\n*DISTRIBUTING COUPLING, ELSET=E\nTOP, 1.\n5, 3.\n"
     )
-    (mean,) = found.average
-    assert found.nodes.ids[mean.reference] == 90 and mean.weights.tolist() == [3, 1, 1, 1]
-    model = model_of(found)
+    (mean,) = imported.average
+    assert imported.nodes.ids[mean.reference] == 90 and mean.weights.tolist() == [3, 1, 1, 1]
+    model = model_of(imported)
     T = averaging(interface_of_coupling(model, "coupling:E", name="x"), model.nodes.xyz[mean.nodes])
     dofs = np.flatnonzero(model.dofs.node == mean.reference)
     assert model.dependent.S[dofs].toarray()[:, model.dofs.of_nodes(mean.nodes).ravel()] == pytest.approx(T)
@@ -330,9 +331,9 @@ def test_five_problems_are_five_in_one_message_with_the_line_that_answers_them(r
     assert "(2) 2 times (lines 19, 21), first: deck.inp, line 19: *CONTACT PAIR" in message
     assert '--skip "FANCY THING,S4,MPC" --contact skip --density X' in message
     # What the line says does it.
-    found = read(FIVE, skip="FANCY THING,S4,MPC", contact="skip", density=7850.0)
-    assert model_of(found).M.sum() / 3 == pytest.approx(7850.0)
-    codes = [warning.rsplit("[", 1)[1].rstrip("]") for warning in found.warnings]
+    imported = read(FIVE, skip="FANCY THING,S4,MPC", contact="skip", density=7850.0)
+    assert model_of(imported).M.sum() / 3 == pytest.approx(7850.0)
+    codes = [warning.rsplit("[", 1)[1].rstrip("]") for warning in imported.warnings]
     assert codes == ["keywords-skipped", "contact-skipped", *["keywords-skipped"] * 2, "density-given"]
 
 
@@ -351,8 +352,8 @@ def test_density_is_asked_for_only_where_only_it_is_missing(read):
             with pytest.raises(InputError, match="'all ', which lacks none"):
                 read(text, density=density)
             continue
-        found = read(text, density=density)
-        assert found.materials[0].density == 7850.0 and "7850 was given and taken" in found.warnings[0]
+        imported = read(text, density=density)
+        assert imported.materials[0].density == 7850.0 and "7850 was given and taken" in imported.warnings[0]
     assert read(text + "*DENSITY\n10.\n", density=7850.0).materials[0].density == 10.0
     section = "*SOLID SECTION, ELSET=ALL, MATERIAL=R\n*MATERIAL, NAME=R\n"
     rubber = read(cube(1) + section + "*HYPERELASTIC\n1.\n*DENSITY\n1.\n")
@@ -362,17 +363,17 @@ def test_density_is_asked_for_only_where_only_it_is_missing(read):
 
 def test_tables_of_temperature_give_their_first_row(read):
     text = SECTION.replace("2.1E11, .3\n", "2.1E11, .3, 20.\n1.E11, .3, 500.\n")
-    found = read(cube(1) + text)
-    assert found.materials[0].stiffness[3, 3] == pytest.approx(2.1e11 / 2.6)
-    (said,) = found.warnings
+    imported = read(cube(1) + text)
+    assert imported.materials[0].stiffness[3, 3] == pytest.approx(2.1e11 / 2.6)
+    (said,) = imported.warnings
     assert said == "*ELASTIC of the material M is a table; its first line was taken [temperature-first-row]"
 
 
 def test_quirks_of_text(read):
     text = (cube(1) + SECTION).replace("*SOLID SECTION", "*solidsection").replace("*ELASTIC", "*Elastic,type=ISO")
-    found = read("\ufeff" + text.replace("\n", "\r\n") + "*timepoints,name=t\r\n1.,\r\n*END\r\n*STEP\r\n*STATIC\r\n")
-    assert found.materials[0].density == 7850.0
-    assert "The last step is not ended (*END STEP is missing)." in found.notes
+    imported = read("\ufeff" + text.replace("\n", "\r\n") + "*timepoints,name=t\r\n1.,\r\n*END\r\n*STEP\r\n*STATIC\r\n")
+    assert imported.materials[0].density == 7850.0
+    assert "The last step is not ended (*END STEP is missing)." in imported.notes
 
 
 def test_types_of_elements_in_another_order_in_each_part_keep_their_labels(read):
@@ -403,10 +404,10 @@ def test_left_handed_elements_are_reversed(kind, read):
     for i, row in enumerate(nodes.tolist(), start=1):
         lines = [f"{i}, " + ", ".join(map(str, row[:10])), *[", ".join(map(str, row[10:]))] * (len(row) > 10)]
         text += ",\n".join(lines) + "\n"
-    found = read(text + SECTION)
-    model = model_of(replace(found, mesh=fully_integrated(found.mesh)))
+    imported = read(text + SECTION)
+    model = model_of(replace(imported, mesh=fully_integrated(imported.mesh)))
     assert any("1 elements are left-handed and were reversed" in warning for warning in model.warnings)
-    order = np.argsort(found.nodes.ids)
+    order = np.argsort(imported.nodes.ids)
     assert (order == np.arange(len(order))).all()
     assert abs(model.K - steel(mesh).K).max() < 1e-12 * abs(steel(mesh).K).max()
 
@@ -424,8 +425,8 @@ GENERATED = (
 
 def test_generated_nodes_and_elements_are_those_of_the_rule(read):
     """A quarter of a ring, whose layers 1 and 2 are generated and whose copy is layers 2 and 3."""
-    found = read(GENERATED + SECTION)
-    nodes, (block,) = found.mesh.nodes, found.mesh.blocks
+    imported = read(GENERATED + SECTION)
+    nodes, (block,) = imported.mesh.nodes, imported.mesh.blocks
     assert sorted(block.ids) == sorted(
         base + 100 * k + 10 * j + i + 1 for base in (0, 500) for k in (0, 1) for j in (0, 1) for i in range(4)
     )
@@ -465,11 +466,11 @@ def test_what_cannot_be_generated_is_refused(lines, message, read):
 def test_of_two_sections_calculix_takes_the_later_one(overlap, read):
     text = cube(1) + cube(11, (2.0, 0.0, 0.0), element=2) + f"*ELSET, ELSET=PART\n{overlap}\n" + SECTION
     text += "*SOLID SECTION, ELSET=PART, MATERIAL=N\n" + STEEL_LINES.replace("NAME=M", "NAME=N").replace("7850", "1000")
-    found = read(text, dialect="calculix")
+    imported = read(text, dialect="calculix")
     share = len([label for label in overlap.split(",") if label.strip()])
-    along = model_of(found).M.sum() / 3
+    along = model_of(imported).M.sum() / 3
     assert along == pytest.approx(1000 * share + 7850 * (2 - share), rel=1e-12)
-    assert any("later *SOLID SECTION" in said for said in found.warnings)
+    assert any("later *SOLID SECTION" in said for said in imported.warnings)
     with pytest.raises(InputError, match="has two materials"):
         model_of(read(text, dialect="abaqus"))
 
@@ -489,8 +490,8 @@ def test_equations_name_rotations_by_rotation_nodes(read):
 
 def test_a_lone_part_without_an_assembly_is_the_model(read):
     part = cube(1) + "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n"
-    found = read(f"*PART, NAME=P\n{part}*END PART\n{STEEL_LINES}")
-    assert len(found.mesh.nodes) == 8 and found.materials[0].set == "ALL"
+    imported = read(f"*PART, NAME=P\n{part}*END PART\n{STEEL_LINES}")
+    assert len(imported.mesh.nodes) == 8 and imported.materials[0].set == "ALL"
 
 
 THREE = (
@@ -535,12 +536,12 @@ def test_general_contact_is_glued_between_bodies_that_touch(read):
     text += SECTION + "*SURFACE INTERACTION, NAME=I\n*CONTACT\n*CONTACT INCLUSIONS, ALL EXTERIOR\n"
     with pytest.raises(DeckError, match="--contact skip leaves it out, --contact tie glues it"):
         read(text)
-    found = read(text, contact="tie")
-    (glue,) = found.equations
-    assert found.nodes.ids[glue.nodes].tolist() == [11] * 3 + [12] * 3 + [13] * 3 + [14] * 3
-    assert found.nodes.xyz[found.nodes.ids == 11][0] == pytest.approx([0.3, 0.2, 2.0], abs=1e-12)
-    first = {int(found.nodes.ids[node]): value for (node, _), value in terms(glue, 0).items()}
+    imported = read(text, contact="tie")
+    (glue,) = imported.equations
+    assert imported.nodes.ids[glue.nodes].tolist() == [11] * 3 + [12] * 3 + [13] * 3 + [14] * 3
+    assert imported.nodes.xyz[imported.nodes.ids == 11][0] == pytest.approx([0.3, 0.2, 2.0], abs=1e-12)
+    first = {int(imported.nodes.ids[node]): value for (node, _), value in terms(glue, 0).items()}
     assert first == pytest.approx({5: 0.85 * 0.9, 6: 0.15 * 0.9, 7: 0.15 * 0.1, 8: 0.85 * 0.1}, abs=1e-12)
-    assert any("general contact was glued" in said and "(4 nodes)" in said for said in found.warnings)
+    assert any("general contact was glued" in said and "(4 nodes)" in said for said in imported.warnings)
     apart = read(text.replace("2.05", "2.2"), contact="tie")
     assert not apart.equations and any("(0 nodes)" in said for said in apart.warnings)

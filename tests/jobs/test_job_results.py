@@ -163,11 +163,11 @@ def test_a_state_space_beside_the_body(tmp_path, step):
     asked += 'held = ["left:x+y+rx+ry+rz"]\nbody = "small"' + ("" if step is None else f"\nstep = {step}")
     second = 'name = "small"\nmethod = "craig-bampton"\nmodes = 2'
     run_job(load_job(decks.folder(tmp_path, {"state_space": asked, "reduce2": second})))
-    found = read_state_space(tmp_path / "x.npz")
+    system = read_state_space(tmp_path / "x.npz")
     wanted = state_space(read_body(tmp_path / "part.h5"), ["left:acceleration:z"],
                          ["left:reaction", "right:acceleration"], held=["left:x+y+rx+ry+rz"], name="small")  # fmt: skip
     wanted = wanted if step is None else wanted.discrete(step)
-    assert found.dt == (step or 0.0) and found.names == wanted.names and len(found.A) == 16
+    assert system.dt == (step or 0.0) and system.names == wanted.names and len(system.A) == 16
     for key in "ABCD":
         matrix = getattr(wanted, key)
-        assert getattr(found, key) == pytest.approx(matrix, rel=1e-9, abs=1e-12 * np.abs(matrix).max()), key
+        assert getattr(system, key) == pytest.approx(matrix, rel=1e-9, abs=1e-12 * np.abs(matrix).max()), key
