@@ -12,6 +12,7 @@ from morembs.exporters import export_body
 from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov, Modal
+from tests.support.exports import extptfm_file
 from tests.support.meshes import box, steel, where
 
 
@@ -32,34 +33,11 @@ def foundation(path, held=True, second=False, reducer=None):
     return model, body, write_body(path / "post.h5", [body])
 
 
-def read(path):
-    """Matrices and loads by the keywords of the documentation, in any case; other lines with ! are comments."""
-    lines = path.read_text().splitlines()
-    assert lines[0].startswith("!") and "flex 5 format" in lines[1].lower()
-    header, matrices, at = {}, {}, 0
-    while at < len(lines):
-        line = lines[at].lower()
-        for key in ("!dimension:", "!time increment in simulation:", "!total simulation time in file:"):
-            if line.startswith(key):
-                header.setdefault(key, float(line.removeprefix(key)))
-        at += 1
-        n = int(header.get("!dimension:", 0))
-        for key in ("mass matrix", "stiffness matrix", "damping matrix"):
-            if line.startswith(f"!{key}"):
-                matrices[key] = np.array([row.split() for row in lines[at + 1 : at + 1 + n]], dtype=float)
-                at += 1 + n
-        if line.startswith("!loading"):
-            steps = round(header["!total simulation time in file:"] / header["!time increment in simulation:"]) + 1
-            matrices["loads"] = np.array([row.split() for row in lines[at + 1 : at + 1 + steps]], dtype=float)
-            at += 1 + steps
-    return header, matrices
-
-
 def test_the_file_is_the_foundation(tmp_path):
     model, body, source = foundation(tmp_path)
     done = export_body(source, "extptfm")
     assert done.paths == (tmp_path / "post.extptfm.dat",)
-    header, matrices = read(done.paths[0])
+    header, matrices = extptfm_file(done.paths[0])
     n = body.reduced.order
     assert list(header.values()) == [n, 10000.0, 10000.0] and n == 11
     M, K, D = (matrices[f"{key} matrix"] for key in ("mass", "stiffness", "damping"))
@@ -86,7 +64,7 @@ def test_one_of_several_interfaces_carries_the_tower(tmp_path):
     (first,) = [note for note in export_body(source, "extptfm").notes if "stands on" in note]
     assert first == "the tower stands on tower, nothing can be attached to boat"
     done = export_body(source, "extptfm", options={"interface": "boat", "duration": 600.0})
-    header, matrices = read(done.paths[0])
+    header, matrices = extptfm_file(done.paths[0])
     K, M = matrices["stiffness matrix"], matrices["mass matrix"]
     assert header["!total simulation time in file:"] == 600.0 and matrices["loads"][-1, 0] == 600.0
     assert np.sqrt(sl.eigvalsh(K, M)) / (2 * np.pi) == pytest.approx(body.frequencies_hz, rel=1e-9)

@@ -1,7 +1,5 @@
 """The MBDyn file: read back by its grammar, its invariants against sums over the nodes of the full model."""
 
-import re
-
 import numpy as np
 import pytest
 import scipy.linalg as sl
@@ -15,6 +13,7 @@ from morembs.interface import make_interface
 from morembs.model import skew
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
+from tests.support.exports import mbdyn_groups
 from tests.support.meshes import box, steel, where
 
 
@@ -29,28 +28,13 @@ def make(path, names=("left", "right"), damping=None):
     return model
 
 
-def groups(path):
-    """Record groups as MBDyn reads them: a '**' line with the number, comments, then numbers or words."""
-    text = path.read_text()
-    assert text.endswith("** END OF FILE\n")
-    records = {}
-    for part in re.split(r"^\*\* RECORD GROUP ", text, flags=re.MULTILINE)[1:]:
-        number, _, rest = part.partition(",")
-        words = [line for line in rest.split("\n")[1:] if not line.startswith("**")]
-        records[int(number)] = " ".join(words).split()
-        # MBDyn skips one line of comment in front of each mode.
-        if int(number) == 8:
-            records["modes"] = sum(line.startswith("**    NORMAL MODE") for line in rest.split("\n"))
-    return records
-
-
 @pytest.fixture(scope="module")
 def beam(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mbdyn")
     model = make(folder / "beam.h5", damping=Damping(beta=1e-6))
     done = export_body(folder / "beam.h5", "mbdyn")
     assert done.paths == (folder / "beam.fem",)
-    return model, read_body(folder / "beam.h5"), groups(done.paths[0])
+    return model, read_body(folder / "beam.h5"), mbdyn_groups(done.paths[0])
 
 
 def array(words, *shape):
@@ -145,4 +129,4 @@ def test_what_stays_behind_is_said(tmp_path):
     make(tmp_path / "a.h5")
     notes = " ".join(export_body(tmp_path / "a.h5", "mbdyn").notes)
     assert "record groups 14 to 18" in notes
-    assert 13 not in groups(tmp_path / "a.fem")
+    assert 13 not in mbdyn_groups(tmp_path / "a.fem")

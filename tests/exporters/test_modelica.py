@@ -14,9 +14,8 @@ from morembs.interface import make_interface
 from morembs.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
+from tests.support.exports import NO_RUMOCA, simulated_modelica
 from tests.support.meshes import box, steel, where
-
-INSTALL = "Rumoca is not installed: pip install rumoca"
 
 
 def write_rod(folder, names=("left", "right"), couplings=("rigid", "average"), **options):
@@ -30,20 +29,12 @@ def write_rod(folder, names=("left", "right"), couplings=("rigid", "average"), *
     return write_body(folder / "rod.h5", [body]), body
 
 
-def simulated(text, model, end, names):
-    rumoca = pytest.importorskip("rumoca", reason=INSTALL)
-    result = rumoca.Session().loads(text, model=model).simulate(
-        (0, end), dt=end / 20, config=rumoca.SimConfig(solver="bdf", rtol=1e-9, atol=1e-12)
-    )
-    return np.array([result[name][-1] for name in names])
-
-
 def test_small_motion(tmp_path):
     source, body = write_rod(tmp_path)
     text = export_body(source, "modelica").paths[0].read_text()
     assert text.startswith('package rod "') and text.endswith("end rod;\n")
     text += "model T rod.Linear b(right_force = {0, 0.2, 1, 0, 0, 0}, left_force = {0, 0, -1, 0, 0.5, 0}); end T;\n"
-    motion = simulated(text, "T", 0.01, [f"b.right_motion[{i}]" for i in range(1, 7)])
+    motion = simulated_modelica(text, "T", 0.01, [f"b.right_motion[{i}]" for i in range(1, 7)])
     system = state_space(body, ["right:force:y+z", "left:force:z+ry"], ["right:displacement"]).discrete(0.01)
     wanted = (system.C @ system.B) @ [0.2, 1.0, -1.0, 0.5]
     assert motion == pytest.approx(wanted, rel=1e-6, abs=1e-7 * np.abs(wanted).max())
@@ -63,7 +54,8 @@ def test_large_rotations(tmp_path, options):
       b.left_f = zeros(3);
       b.left_t = zeros(3);
     end T;"""
-    positions = simulated(text, "T", 0.05, [f"b.{name}_r[{i}]" for name in ("left", "right") for i in (1, 2, 3)])
+    names = [f"b.{name}_r[{i}]" for name in ("left", "right") for i in (1, 2, 3)]
+    positions = simulated_modelica(text, "T", 0.05, names)
     system = System(gravity=(0, 0, -9.81))
     rod = system.add(FlexibleBody(read_body(source).bodies["cb"].floating, name="rod",
                                   angular_velocity=(3.0, -2.0, 20.0), velocity=(0.1, 0.0, 0.0)))  # fmt: skip
@@ -89,7 +81,7 @@ def test_names_that_are_no_identifiers_are_mapped_and_listed(tmp_path):
     assert "rename it, or load it by its path" in notes
     text = done.paths[0].read_text()
     assert text.startswith("package my_rod ") and "big_end_force[6]" in text and "big end" not in text
-    pytest.importorskip("rumoca", reason=INSTALL).format(text)
+    pytest.importorskip("rumoca", reason=NO_RUMOCA).format(text)
 
 
 def test_names_of_interfaces_do_not_meet_those_of_the_models(tmp_path):
@@ -103,12 +95,12 @@ def test_names_of_interfaces_do_not_meet_those_of_the_models(tmp_path):
             declared = re.findall(pattern, model, re.MULTILINE)
             assert len(set(declared)) == len(declared) > 5
         text += f"model T rod.Linear b({names[0]}_force = {{0, 0, 1, 0, 0, 0}}, {names[1]}_force = zeros(6)); end T;\n"
-        assert simulated(text, "T", 0.01, [f"b.{names[0]}_motion[3]"])[0] > 0
+        assert simulated_modelica(text, "T", 0.01, [f"b.{names[0]}_motion[3]"])[0] > 0
 
 
 def test_every_model_is_modelica(tmp_path):
     """The frames of the standard library need that library to run; their syntax needs none."""
-    rumoca = pytest.importorskip("rumoca", reason=INSTALL)
+    rumoca = pytest.importorskip("rumoca", reason=NO_RUMOCA)
     source, body = write_rod(tmp_path)
     text = export_body(source, "modelica").paths[0].read_text()
     assert re.findall(r"^  model (\w+)", text, re.MULTILINE) == ["Linear", "Floating", "MultiBody"]

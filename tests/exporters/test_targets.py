@@ -28,9 +28,7 @@ from morembs.exporters.sid import read_sid
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
-from tests.exporters.test_extptfm import read as read_extptfm
-from tests.exporters.test_mbdyn import groups
-from tests.exporters.test_modelica import simulated
+from tests.support.exports import extptfm_file, mbdyn_groups, simulated_modelica
 
 ROOT = Path(__file__).parents[2]
 
@@ -72,7 +70,7 @@ def simscape(source, paths):
 
 
 def mbdyn(source, paths):
-    records = groups(paths[0])
+    records = mbdyn_groups(paths[0])
     n = int(records[1][2])
     return frequencies(*(np.array(records[k], dtype=float).reshape(n, n) for k in (10, 9)))
 
@@ -109,7 +107,7 @@ def statespace(source, paths):
 
 
 def extptfm(source, paths):
-    _, matrices = read_extptfm(paths[0])
+    _, matrices = extptfm_file(paths[0])
     return frequencies(matrices["stiffness matrix"], matrices["mass matrix"])
 
 
@@ -117,7 +115,7 @@ def modelica(source, paths):
     """Motion of the small end 0.2 ms after it is pushed."""
     text = paths[0].read_text()
     text += "model T rod.Linear b(SMALLEND_force = {0, 1, 1, 0, 0, 0}, BIGEND_force = zeros(6)); end T;\n"
-    motion = simulated(text, "T", 2e-4, [f"b.SMALLEND_motion[{axis}]" for axis in range(1, 7)])
+    motion = simulated_modelica(text, "T", 2e-4, [f"b.SMALLEND_motion[{axis}]" for axis in range(1, 7)])
     system = state_space(source, ["SMALLEND:force:y+z"], ["SMALLEND:displacement"]).discrete(2e-4)
     wanted = system.C @ system.B @ [1.0, 1.0]
     return float(np.abs(motion - wanted).max() / np.abs(wanted).max())

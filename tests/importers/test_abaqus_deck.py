@@ -14,12 +14,9 @@ from morembs.model.mass import mass_properties
 from morembs.model.material import isotropic, orthotropic
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
+from tests.support.mesh_decks import ABAQUS_CODES, abaqus_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
 
-CODES = {
-    "tet4": "C3D4", "tet10": "C3D10", "hex8": "C3D8", "hex20": "C3D20", "hex27": "C3D27", "wedge6": "C3D6",
-    "wedge15": "C3D15",
-}  # fmt: skip
 STEEL_LINES = "*MATERIAL, NAME=Steel\n*ELASTIC\n2.1E11, .3\n*DENSITY\n7850.\n"
 CUBE = (
     "10, 0,0,0\n20, 1,0,0\n30, 1,1,0\n40, 0,1,0\n50, 0,0,1\n60, 1,0,1\n70, 1,1,1\n80, 0,1,1\n"
@@ -53,23 +50,10 @@ def deck(tmp_path):
     return write
 
 
-def lines(mesh, shift=0, order=None, per_line=7):
-    """*NODE and *ELEMENT of a mesh; ``order`` of the nodes of its elements."""
-    block = mesh.blocks[0]
-    nodes = mesh.nodes.ids[block.nodes][:, order if order is not None else slice(None)] + shift
-    text = ["*NODE"] + [f"{i + shift}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in
-                        zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True)]  # fmt: skip
-    text.append(f"*ELEMENT, TYPE={CODES[block.type]}, ELSET=Body")
-    for i, row in zip(block.ids.tolist(), nodes.tolist(), strict=True):
-        fields = [str(v) for v in [i + shift, *row]]
-        text.append(",\n".join(", ".join(fields[k : k + per_line]) for k in range(0, len(fields), per_line)))
-    return "\n".join(text) + "\n"
-
-
 @pytest.mark.parametrize("kind", TYPES)
 def test_every_type_gives_the_stiffness_of_the_mesh_it_was_written_from(kind, deck):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
-    imported = deck(lines(mesh) + STEEL_LINES + "*SOLID SECTION, ELSET=Body, MATERIAL=STEEL\n")
+    imported = deck(abaqus_mesh(mesh) + STEEL_LINES + "*SOLID SECTION, ELSET=Body, MATERIAL=STEEL\n")
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
     model = assemble(fully_integrated(imported.mesh), imported.materials)
     assert abs(model.K - steel(mesh).K).max() == 0 and abs(model.M - steel(mesh).M).max() == 0
@@ -78,7 +62,7 @@ def test_every_type_gives_the_stiffness_of_the_mesh_it_was_written_from(kind, de
 def test_inner_nodes_of_hex27_are_taken_from_where_they_are(deck):
     """Abaqus puts the centre before the faces, and lists these bottom, top, front, right, back, left."""
     mesh = box("hex27", (1, 1, 1), (1.0, 1.0, 1.0))
-    imported = deck(lines(mesh, order=[*range(20), 26, 24, 25, 22, 21, 23, 20]))
+    imported = deck(abaqus_mesh(mesh, order=[*range(20), 26, 24, 25, 22, 21, 23, 20]))
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
 
 
@@ -87,7 +71,7 @@ def test_meshio_reads_the_same_deck_alike(kind, tmp_path, monkeypatch):
     # meshio reads these elements, and does not know that they are solids.
     monkeypatch.setitem(meshio._mesh.topological_dimension, "wedge15", 3)  # noqa: SLF001
     path = tmp_path / "deck.inp"
-    path.write_text(lines(box(kind, (2, 2, 1), (0.3, 0.2, 0.1)), per_line=30))
+    path.write_text(abaqus_mesh(box(kind, (2, 2, 1), (0.3, 0.2, 0.1)), per_line=30))
     ours, theirs = read_abaqus(path), meshio.read(path)
     assert np.array_equal(ours.nodes.xyz, theirs.points)
     assert np.array_equal(ours.blocks[0].nodes, theirs.cells[0].data)
@@ -121,7 +105,7 @@ def test_all_that_hangs_on_a_body_keeps_its_labels(deck):
 @pytest.mark.parametrize("within", [*range(3, len(FULL), len(FULL) // 8), FULL.index(" MATERIAL=Steel")])
 def test_where_pieces_of_a_file_end_does_not_matter(within, deck):
     """Below comments so long that the first piece that is read ends within the text; also within a keyword's lines."""
-    text = FULL + lines(box("tet10", (1, 1, 1), (1.0, 1.0, 1.0)), shift=1000)
+    text = FULL + abaqus_mesh(box("tet10", (1, 1, 1), (1.0, 1.0, 1.0)), shift=1000)
     whole = deck(text)
     parts = deck(filled("**", PIECE - within) + text)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and whole.notes == parts.notes
@@ -139,7 +123,7 @@ def test_faces_of_a_surface_are_those_of_their_numbers(kind, deck):
     }[kind[0]]
     x = TYPES[kind].reference
     text = "*NODE\n" + "".join(f"{i + 1}, {p[0]}, {p[1]}, {p[2]}\n" for i, p in enumerate(x.tolist()))
-    text += f"*ELEMENT, TYPE={CODES[kind]}\n1, " + ",\n".join(str(i + 1) for i in range(len(x))) + "\n"
+    text += f"*ELEMENT, TYPE={ABAQUS_CODES[kind]}\n1, " + ",\n".join(str(i + 1) for i in range(len(x))) + "\n"
     for k in range(len(corners)):
         text += f"*SURFACE, NAME=F{k + 1}\n1, S{k + 1}\n"
     imported = deck(text)
@@ -153,9 +137,9 @@ def test_faces_of_a_surface_are_those_of_their_numbers(kind, deck):
 def test_free_faces_leave_out_those_between_elements(deck):
     mesh = box("hex8", (3, 1, 1), (3.0, 1.0, 1.0))
     middle = int(np.argsort(mesh.nodes.xyz[mesh.blocks[0].nodes][:, :, 0].mean(axis=1))[1]) + 1
-    imported = deck(lines(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*SURFACE, NAME=All\nBody,\n")
+    imported = deck(abaqus_mesh(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*SURFACE, NAME=All\nBody,\n")
     # Weights tell faces from nodes: a distributing coupling gets the area of the four free faces.
-    text = lines(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*NODE\n99,0,0,0\n"
+    text = abaqus_mesh(mesh) + f"*ELSET, ELSET=M\n{middle}\n*SURFACE, NAME=S\nM,\n*NODE\n99,0,0,0\n"
     tied = deck(text + "*COUPLING, CONSTRAINT NAME=C, REF NODE=99, SURFACE=S\n*DISTRIBUTING\n")
     assert len(imported.surfaces["All"]) == 16 and len(imported.surfaces["S"]) == 8
     assert tied.average[0].weights.sum() == pytest.approx(4.0)
@@ -175,7 +159,7 @@ PARTS = (
 
 def test_instances_are_moved_with_their_material_directions(deck):
     mesh = box("hex8", (2, 1, 1), (0.3, 0.2, 0.1))
-    imported = deck(PARTS.format(mesh=lines(mesh)))
+    imported = deck(PARTS.format(mesh=abaqus_mesh(mesh)))
     first, second = (imported.mesh.blocks[0].nodes[rows] for rows in ([0, 1], [2, 3]))
     x, y = (imported.nodes.xyz[e] for e in (first, second))
     # Shifted by (1, 2, 3), then turned by 30 degrees about the upright axis through (1, 2, 3).
@@ -353,7 +337,7 @@ def test_surface_of_a_deck_by_abaqus(shared_data):
 def test_damaged_decks_end_in_one_message(tmp_path):
     """Cut off, bytes changed, lines swapped or doubled: a deck is read or refused, never a crash."""
     path = tmp_path / "deck.inp"
-    sources = [FULL, PARTS.format(mesh=lines(box("tet4", (1, 1, 1), (1, 1, 1))))]
+    sources = [FULL, PARTS.format(mesh=abaqus_mesh(box("tet4", (1, 1, 1), (1, 1, 1))))]
     refused = 0
     for data in damaged(sources, 400, 5, b"0123456789,.*-=\n\r\t AzE\"\xff\x00"):
         path.write_bytes(data)

@@ -19,6 +19,7 @@ from morembs.model import rigid_motion
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
+from tests.support.mesh_decks import ARCHIVE_FORMS, ansys_archive, ansys_elements, e21
 from tests.support.meshes import STEEL, box, fully_integrated, steel
 
 FULL_HZ = [1283.20037, 1283.20037, 5781.97486, 6919.39888, 6919.39888, 10172.61498]
@@ -334,65 +335,6 @@ def test_damaged_market_files(tmp_path, old, new, message):
 # ---- archives
 
 
-def e21(value):
-    """A number as Fortran's e21.13e3 prints it."""
-    mantissa, exponent = f"{value:.13E}".split("E")
-    return f"{mantissa}E{int(exponent):+04d}".rjust(21)
-
-
-WRITERS = {
-    "(3i9,6e21.13e3)": (lambda i: f"{i:9d}{0:9d}{0:9d}", e21, "NBLOCK,6,SOLID"),
-    "(3i8,6e20.13)": (lambda i: f"{i:8d}{0:8d}{0:8d}", lambda v: f"{v:20.13E}", "NBLOCK,6,SOLID"),
-    "(1i9,3e22.14e3)": (lambda i: f"{i:9d}", lambda v: e21(v).rjust(22), "nblock,3"),
-}
-
-
-def full_form(kind, nodes, quadratic_tets=187):
-    """Routine and nodes of an element as ANSYS numbers them; wedges and tetrahedra as degenerate bricks."""
-    n = nodes.tolist()
-    if kind in ("hex8", "hex20"):
-        return (185 if kind == "hex8" else 186), n
-    if kind == "wedge6":
-        return 185, [*n[:3], n[2], *n[3:], n[5]]
-    if kind == "tet4":
-        return 45, [*n[:3], n[2], *[n[3]] * 4]
-    if kind == "tet10" and quadratic_tets == 187:
-        return 187, n
-    if kind == "tet10":
-        i, j, k, m, ij, jk, ki, im, jm, km = n
-        return 95, [i, j, k, k, m, m, m, m, ij, jk, k, ki, m, m, m, m, im, jm, km, km]
-    i, j, k, m, nn, o, ij, jk, ki, mn, no, om, im, jn, ko = n
-    return 186, [i, j, k, k, m, nn, o, o, ij, jk, k, ki, mn, no, o, om, im, jn, ko, ko]
-
-
-def element_lines(elements, plain=False):
-    """Lines of elements (label, type, material, real, nodes)."""
-    lines = []
-    for label, kind, material, real, nodes in elements:
-        row = (
-            [label, 1, real, material, 0, *nodes]
-            if plain
-            else [material, kind, real, 1, 0, 0, 0, 0, len(nodes), 0, label, *nodes]
-        )
-        cut = 15 if plain else 19
-        lines += ["".join(f"{v:10d}" for v in part) + "\n" for part in (row[:cut], row[cut:]) if part]
-    return "".join(lines)
-
-
-def deck(mesh, *, form="(3i9,6e21.13e3)", before="", after="", plain=False, tets=187, extra=()):
-    """An archive of a mesh with nodes 101, 102, ..., as CDWRITE or (plain) Workbench writes it."""
-    label, number, command = WRITERS[form]
-    nodes = [label(i) + "".join(map(number, x)).rstrip() for i, x in enumerate(mesh.nodes.xyz.tolist(), start=101)]
-    block = mesh.blocks[0]
-    formed = [full_form(block.type, 101 + rows, tets) for rows in block.nodes]
-    elements = [(i, 1, 1, 1, labels) for i, (_, labels) in enumerate(formed, start=1)] + list(extra)
-    head = "EBLOCK,10,,,\n(15i10)" if plain else f"EBLOCK,19,SOLID,{len(elements)},{len(elements)}\n(19i10)"
-    return "\n".join([
-        "/COM,ANSYS RELEASE", "/PREP7", f"ET,1,{formed[0][0]}", "TYPE,1",
-        f"{before}{command},{len(nodes)},{len(nodes)}",
-        form, *nodes, "N,R5.3,LOC,       -1,", head, f"{element_lines(elements, plain)}        -1",
-        f"EN,R5.5,ATTR,       -1,\n{after}FINISH\n",
-    ])  # fmt: skip
 
 
 def write(tmp_path, text):
@@ -402,18 +344,18 @@ def write(tmp_path, text):
 
 
 def hex_deck(**options):
-    return deck(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)), **options)
+    return ansys_archive(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0)), **options)
 
 
 @pytest.mark.parametrize("plain", [False, True])
-@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("form", ARCHIVE_FORMS)
 @pytest.mark.parametrize(("kind", "tets"), [
     ("hex8", 0), ("hex20", 0), ("wedge6", 0), ("wedge15", 0), ("tet4", 0), ("tet10", 187), ("tet10", 95),
 ])  # fmt: skip
 def test_every_solid_and_its_degenerate_forms(tmp_path, kind, tets, form, plain):
     """K of the archive is K of the mesh that it was written from."""
     mesh = box(kind, (2, 1, 1), (0.2, 0.1, 0.1), lambda x: x - [0.1, 0.3, 0.2])
-    imported = import_ansys_cdb(write(tmp_path, deck(mesh, form=form, plain=plain, tets=tets)))
+    imported = import_ansys_cdb(write(tmp_path, ansys_archive(mesh, form=form, plain=plain, tets=tets)))
     assert imported.nodes.ids.tolist() == (101 + np.arange(len(mesh.nodes))).tolist()
     assert imported.nodes.xyz == pytest.approx(mesh.nodes.xyz, abs=1e-13)
     assert [block.type for block in imported.mesh.blocks] == [kind]
@@ -598,7 +540,7 @@ def test_damaged_archives(tmp_path):
 def test_edges_without_middle_nodes_are_linear(tmp_path):
     """One is left out: a node at its place follows the corners; without any, the element has eight nodes."""
     mesh = box("hex20", (1, 1, 1), (1.0, 1.0, 1.0))
-    text = deck(mesh)
+    text = ansys_archive(mesh)
     middle = [f"{101 + n:10d}" for n in mesh.blocks[0].nodes[0][8:]]
     at = text.index("EBLOCK")
     models = []
@@ -662,9 +604,9 @@ def test_rigid_beams_and_springs(tmp_path):
 
 def test_tetrahedra_with_pressure_are_plain_and_warned_of(tmp_path):
     mesh = box("tet4", (1, 1, 1), (1.0, 1.0, 1.0))
-    text = deck(mesh, after=MP_STEEL)
+    text = ansys_archive(mesh, after=MP_STEEL)
     head, _, tail = text.partition("(19i10)\n")
-    four = element_lines([(i, 1, 1, 1, 101 + rows) for i, rows in enumerate(mesh.blocks[0].nodes, start=1)])
+    four = ansys_elements([(i, 1, 1, 1, 101 + rows) for i, rows in enumerate(mesh.blocks[0].nodes, start=1)])
     plain = head.replace("ET,1,45", "ET,1,285") + "(19i10)\n" + four + tail[tail.index("        -1\n") :]
     archives = [import_ansys_cdb(write(tmp_path, each)) for each in (text, plain)]
     assert np.array_equal(archives[0].mesh.blocks[0].nodes, archives[1].mesh.blocks[0].nodes)
@@ -680,7 +622,7 @@ def test_elements_left_out_on_request(tmp_path):
 
 def test_rotated_nodes_are_noted_in_a_mesh_and_refused_for_matrices(model, tmp_path):
     matrices, labels = shuffled(model)
-    text = deck(model.mesh)
+    text = ansys_archive(model.mesh)
     first = next(line for line in text.splitlines() if line.startswith("      102"))
     full = first.ljust(27 + 63)[:90] + e21(45.0)
     path = write(tmp_path, text.replace(first, full))

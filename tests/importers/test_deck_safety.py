@@ -16,13 +16,11 @@ from morembs.cli import app
 from morembs.errors import InputError
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model
-from tests.importers.test_ansys import deck as archive
-from tests.importers.test_import_warnings import MATERIAL
-from tests.importers.test_nastran_deck import written
-from tests.support.decks import BEAM, JOB, deck, folder
+from tests.support.decks import BEAM, JOB, MATERIAL, deck, folder
+from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
 
-BULK = written(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free") + "MAT1,3,2.1+11,,.3,7850.\nPSOLID,1,3\n"
+BULK = nastran_mesh(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free") + "MAT1,3,2.1+11,,.3,7850.\nPSOLID,1,3\n"
 SECRET = "root:x:0:0:root:/root:/bin/sh\ndaemon:x:1:1\n"
 
 
@@ -122,7 +120,7 @@ def test_includes_have_an_end(inside: Path, ending: str) -> None:
 
 @pytest.mark.parametrize("ending", [".inp", ".bdf", ".cdb"])
 def test_byte_order_marks_are_read(tmp_path: Path, ending: str) -> None:
-    text = {**MESHES, ".cdb": archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)))}[ending]
+    text = {**MESHES, ".cdb": ansys_archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)))}[ending]
     if ending == ".bdf":
         text = "SOL 103\nPARAM,WTMASS,1.\nBEGIN BULK\n" + text
     path = tmp_path / f"part{ending}"
@@ -170,7 +168,7 @@ def test_a_parameter_of_nastran_has_one_value(tmp_path: Path) -> None:
 
 
 def ansys(text: str) -> str:
-    return archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), after=text)
+    return ansys_archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), after=text)
 
 
 @pytest.mark.parametrize(("name", "whole", "less", "set"), [

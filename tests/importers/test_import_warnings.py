@@ -19,15 +19,9 @@ from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
 from morembs.model.material import isotropic
 from morembs.units import parse_units
-from tests.importers.test_ansys import deck as archive
-from tests.importers.test_nastran_deck import written
-from tests.support.decks import BEAM, deck, folder
+from tests.support.decks import BEAM, MATERIAL, deck, folder
+from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import STEEL, box
-
-MATERIAL = (
-    "*ELSET, ELSET=EVERY, GENERATE\n1, 24, 1\n*MATERIAL, NAME=STEEL\n*ELASTIC\n210e3, 0.3\n*DENSITY\n7.85e-9\n"
-    "*SOLID SECTION, ELSET=EVERY, MATERIAL=STEEL\n"
-)
 
 
 def run(*arguments: object) -> str:
@@ -165,7 +159,7 @@ def test_the_mass_that_was_asked_for_decides(tmp_path: Path) -> None:
 def test_solids_of_nastran(tmp_path: Path) -> None:
     """PSOLID with full integration and PARAM COUPMASS are what is assembled here; their defaults are not."""
     path = tmp_path / "part.bdf"
-    cells = written(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free") + "MAT1,3,2.1+11,,.3,7850.\n"
+    cells = nastran_mesh(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free") + "MAT1,3,2.1+11,,.3,7850.\n"
 
     def told(text: str) -> tuple[str, ...]:
         path.write_text(cells + text)
@@ -184,7 +178,7 @@ def test_solids_of_nastran(tmp_path: Path) -> None:
 
 def test_bulk_data_without_their_end(tmp_path: Path) -> None:
     path = tmp_path / "part.bdf"
-    cells = "SOL 103\nBEGIN BULK\n" + written(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free")
+    cells = "SOL 103\nBEGIN BULK\n" + nastran_mesh(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), "free")
     for end, count in (("", 1), ("ENDDATA\n", 0)):
         path.write_text(cells + end)
         assert sum("no ENDDATA" in warning for warning in import_file(path).mesh.warnings) == count
@@ -192,7 +186,7 @@ def test_bulk_data_without_their_end(tmp_path: Path) -> None:
 
 def test_solids_of_ansys(tmp_path: Path) -> None:
     path = tmp_path / "part.cdb"
-    path.write_text(archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08))))
+    path.write_text(ansys_archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08))))
     mesh = import_file(path).mesh
     assert (mesh.blocks[0].formulation, mesh.blocks[0].mass) == ("b-bar", "reduced") and not mesh.warnings
 

@@ -18,14 +18,9 @@ from morembs.model.material import isotropic, orthotropic
 from morembs.model.surface import nodal_areas, outer_faces
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
+from tests.support.mesh_decks import nastran_card, nastran_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
 
-CARDS = {"tet": "CTETRA", "hex": "CHEXA", "wed": "CPENTA"}
-# Where the cards put what VTK puts at each place (Quick Reference Guide: bottom edges, upright edges, top edges).
-ORDER = {
-    "hex20": [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
-    "wedge15": [*range(9), 12, 13, 14, 9, 10, 11],
-}  # fmt: skip
 KINDS = [kind for kind in TYPES if kind != "hex27"]
 MAT1 = "PSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n"
 CUBE = (
@@ -61,50 +56,11 @@ def bulk(tmp_path):
     return write
 
 
-def short(x):
-    """A number in eight columns as Nastran allows it: no E, no zero before the point."""
-    best = next(text for d in range(12, -1, -1) if len(text := squeezed(x, d)) <= 8)
-    return best.rjust(8)
-
-
-def squeezed(x, digits):
-    mantissa, power = f"{x:.{digits}e}".split("e")
-    return f"{mantissa if '.' in mantissa else mantissa + '.'}{int(power):+d}" if x else "0."
-
-
-def card(name, fields, form):
-    """One card in small, large or free fields."""
-    count = {"small": 8, "large": 4, "free": 8}[form]
-    rows = [fields[i : i + count] for i in range(0, len(fields), count)]
-    text = ""
-    for k, row in enumerate(rows):
-        if form == "free":
-            text += ",".join([name if k == 0 else "", *row]) + "\n"
-        elif form == "small":
-            text += (name if k == 0 else "+").ljust(8) + "".join(f.rjust(8) for f in row) + "\n"
-        else:
-            text += (name + "*" if k == 0 else "*").ljust(8) + "".join(f.rjust(16) for f in row) + "\n"
-    return text
-
-
-def written(mesh, form):
-    """Grids and elements of a mesh."""
-    block = mesh.blocks[0]
-    number = short if form == "small" else (lambda x: f"{x:.9E}" if form == "large" else repr(x))
-    text = ""
-    for i, p in zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True):
-        text += card("GRID", [str(i), "", *(number(x) for x in p)], form)
-    order = ORDER.get(block.type, list(range(block.nodes.shape[1])))
-    for i, row in zip(block.ids.tolist(), mesh.nodes.ids[block.nodes].tolist(), strict=True):
-        text += card(CARDS[block.type[:3]], [str(i), "1", *(str(row[k]) for k in order)], form)
-    return text
-
-
 @pytest.mark.parametrize("form", ["small", "large", "free"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_type_in_every_form_gives_the_stiffness_of_its_mesh(kind, form, bulk):
     mesh = box(kind, (2, 1, 1), (0.5, 0.25, 0.125))
-    imported = bulk("BEGIN BULK\n" + MAT1 + written(mesh, form) + "ENDDATA\n")
+    imported = bulk("BEGIN BULK\n" + MAT1 + nastran_mesh(mesh, form) + "ENDDATA\n")
     assert np.allclose(imported.nodes.xyz, mesh.nodes.xyz, rtol=1e-9)
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
     assert imported.mesh.blocks[0].ids.tolist() == mesh.blocks[0].ids.tolist()
@@ -117,7 +73,7 @@ def test_every_type_in_every_form_gives_the_stiffness_of_its_mesh(kind, form, bu
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6"])
 def test_meshio_reads_the_same_elements(kind, tmp_path):
     path = tmp_path / "model.bdf"
-    path.write_text("BEGIN BULK\n" + written(box(kind, (2, 1, 1), (0.5, 0.25, 0.125)), "small") + "ENDDATA\n")
+    path.write_text("BEGIN BULK\n" + nastran_mesh(box(kind, (2, 1, 1), (0.5, 0.25, 0.125)), "small") + "ENDDATA\n")
     ours, theirs = read_nastran(path), meshio.read(path)
     assert np.allclose(ours.nodes.xyz, theirs.points, rtol=0, atol=1e-12)
     assert np.array_equal(ours.blocks[0].nodes, theirs.cells[0].data)
@@ -205,7 +161,7 @@ def test_mat9_of_engineering_constants(bulk):
     constants = {"young": (100.0, 20.0, 10.0), "poisson": (0.3, 0.25, 0.2), "shear": (5.0, 4.0, 3.0), "density": 2.0}
     C = orthotropic(set="", **constants).stiffness[np.ix_([0, 1, 2, 5, 3, 4], [0, 1, 2, 5, 3, 4])]
     entries = [f"{value:.8E}" if value else "" for value in C[np.triu_indices(6)]]
-    mat = card("MAT9", ["1", *entries, "2."], "large")
+    mat = nastran_card("MAT9", ["1", *entries, "2."], "large")
     plain = bulk(CUBE + "PSOLID,1,1\n" + mat).materials[0]
     assert np.allclose(plain.stiffness, orthotropic(set="", **constants).stiffness, rtol=1e-7, atol=1e-6)
     system = "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
@@ -460,7 +416,7 @@ def test_a_quadratic_element_next_to_a_linear_one(bulk):
     def deck(dropped):
         first = [label[c] for c in corners] + ["" if m[0] == 2 and dropped else label[m] for m in middles]
         second = [label[i + 2, j, k] for i, j, k in corners]
-        return text + card("CHEXA", ["1", "1", *map(str, first)], "free") + card(
+        return text + nastran_card("CHEXA", ["1", "1", *map(str, first)], "free") + nastran_card(
             "CHEXA", ["2", "1", *map(str, second)], "free"
         ) + MAT1 + "PARAM,COUPMASS,1\n"
 
@@ -535,7 +491,7 @@ def test_damaged_files_end_in_one_message(tmp_path):
     path = tmp_path / "model.bdf"
     sources = [
         FULL, CUBE + SYSTEMS + "CTETRA,9,1,911,912,913,914\n" + MAT1,
-        MAT1 + written(box("tet10", (1, 1, 1), (1, 1, 1)), "large"),
+        MAT1 + nastran_mesh(box("tet10", (1, 1, 1), (1, 1, 1)), "large"),
     ]
     refused = 0
     for data in damaged(sources, 450, 7, b"0123456789,.*-=+\n\r\t AzE$'\xff\x00"):

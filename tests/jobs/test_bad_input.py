@@ -12,33 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.cli import app
+from tests.support.commands import OLD_RESULT, refused
 from tests.support.decks import APART, BEAM, HINGED, Cell, deck, folder
 from tests.support.processes import apart, program
 
-OLD = b"what was there before"
 STEEL = 'young = 210e3\npoisson = 0.3\ndensity = 7.85e-9'
 FREE = {"interface": None, "interface2": None, "reduce": 'method = "modal"\nmodes = 3'}
-
-
-def refused(job: Path, verbs: Sequence[str] = ("reduce", "check")) -> str:
-    """The message of a job that must fail; checks all that holds for every failure."""
-    message = ""
-    output = job.parent / "part.h5"
-    for verb in verbs:
-        output.write_bytes(OLD)
-        before = sorted(job.parent.iterdir())
-        result = CliRunner().invoke(app, [verb, str(job)])
-        assert result.exit_code == 2, (verb, result.stdout, result.stderr)
-        assert isinstance(result.exception, SystemExit), result.exception
-        assert result.stdout == ""
-        message = result.stderr
-        assert message.startswith("error: ")
-        assert message.count("error: ") == 1
-        assert len(message.strip().splitlines()) == 1
-        assert "Traceback" not in message
-        assert output.read_bytes() == OLD
-        assert sorted(job.parent.iterdir()) == before
-    return message
 
 
 def test_missing_mesh(tmp_path: Path) -> None:
@@ -228,7 +207,7 @@ def test_full_disk(tmp_path: Path, existed: bool) -> None:
     job = folder(tmp_path)
     output = tmp_path / "part.h5"
     if existed:
-        output.write_bytes(OLD)
+        output.write_bytes(OLD_RESULT)
     before = sorted(tmp_path.iterdir())
     command = program(["reduce", str(job)])
 
@@ -242,4 +221,4 @@ def test_full_disk(tmp_path: Path, existed: bool) -> None:
     assert done.errors.startswith("error: ") and len(done.errors.strip().splitlines()) == 1
     assert "part.h5 could not be written" in done.errors and "free space" in done.errors
     assert sorted(tmp_path.iterdir()) == before
-    assert not existed or output.read_bytes() == OLD
+    assert not existed or output.read_bytes() == OLD_RESULT

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from morembs.errors import SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
-from tests.support.matrices import chain, mass, slender_beam
+from tests.support.matrices import chain, dense_gramians, difference, mass, slender_beam
 
 
 def system(M, D, K, solve=None):
@@ -19,28 +19,6 @@ def system(M, D, K, solve=None):
         solve=solve or (lambda s, F: np.linalg.solve(s * s * M + s * D + K, F)),
         flexibility=lambda F: np.linalg.solve(K, F),
     )  # fmt: skip
-
-
-def dense_gramians(M, D, K, F):
-    """P and Q of A P E' + E P A' + [0; F][0; F]' = 0 and A' Q E + E' Q A + [F; 0][F; 0]' = 0 by scipy.
-
-    Solved for the coordinates (Omega a, a') of the undamped modes, where A has no large condition number.
-    """
-    M, D, K = (A.toarray() if sp.issparse(A) else A for A in (M, D, K))
-    values, Phi = sl.eigh(K, M)
-    omega, zero = np.sqrt(values), np.zeros_like(M)
-    A = np.block([[zero, np.diag(omega)], [-np.diag(omega), -Phi.T @ D @ Phi]])
-    B, C = (np.vstack(X) for X in ((0 * F, Phi.T @ F), (Phi.T @ F / omega[:, None], 0 * F)))
-    T = sl.block_diag(Phi / omega, Phi)
-    back = sl.block_diag(M @ Phi * omega, Phi)
-    P = T @ sl.solve_continuous_lyapunov(A, -B @ B.T) @ T.T
-    return P, back @ sl.solve_continuous_lyapunov(A.T, -C @ C.T) @ back.T
-
-
-def difference(actual, exact):
-    """Largest difference of entries of unit diagonal."""
-    d = 1 / np.sqrt(np.diag(exact))
-    return np.abs(d[:, None] * (actual - exact) * d).max()
 
 
 def sandwich(folder):

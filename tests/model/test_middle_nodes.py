@@ -14,9 +14,7 @@ from morembs.importers import import_file
 from morembs.importers.to_model import model_of
 from morembs.model import ElementBlock, Mesh
 from morembs.model.assembly import check_mesh
-from tests.importers.test_abaqus_deck import lines
-from tests.importers.test_ansys import deck as archive
-from tests.importers.test_nastran_deck import written
+from tests.support.mesh_decks import abaqus_mesh, ansys_archive, nastran_mesh
 from tests.support.meshes import STEEL, box
 
 # Order of the middle nodes (places in VTK order) as the programs document it; hex27 with its faces and centre.
@@ -117,9 +115,9 @@ def test_decks_of_every_program_and_meshes_by_hand(tmp_path: Path) -> None:
     mesh = box("tet10", (2, 1, 1), (0.3, 0.1, 0.08))
     right = assemble(mesh, steel())
     forms = {
-        ".inp": lambda m: lines(m),
-        ".bdf": lambda m: written(m, "free"),
-        ".cdb": lambda m: archive(m),
+        ".inp": lambda m: abaqus_mesh(m),
+        ".bdf": lambda m: nastran_mesh(m, "free"),
+        ".cdb": lambda m: ansys_archive(m),
     }
     for ending, text in forms.items():
         path = tmp_path / f"part{ending}"
@@ -141,6 +139,6 @@ def test_surfaces_of_a_deck_in_another_order(tmp_path: Path) -> None:
     surfaces = []
     for name, ordered in (("right", mesh), ("other", mixed(mesh, KNOWN["hex20", "Nastran or Exodus"]))):
         path = tmp_path / f"{name}.inp"
-        path.write_text(lines(ordered) + surface)
+        path.write_text(abaqus_mesh(ordered) + surface)
         surfaces.append(import_file(path).surfaces["SIDE"])
     assert np.array_equal(surfaces[0], surfaces[1]) and len(surfaces[0]) == 8

@@ -19,7 +19,7 @@ from morembs.problem.damping import ADAMS, STRUCTURAL, Damping, frequency_domain
 from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
 from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.reference import reference_model
-from tests.jobs.test_bad_input import refused
+from tests.support.commands import refused
 from tests.support.decks import folder
 from tests.support.meshes import beam, ends, where
 

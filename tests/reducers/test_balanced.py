@@ -13,7 +13,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.petrov_galerkin import refuse_unstable
 from morembs.reducers.second_order_balancing import VARIANTS, band_factor, lyapunov_factor
-from tests.linalg.test_adi import dense_gramians, difference
+from tests.support.matrices import dense_gramians, difference
 from tests.support.meshes import box, steel, where
 
 RAYLEIGH = Damping(alpha=200.0, beta=1e-5)

@@ -15,6 +15,11 @@ HINGED: tuple[Cell, ...] = tuple(
     (x + d, y + d, z) for d in (0, 2) for x, y, z in itertools.product(range(2), repeat=3)
 )
 APART: tuple[Cell, ...] = tuple((x + d, y, z) for d in (0, 5) for x, y, z in itertools.product(range(2), repeat=3))
+# Steel of all elements of BEAM.
+MATERIAL = (
+    "*ELSET, ELSET=EVERY, GENERATE\n1, 24, 1\n*MATERIAL, NAME=STEEL\n*ELASTIC\n210e3, 0.3\n*DENSITY\n7.85e-9\n"
+    "*SOLID SECTION, ELSET=EVERY, MATERIAL=STEEL\n"
+)
 
 JOB: dict[str, str] = {
     "model": 'mesh = "part.inp"\nunits = "mm-t-s"',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
 
 COUPLING = np.array([[2.0, 0.3, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 2.0]])
@@ -84,3 +85,27 @@ def backward_error(A: sp.sparray, X: np.ndarray, B: np.ndarray) -> float:
     size = norm * np.linalg.norm(X / s, axis=0) + np.linalg.norm(s * B, axis=0)
     error = np.linalg.norm(s * (A @ X - B), axis=0)
     return float(np.divide(error, size, out=error.copy(), where=size > 0).max())
+
+
+def dense_gramians(
+    M: np.ndarray | sp.sparray, D: np.ndarray | sp.sparray, K: np.ndarray | sp.sparray, F: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """P and Q of A P E' + E P A' + [0; F][0; F]' = 0 and A' Q E + E' Q A + [F; 0][F; 0]' = 0 by scipy.
+
+    Solved for the coordinates (Omega a, a') of the undamped modes, where A has no large condition number.
+    """
+    M, D, K = (sp.csr_array(A).toarray() for A in (M, D, K))
+    values, Phi = sl.eigh(K, M)
+    omega, zero = np.sqrt(values), np.zeros_like(M)
+    A = np.block([[zero, np.diag(omega)], [-np.diag(omega), -Phi.T @ D @ Phi]])
+    B, C = (np.vstack(X) for X in ((0 * F, Phi.T @ F), (Phi.T @ F / omega[:, None], 0 * F)))
+    T = sl.block_diag(Phi / omega, Phi)
+    back = sl.block_diag(M @ Phi * omega, Phi)
+    P = T @ sl.solve_continuous_lyapunov(A, -B @ B.T) @ T.T
+    return P, back @ sl.solve_continuous_lyapunov(A.T, -C @ C.T) @ back.T
+
+
+def difference(actual: np.ndarray, exact: np.ndarray) -> float:
+    """Largest difference of entries of unit diagonal."""
+    d = 1 / np.sqrt(np.diag(exact))
+    return float(np.abs(d[:, None] * (actual - exact) * d).max())
