@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +55,11 @@ def test_a_job_after_a_large_one_tells_its_own_memory(tmp_path: Path) -> None:
     for document in documents[1:]:
         beyond = 620 * MB if document is documents[1] else 40 * MB
         assert 50 * MB < document["job_peak_memory_bytes"] < truth + beyond, document
-    assert documents[2]["job_peak_memory_bytes"] == max(documents[2]["peak_memory_bytes"].values())
-    origin = read_body(documents[2]["output"]).provenance
-    assert origin["job_peak_memory_bytes"] == max(origin["peak_memory_bytes"].values())  # type: ignore[attr-defined]
+    # The peak of the job counts what lies between its stages too, where some pages may come.
+    stored: dict[str, Any] = read_body(documents[2]["output"]).provenance
+    for record in (documents[2], stored):
+        stages = max(record["peak_memory_bytes"].values())
+        assert stages <= record["job_peak_memory_bytes"] < stages + MB
 
 
 def test_peaks_between_looks() -> None:

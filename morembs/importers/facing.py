@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from morembs.importers.projection import Projection, on_face
 
@@ -80,6 +79,9 @@ class Facing:
 
     def _faced(self, points: Floats, start: int, end: int) -> Ints:
         """The triangle that each point (n, 3) faces, -1 for none."""
+        # Not at the top: few decks have ties.
+        from scipy.spatial import cKDTree
+
         at = start + cKDTree(self._center[start:end]).query(points)[1]
         result, before = np.full(len(points), -1), np.full(len(points), -1)
         seen = np.full((len(points), _MOST), -1)

@@ -269,6 +269,8 @@ def _from_mesh(
         part, materials_in_si(imported.materials, units), mass_integration=mass_integration, seams=imported.seams,
         budget=budget, progress=progress,
     )  # fmt: skip
+    for name in ("K", "M"):
+        refuse_entries(imported.source, name, getattr(model, name))
     dropped = int((row < 0).sum())
     notes = (f"{dropped} nodes belong to no element and were left out",) if dropped else ()
     if count < len(order):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from morembs.body.build import BodyOptions, StressOptions
 from morembs.body.file import read_body
@@ -286,6 +285,9 @@ def assembly_of(job: Job) -> FEModel:
 def _turned(table: SubstructureTable) -> NDArray[np.float64]:
     if table.rotation is None:
         return np.eye(3)
+    # Not at the top: few jobs turn anything.
+    from scipy.spatial.transform import Rotation
+
     axis = np.array(table.rotation.axis)
     if not np.linalg.norm(axis) > 0:
         raise InputError(f"substructure {table.name!r}: rotation has axis = {axis.tolist()}; expected a direction")

@@ -68,4 +68,6 @@ def _left_handed(block: ElementBlock, mesh: Mesh) -> NDArray[np.bool_]:
 
 def _determinants(dN: Floats, x: Floats) -> Floats:
     """Of elements (ne,) at points (nq,), with gradients ``dN`` (nq, k, 3) and nodes at ``x`` (ne, k, 3)."""
-    return np.asarray(np.linalg.det(np.einsum("qki,ekx->eqxi", dN, x)))
+    # Elements without volume are refused where they are assembled.
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.linalg.det(np.einsum("qki,ekx->eqxi", dN, x)))

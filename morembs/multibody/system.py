@@ -80,7 +80,8 @@ class Assembly:
         if not system.components:
             raise InputError("the system has no bodies; add at least one")
         self.system, self.gravity = system, system.gravity
-        self.components, self.joints, self.forces = system.components, system.joints, system.forces
+        # Copies: what is added to the system later is not part of what was done with it before.
+        self.components, self.joints, self.forces = list(system.components), list(system.joints), list(system.forces)
         ends = np.cumsum([0, *(c.configuration_size for c in self.components)])
         self.in_x = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         ends = np.cumsum([0, *(c.size for c in self.components)])

@@ -293,6 +293,11 @@ def test_nothing_stored_in_meshes_of_hdf5(tmp_path: Path, ending: str) -> None:
 def test_entries_beyond_all_measure(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", K=np.diag([1.0, 1e80]), M=np.eye(2))
     assert "has an entry of 1e+80" in refused(tmp_path / "a.npz")
+    deck = tmp_path / "a.inp"
+    corners = "1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=C3D4,ELSET=A\n1,1,2,3,4\n"
+    material = "*MATERIAL,NAME=S\n*ELASTIC\n1e80,.3\n*DENSITY\n1.\n"
+    deck.write_text(f"*NODE\n{corners}*SOLID SECTION,ELSET=A,MATERIAL=S\n{material}")
+    assert "K has an entry of" in refused(deck)
 
 
 def test_a_string_of_an_op4_text_without_its_number(tmp_path: Path) -> None:

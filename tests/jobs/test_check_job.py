@@ -189,7 +189,7 @@ def test_many_motions_and_many_modes_are_warned_of(tmp_path: Path) -> None:
     few = folder(tmp_path, {"reduce": auto, "reduce2": modes.replace("400", "4")}, text)
     assert checked(few)["warnings"] == []
     shown = RUNNER.invoke(cli.app, ["check", str(few)]).stdout
-    assert "reductions" in shown and re.search(r"memory of K and M +\d+(\.\d+)? kB", shown)
+    assert "reductions" in shown and re.search(r"memory of K and M +\d+(\.\d+)? [kM]B", shown)
     assert "within a factor of three" in shown
 
 

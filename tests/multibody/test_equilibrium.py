@@ -213,3 +213,11 @@ def test_state_space_has_the_gain_of_a_small_load(links: dict[str, FloatingFrame
 def test_options_are_checked() -> None:
     with pytest.raises(InputError, match="tolerance = 1 and load_steps = 0"):
         equilibrium(pendulum()[0], tolerance=1.0, load_steps=0)
+
+
+def test_what_is_added_later_is_not_part_of_what_was_done_before() -> None:
+    system, rod = pendulum()
+    before = equilibrium(system)
+    system.add(PointLoad(rod.marker("tip"), force=(0, 0, -5.0)))
+    assert np.abs(before.result.load(rod.marker("tip"))).max() == 0
+    assert equilibrium(system).result.load(rod.marker("tip"))[0, 2] == pytest.approx(-5.0, rel=1e-12)

@@ -129,8 +129,8 @@ def test_without_exudyn_one_simulator_is_shown(tmp_path, monkeypatch, capsys):
 def test_examples_of_the_documentation(tmp_path, point):
     """Also for a tip that is not the mean of its nodes: Exudyn gives it an offset, which turns with the body."""
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "multibody.md").read_text(), re.DOTALL)
-    assert len(blocks) == 3
-    code = "".join(blocks[: 2 if exudyn_missing() else 3])
+    assert len(blocks) == 4
+    code = "".join(blocks[: 3 if exudyn_missing() else 4])
     code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
     code = code.replace('coupling="rigid")', f'coupling="rigid", point={point} if name == "TIP" else None)')
     done = python(code, tmp_path)

@@ -93,8 +93,8 @@ def test_undamped_models_are_moved_off_the_axis_and_told():
         assert np.abs(r.D).max() == 0.0
     delta = r.recipe["delta"]
     assert delta == pytest.approx(0.005 * 2 * np.pi * 3000.0)
-    # A pole on the axis has its image across the line Re s = delta at 2 delta. The best model is the last one here.
-    assert r.recipe["converged"] and r.recipe["kept_step"] == r.recipe["steps"]
+    # A pole on the axis has its image across the line Re s = delta at 2 delta.
+    assert r.recipe["converged"] and r.recipe["h2_error"] < 1e-9
     assert [re for re, _ in r.recipe["shifts"]] == pytest.approx([2 * delta] * 3, rel=0.05)
 
 

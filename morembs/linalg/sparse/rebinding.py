@@ -59,7 +59,7 @@ def called(library: ctypes.CDLL) -> dict[str, int]:
     place = ctypes.POINTER(_LinkMap)()
     try:
         failed = ctypes.CDLL(None).dlinfo(ctypes.c_void_p(library._handle), _LINK_MAP, ctypes.byref(place))
-    except AttributeError:
+    except (AttributeError, TypeError):  # a loader of another kind
         return {}
     if failed:
         return {}
