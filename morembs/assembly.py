@@ -31,8 +31,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Distance of two interfaces that are coupled, as part of the size of the assembly.
 APART = 1e-6
-# Force of rigid motion, part of what cancels in it, that is round-off of a reduction.
-STRAINED = 1e-6
+# Force of rigid motion, part of what cancels in it and of the largest entry, that is round-off of a reduction.
+STRAINED, NOTHING = 1e-6, 1e-10
 ALL = (0, 1, 2, 3, 4, 5)
 
 
@@ -96,14 +96,20 @@ def assemble_bodies(parts: Sequence[Substructure], couples: Sequence[Couple], *,
         component=np.concatenate([part.component for part in placed]),
     )
     joints = _Joints(nodes, dofs, couples)
+    # Interfaces that follow others altogether are these.
+    nodes = replace(nodes, sets={key: joints.leading(rows) for key, rows in sets.items()})
     K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
     K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
     model = FEModel(K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name)
     equations = tuple(joints.equations())
     told = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
     own = "certificates of an assembly are against the bodies that were assembled, whose own errors are not in them"
+    turning = (
+        "inertia terms of second order in the elastic coordinates are not those of the parts, which matters where an "
+        "assembly spins or turns fast: simulate the parts, coupled, there"
+    )
     return replace(
-        model, equations=equations, dependent=_with_shapes(model, equations, placed), warnings=(*told, own),
+        model, equations=equations, dependent=_with_shapes(model, equations, placed), warnings=(*told, own, turning),
         notes=(f"{len(parts)} bodies, {len(couples)} couplings",),
     )  # fmt: skip
 
@@ -164,6 +170,10 @@ class _Placed:
         inside = np.vstack((points, source.coordinates[shown]))
         xyz = inside @ turn.T + place
         _refuse_loose(part.name, ready["K"], xyz[node[:m]], component[:m])
+        if m == len(ALL):
+            # One frame moves the part as a whole: what stiffness it seems to have is round-off.
+            free = sp.diags_array((np.arange(ready["K"].shape[0]) >= m).astype(float))
+            ready["K"] = sp.csr_array(free @ ready["K"] @ free)
         seen = np.arange(len(inside) - len(shown), len(inside))
         return cls(
             name=part.name, matrices=ready, xyz=xyz, node=np.concatenate([node, np.repeat(seen, 3)]),
@@ -174,7 +184,12 @@ class _Placed:
 
 
 def _rotation(part: Substructure) -> Floats:
-    R = np.asarray(part.rotation, dtype=float)
+    try:
+        R, place = (np.asarray(value, dtype=float) for value in (part.rotation, part.position))
+    except (TypeError, ValueError):
+        raise InputError(f"part {part.name!r}: position or rotation are no numbers") from None
+    if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(R).all():
+        raise InputError(f"part {part.name!r}: position = {place.tolist()} was given; expected three finite numbers")
     if R.shape != (3, 3) or not np.allclose(R.T @ R, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
         raise InputError(f"part {part.name!r}: rotation is no rotation matrix (3, 3); expected R'R = 1 and det R = 1")
     U, _, Vt = np.linalg.svd(R)
@@ -201,7 +216,8 @@ def _refuse_loose(name: str, K: sp.csr_array, points: Floats, component: Ints) -
     m = len(component)
     R = rigid_motion(points - points.mean(axis=0), component)
     force, size = K[:, :m] @ R, abs(K[:, :m]) @ np.abs(R)
-    if np.linalg.matrix_rank(R) < 6 or (np.abs(force) > STRAINED * size.max(axis=0)).any():
+    level = STRAINED * size.max(axis=0) + NOTHING * np.abs(K.data).max(initial=0.0) * np.abs(R).max(axis=0)
+    if np.linalg.matrix_rank(R) < 6 or (np.abs(force) > level).any():
         raise InputError(
             f"part {name!r}: the motions of its interfaces do not tell its rigid motion (or the part is held); take "
             "interfaces with rotations or three nodes, of a free part"
@@ -230,6 +246,8 @@ class _Joints:
     def _ends(self, couple: Couple) -> tuple[Ints, Ints]:
         """Dofs (k,) of both sides in the same order."""
         sides = []
+        if couple.between[0] == couple.between[1]:
+            raise InputError(f"couple {couple.between}: both interfaces are one; expected two")
         for name in couple.between:
             if name not in self.nodes.sets:
                 raise InputError(f"couple {couple.between}: there is no {name!r}; {nearest(name, self.nodes.sets)}")
@@ -245,13 +263,35 @@ class _Joints:
                 "rotation"
             )
         components = list(couple.components)
-        if not components or set(components) - set(ALL):
+        if not components or not all(isinstance(c, int) and c in ALL for c in components):
             raise InputError(f"{what}: components = {components} was given; expected some of 0 to 5")
+        components = sorted(set(components))
+        if couple.stiffness is not None and len(sides[0]) > 1:
+            raise InputError(
+                f"{what} have {len(sides[0])} nodes each, between which one spring has no place; take rigid or average "
+                "interfaces for springs"
+            )
         first, second = self.table[sides[0]][:, components], self.table[sides[1][match]][:, components]
         both = (first >= 0) & (second >= 0)
         if ((first >= 0) != (second >= 0)).any() or not both.any():
             raise InputError(f"{what} do not have the same components {components}; name those that both have")
         return first[both], second[both]
+
+    def leading(self, rows: Ints) -> Ints:
+        """The nodes that ``rows`` follow with all their dofs, themselves where they follow none."""
+        leaders: dict[int, int] = {}
+
+        def last(node: int) -> int:
+            while node in leaders:
+                node = leaders[node]
+            return node
+
+        for couple, first, second in self.pairs:
+            if couple.stiffness is None and set(couple.components) == set(ALL):
+                for a, b in zip(self.dofs.node[first].tolist(), self.dofs.node[second].tolist(), strict=True):
+                    if last(a) != last(b):
+                        leaders[last(b)] = last(a)
+        return np.array([last(row) for row in rows.tolist()], dtype=np.int64)
 
     def equations(self) -> list[Equations]:
         """One for each rigid coupling: a dof of one side is that of the other."""

@@ -211,3 +211,32 @@ def test_parts_that_do_not_fit_are_refused(make_piece: Make, piece: StoredBodies
     modal = read_body(make_piece("modal", morembs.Modal(modes=4)))
     with pytest.raises(InputError, match="are not independent in its"):
         assemble_bodies([replace(a, bodies=modal)], [])
+
+
+def test_a_part_with_one_interface_hangs_at_another(make_piece: Make, piece: StoredBodies) -> None:
+    """A leaf: against the bar that was never cut, with an interface at the cut and at one end."""
+    model = bar(2)
+    with morembs.Problem(model, ends(model, cut=LENGTH, left=0.0)) as uncut:
+        expected = uncut.elastic_modes(count=8).frequencies_hz
+    short = bar(1)
+    with morembs.Problem(short, ends(short, L=0.0)) as problem:
+        reduced = morembs.CraigBampton(modes=problem.K.shape[0] - 6).reduce(problem)
+        path = make_piece("x").parent / "leaf.h5"
+        leaf = read_body(write_body(path, [morembs.elastic_body(problem, reduced, morembs.make_part(problem))]))
+    for between in (("a:R", "b:L"), ("b:L", "a:R")):
+        parts = [Substructure(name="a", bodies=piece), Substructure(name="b", bodies=leaf, position=(LENGTH, 0, 0))]
+        joined = assemble_bodies(parts, [Couple(between=between)])
+        frequencies, problem = lowest(joined, count=8, cut="b:L", left="a:L")
+        assert frequencies == pytest.approx(expected, rel=1e-8) and problem.rigid.shape[1] == 6
+        # The interface that follows the other is the other.
+        assert lowest(joined, count=8, cut="a:R")[0] == pytest.approx(
+            lowest(joined, count=8, cut="b:L")[0], rel=1e-12
+        )
+
+
+def test_couplings_that_say_nothing_or_too_much_are_refused(piece: StoredBodies) -> None:
+    part = Substructure(name="a", bodies=piece)
+    with pytest.raises(InputError, match="both interfaces are one"):
+        assemble_bodies([part], [Couple(between=("a:R", "a:R"))])
+    with pytest.raises(InputError, match="expected three finite numbers"):
+        assemble_bodies([replace(part, position=(0.0, np.nan, 0.0))], [])

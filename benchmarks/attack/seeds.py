@@ -34,7 +34,7 @@ from tests.importers import test_abaqus_deck as abaqus_decks
 from tests.importers import test_ansys as ansys_files
 from tests.importers import test_nastran_deck as nastran_decks
 from tests.importers import test_unv as universal_files
-from tests.support import decks
+from tests.support import decks, mesh_decks
 from tests.support.meshes import box, steel
 
 STEEL = "young=2.1e11,poisson=0.3,density=7850"
@@ -74,16 +74,16 @@ class _Workshop:
     def decks(self) -> dict[str, list[Seed]]:
         hexes, tets = box("hex8", (2, 1, 1), (0.2, 0.1, 0.08)), box("tet10", (1, 1, 1), (0.2, 0.1, 0.08))
         section = abaqus_decks.STEEL_LINES + "*SOLID SECTION, ELSET=Body, MATERIAL=Steel\n,\n"
-        nodes, elements = abaqus_decks.lines(hexes).split("*ELEMENT")
+        nodes, elements = mesh_decks.abaqus_mesh(hexes).split("*ELEMENT")
         main = "*INCLUDE, INPUT=nodes.inc\n*ELEMENT" + elements + section
         grids = "BEGIN BULK\n" + nastran_decks.MAT1
-        abaqus = [abaqus_decks.FULL, abaqus_decks.lines(hexes) + section, abaqus_decks.lines(tets) + section]
+        abaqus = [abaqus_decks.FULL, mesh_decks.abaqus_mesh(hexes) + section, mesh_decks.abaqus_mesh(tets) + section]
         # Its bar of a rigid element makes a node follow two elements, which models refuse.
         nastran = [nastran_decks.FULL.replace("RBAR,3,500,600,123456,,,\n", "")]
         for form in ("small", "large", "free"):
-            nastran.append(grids + nastran_decks.written(hexes, form) + "ENDDATA\n")
+            nastran.append(grids + mesh_decks.nastran_mesh(hexes, form) + "ENDDATA\n")
         nastran += [nastran_decks.WEIGHTED + ",UM,600,123,10,1,20,23\n", nastran_decks.TIED]
-        archives = [ansys_files.deck(hexes, form=form, plain=plain) for form, plain in
+        archives = [mesh_decks.ansys_archive(hexes, form=form, plain=plain) for form, plain in
                     (("(3i9,6e21.13e3)", False), ("(3i8,6e20.13)", True))]  # fmt: skip
         universal = [universal_files.universal(mesh, old=old) for mesh, old in ((hexes, False), (tets, True))]
         seeds = {
@@ -153,7 +153,7 @@ class _Workshop:
         rows = "node,dof\n" + "".join(f"{a},{b}\n" for a, b in labels)
         calculix = {"job.sti": upper(K), "job.mas": upper(M),
                     "job.dof": "".join(f"{a}.{b}\n" for a, b in labels).encode()}  # fmt: skip
-        deck = abaqus_decks.lines(self.model.mesh).encode()
+        deck = mesh_decks.abaqus_mesh(self.model.mesh).encode()
 
         def labelled(files: Files, *arguments: str) -> Seed:
             return _imported({**files, "n.inp": deck}, *arguments, "--nodes", "n.inp", targets=tuple(files))

@@ -36,8 +36,10 @@ TURN, MOVE = 0.5, 0.5
 # Stiffness that stands for none where coordinates are equilibrated: part of the largest (rad/s)2, and of that of a
 # pendulum as long as the system under its own acceleration.
 SOFT, PENDULUM = 1e-9, 1e-3
-# Joint equations (m or rad, per size of the system) that are closed.
-CLOSED = 1e-10
+# Joint equations (m or rad, per size of the system) that are closed, and their round-off, per distance to the origin.
+CLOSED, ROUND_OFF = 1e-10, 1e-14
+# Motion of an iteration, per size of the system, that is none.
+STILL = 1e-13
 
 
 @summarised
@@ -104,15 +106,19 @@ def equilibrium(
     >>> still.stable, float(still.result.reaction(joint)[0, 2].round(6))
     (True, 19.62)
     """
-    if not (0 < tolerance < 1e-2 and load_steps >= 1):
+    if not (0 < tolerance < 1e-2 and isinstance(load_steps, int) and load_steps >= 1 and math.isfinite(time)):
         raise InputError(
-            f"tolerance = {tolerance:g} and load_steps = {load_steps} were given; expected a tolerance between 0 and "
-            "0.01, and at least one step"
+            f"tolerance = {tolerance:g}, load_steps = {load_steps} and time = {time:g} were given; expected a "
+            "tolerance between 0 and 0.01, an integer of at least one, and a time in s"
         )
     assembly = Assembly(system)
     begin = guess.state if isinstance(guess, Equilibrium) else guess
-    x, _ = assembly.start() if begin is None else assembly.fitting(begin)
-    assembly.check_positions(time, x)
+    if begin is None:
+        x, _ = assembly.start()
+        assembly.check_positions(time, x)
+    else:
+        # Prescribed motions may have gone on since; the search closes the joints.
+        x, _ = assembly.fitting(begin)
     multipliers, iterations = None, 0
     for number in range(1, load_steps):
         part = Assembly(_scaled(system, number / load_steps))
@@ -156,8 +162,7 @@ class _Search:
             SolverError: no convergence.
         """
         a = self.assembly
-        places = a.places(x).values()
-        self.size = max([1e-3, *(float(np.abs(place.position).max()) for place in places)])
+        self._measure(x)
         for iteration in range(ITERATIONS):
             M, g, Phi, B = a.equations(self.time, x, self.still)
             scale = 1 / np.sqrt(np.diag(M))
@@ -167,10 +172,12 @@ class _Search:
             residual = g + multipliers @ B
             forces = self._magnitude(x, scale) + float(np.linalg.norm(scale * (multipliers @ B)))
             left = float(np.linalg.norm(scale * residual))
-            closed = float(np.abs(Phi).max(initial=0.0)) <= CLOSED * self.size
+            closed = float(np.abs(Phi).max(initial=0.0)) <= CLOSED * self.size + ROUND_OFF * self.reach
             K, _ = stiffness_and_damping(a, self.time, x, self.still, self.still, multipliers)
             change, free = self._newton(K, M, B, residual, Phi)
-            if closed and left <= self.tolerance * forces + np.finfo(float).tiny:
+            moved = math.sqrt(max(float(change[: a.size] @ M @ change[: a.size]), 0.0) / float(np.diag(M).max()))
+            # Where all forces vanish, as in a spring at rest, what Newton's method still moves tells.
+            if closed and (left <= self.tolerance * forces or (moved <= STILL * self.size and not free.any())):
                 return x, multipliers, iteration
             if closed and np.linalg.norm(free) > (1 - 1e-6) * left and left > self.tolerance * forces:
                 raise InputError(self._unbalanced(free * scale))
@@ -182,6 +189,14 @@ class _Search:
             f"{np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, or places of the bodies), or let the "
             "loads grow with load_steps = 10"
         )
+
+    def _measure(self, x: Floats) -> None:
+        """Size of the system, by its markers and bodies, and how far from the origin it is, m."""
+        a = self.assembly
+        at = np.array([place.position for place in a.places(x).values()]).reshape(-1, 3)
+        lengths = [c.length for c in a.components if isinstance(c, FloatingBody)]
+        self.size = max([1e-3, *lengths, *(np.ptp(at, axis=0).tolist() if len(at) else [])])
+        self.reach = max(self.size, float(np.abs(at).max(initial=0.0)))
 
     def _magnitude(self, x: Floats, scale: Floats) -> float:
         """Size of all forces but those of joints, however much they cancel."""

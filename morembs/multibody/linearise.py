@@ -28,6 +28,8 @@ Complexes = NDArray[np.complex128]
 RANK = 1e-9
 # Stiffness along a motion, and part of a matrix that is not symmetric, that are round-off of the differences.
 ROUND_OFF, SKEW = 1e-9, 1e-6
+# Part of the largest square that is none.
+NOTHING = 1e-15
 # Growth, as part of the fastest motion, that is round-off of eigenvalues.
 STEADY = 1e-10
 MOTIONS = ("displacement", "velocity", "acceleration")
@@ -56,7 +58,8 @@ class Linearised:
         values, Y = graded_modes(0.5 * (self.K + self.K.T), projected=lambda y: (Z @ y).T @ whole @ (Z @ y))
         z = np.abs(Z @ Y)
         size = np.einsum("ij,ij->j", z, np.abs(whole) @ z)
-        return np.where(np.abs(values) <= ROUND_OFF * size, 0.0, values)
+        least = np.maximum(ROUND_OFF * size, NOTHING * np.abs(values).max(initial=0.0))
+        return np.where(np.abs(values) <= least, 0.0, values)
 
     @property
     def frequencies_hz(self) -> Floats:

@@ -12,8 +12,10 @@ import morembs
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.multibody import (
+    DrivenAngle,
     FlexibleBody,
     Linearised,
+    Motion,
     PointLoad,
     PrismaticJoint,
     RevoluteJoint,
@@ -211,7 +213,7 @@ def test_state_space_has_the_gain_of_a_small_load(links: dict[str, FloatingFrame
 
 
 def test_options_are_checked() -> None:
-    with pytest.raises(InputError, match="tolerance = 1 and load_steps = 0"):
+    with pytest.raises(InputError, match="tolerance = 1, load_steps = 0 and time = 0"):
         equilibrium(pendulum()[0], tolerance=1.0, load_steps=0)
 
 
@@ -221,3 +223,46 @@ def test_what_is_added_later_is_not_part_of_what_was_done_before() -> None:
     system.add(PointLoad(rod.marker("tip"), force=(0, 0, -5.0)))
     assert np.abs(before.result.load(rod.marker("tip"))).max() == 0
     assert equilibrium(system).result.load(rod.marker("tip"))[0, 2] == pytest.approx(-5.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (5.0, -3.0, 100.0)])
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.4])
+def test_a_rod_that_is_let_go_hangs_wherever_the_origin_is(origin: tuple[float, ...], turn: float) -> None:
+    system, R = System(gravity=(0, 0, -G)), rotation((0, 1, 0), turn - math.pi / 2)
+    hinge, arm = np.array(origin), np.array([0, 0, 0.5])
+    rod = system.add(
+        RigidBody(2.0, (1 / 6, 1 / 6, 1e-3), position=hinge - R @ arm, rotation=R, markers={"end": arm}, name="rod")
+    )
+    joint = system.add(RevoluteJoint(ground.marker_at(hinge), rod.marker("end"), axis=R.T @ [0, 1, 0]))
+    still = equilibrium(system)
+    assert still.result.reaction(joint)[0, :3] == pytest.approx([0, 0, 2 * G], abs=1e-6)
+    assert np.abs(still.linear.squares) == pytest.approx([1.5 * G], rel=1e-7)
+
+
+def test_a_spring_comes_to_rest_without_any_force() -> None:
+    system = System()
+    wheel = system.add(RigidBody(1.0, (0.1, 0.1, 0.1), name="wheel"))
+    system.add(RevoluteJoint(ground.marker_at(), wheel.marker_at((0, 0, 0)), axis=(0, 0, 1)))
+    hub = wheel.marker_at((0, 0, 0), name="hub")
+    system.add(TorsionSpring(ground.marker_at(), hub, axis=(0, 0, 1), stiffness=40.0, angle=0.3))
+    R = equilibrium(system).result.axes(hub)[0]
+    assert math.atan2(R[1, 0], R[0, 0]) == pytest.approx(0.3, rel=1e-9)
+
+
+def test_motions_that_nothing_resists_are_counted() -> None:
+    system = System(gravity=(0, 0, -G))
+    ball = system.add(RigidBody(1.0, (0.1, 0.1, 0.1), position=(0, 0, -0.4), name="ball"))
+    center = ball.marker_at((0, 0, 0))
+    system.add(SpringDamper(ground.marker_at(), center, stiffness=250.0))
+    still = equilibrium(system)
+    assert still.mobilities == 3 and still.stable  # it turns about any axis
+
+
+def test_prescribed_motions_go_on_from_an_equilibrium() -> None:
+    system, rod = pendulum()
+    motion = Motion.steady(1.0)
+    system.add(DrivenAngle(ground.marker_at(), rod.marker("end"), axis=(0, 1, 0), motion=motion))
+    first = equilibrium(system)
+    later = equilibrium(system, guess=first, time=0.5)
+    R = later.result.axes(rod.marker("tip"))[0]
+    assert math.atan2(R[0, 2], R[2, 2]) == pytest.approx(0.5, rel=1e-9)
