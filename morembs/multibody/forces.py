@@ -23,6 +23,17 @@ class Force(ABC):
     markers: tuple[Marker, ...]
     name: str
 
+    def for_run(self) -> Force:
+        """The force as one run uses it: a copy where it remembers what happened."""
+        return self
+
+    def begin_step(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> None:  # noqa: B027
+        """A step begins from here; a step may begin again from an earlier time.
+
+        Raises:
+            SolverError: a state at which the law does not hold.
+        """
+
     @abstractmethod
     def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         """One wrench (6,) per marker; a twist (6,) is the velocity and angular velocity of a marker."""

@@ -119,6 +119,7 @@ class Stepper:
             SolverError: Newton's method does not converge.
         """
         s, old, iterate = self.assembly, self.state, self._predicted()
+        s.begin_step(old.time, old.x, old.v)
         factor, last, refreshed, M, noise = None, math.inf, False, self.tangents[0], 0.0
         for _ in range(self.reactions.iterations):
             x = s.moved(old.x, iterate.step)

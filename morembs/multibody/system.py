@@ -81,7 +81,8 @@ class Assembly:
             raise InputError("the system has no bodies; add at least one")
         self.system, self.gravity = system, system.gravity
         # Copies: what is added to the system later is not part of what was done with it before.
-        self.components, self.joints, self.forces = list(system.components), list(system.joints), list(system.forces)
+        self.components, self.joints = list(system.components), list(system.joints)
+        self.forces = [force.for_run() for force in system.forces]
         ends = np.cumsum([0, *(c.configuration_size for c in self.components)])
         self.in_x = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         ends = np.cumsum([0, *(c.size for c in self.components)])
@@ -164,6 +165,18 @@ class Assembly:
         """M and g of ``dynamics``, Phi and B of ``constraints``."""
         places = self.places(x)
         return *self.dynamics(t, x, v, places), *self.constraints(t, places)
+
+    def begin_step(self, t: float, x: Floats, v: Floats) -> None:
+        """Tell the forces where a step begins.
+
+        Raises:
+            SolverError: a state at which the law of a force does not hold.
+        """
+        for force in self.forces:
+            if type(force).begin_step is Force.begin_step:
+                continue
+            places = [self.place(m, x) for m in force.markers]
+            force.begin_step(t, places, [self.twist(m, p, v) for m, p in zip(force.markers, places, strict=True)])
 
     def load(self, force: Force, t: float, v: Floats, at: Sequence[MarkerState], g: Floats) -> None:
         """Take the generalised forces of one force from g (k,)."""
