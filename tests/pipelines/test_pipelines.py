@@ -97,7 +97,30 @@ def shares_the_load_as_springs_do(text):
     assert all(falls < float(growth) < 1.01 * falls for _, growth in rows)
 
 
+def shares_the_load_as_stribeck_says(text):
+    ratios = [float(ratio) for ratio in re.findall(r"^ +\S+ +\S+ +(\d\.\d{4})$", text, re.MULTILINE)]
+    assert len(ratios) == 4 and all(abs(ratio - 1) < 0.01 for ratio in ratios)
+    # 0.5432 for the exponent 1.5; the table has that of its elements.
+    assert number(r"largest ball carries (\S+) of", text) == pytest.approx(0.5432, rel=5e-3)
+
+
+def moves_the_tip_as_planned(text):
+    moments = dict(re.findall(r"(a\d) = (\S+)", text))
+    # From the inverse transfer function of the beam of eight elements, in rational arithmetic.
+    for name, value in {"a0": 0.194, "a1": 1.87142e-4, "a2": 5.3261e-8}.items():
+        assert float(moments[name]) == pytest.approx(value, rel=2e-5)
+    errors = [float(error) for error in re.findall(r"error of the tip (\S+) rad", text)]
+    assert errors == pytest.approx([0.02293, 1.317e-3, 1.27e-4, 8.1e-5], rel=0.01)
+
+
+def gives_the_restitution_of_each_law(text):
+    assert number(r"largest gap to the quadrature: (\S+)", text) < 1e-3
+
+
 PROMISES = {
+    "bearing": shares_the_load_as_stribeck_says,
+    "feedforward": moves_the_tip_as_planned,
+    "impact_laws": gives_the_restitution_of_each_law,
     "falling_beam": touches_when_it_must,
     "flexible_pendulum": follows_the_full_model,
     "flexible_swing": runs_in_exudyn,
