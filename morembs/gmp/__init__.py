@@ -3,6 +3,7 @@
 from morembs.gmp.body import ParameterisedBody, PlaneJoint
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Formulation, Parameterised
+from morembs.gmp.divided import DividedMember, divide_until_within, divided_member
 from morembs.gmp.equilibria import Equilibrium, Solver
 from morembs.gmp.manifold import Manifold, manifold
 from morembs.gmp.member import ReducedMember
@@ -16,6 +17,7 @@ __all__ = [
     "AngleRange",
     "BendingModes",
     "ChebyshevTable",
+    "DividedMember",
     "Equilibrium",
     "Formulation",
     "Manifold",
@@ -27,6 +29,8 @@ __all__ = [
     "Report",
     "Solver",
     "bending_modes",
+    "divide_until_within",
+    "divided_member",
     "manifold",
     "points",
     "shapes",

@@ -140,10 +140,14 @@ class ReducedMember:
         V = float(W) + 0.5 * tension * e + 0.5 * float(self._Lambda @ eta**2)
         S = (k * e_p)[:, None] * e_p
         S[:2, :2] += W_tt
-        S[3:, 3:] += self._stiff + tension * H
+        S[3:, 3:] += self._stiff
+        resisting = S.copy()
+        S[3:, 3:] += tension * H
         S[:2, 3:] += tension * c_t
         S[3:, :2] += tension * c_t.T
-        return MemberState(x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P)
+        return MemberState(
+            x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P, strains=lambda: P.T @ resisting @ P
+        )
 
     def bending(self, q: Floats, v: Floats) -> Floats:
         """(dJ/dt) v, (p,): the acceleration of x while q moves on at the constant rate v, from second derivatives of

@@ -5,7 +5,7 @@ from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
 from morembs.nonlinear.member import FullMember, Member, MemberState
-from morembs.nonlinear.nodal import MechanismMotion, simulate
+from morembs.nonlinear.nodal import LeftTablesError, MechanismMotion, simulate
 from morembs.nonlinear.planar_beam import PlanarBeam, Section
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
@@ -22,6 +22,7 @@ __all__ = [
     "Angle",
     "EquilibriumPath",
     "FullMember",
+    "LeftTablesError",
     "Mechanism",
     "MechanismMotion",
     "Member",

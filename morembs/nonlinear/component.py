@@ -53,3 +53,11 @@ class NonlinearComponent(Protocol):
 
     def tangent(self, x: Floats) -> sp.csr_matrix:
         """Tangent stiffness d2W/dx2 (N, N)."""
+
+
+@runtime_checkable
+class StrainStiffness(Protocol):
+    """A component that can be damped in proportion to its stiffness."""
+
+    def strain_stiffness(self, x: Floats) -> sp.csr_matrix:
+        """Part (N, N) of the tangent by which strains resist: no negative eigenvalues, free of rigid motion."""

@@ -24,10 +24,18 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point that members share; ``numbers`` (2,) of its coordinates, negative where it is held."""
+    """A point that members share; ``numbers`` (2,) of its coordinates, negative where it is held.
+
+    ``motion`` (2,) m, of the time in s, is added to the position of a held point.
+    """
 
     position: Floats
     numbers: Integers
+    motion: Callable[[float], ArrayLike] | None = None
+
+    def at(self, t: float) -> Floats:
+        """Position (2,) of a held point at the time ``t``."""
+        return self.position if self.motion is None else self.position + np.asarray(self.motion(t), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +51,19 @@ class Angle:
 
 
 class Mechanism:
-    """Members between points, under ``gravity`` (2,) m/s2. It starts at rest and without strain."""
+    """Members between points, under ``gravity`` (2,) m/s2. It starts at rest and without strain.
 
-    def __init__(self, *, gravity: ArrayLike = (0.0, 0.0)) -> None:
-        self.gravity = _pair("gravity", gravity)
+    ``damping`` in s is the factor of Rayleigh damping proportional to the stiffness of strains: rigid motion is free of
+    it, and small vibrations of f Hz have the ratio pi f ``damping``.
+    """
+
+    def __init__(self, *, gravity: ArrayLike = (0.0, 0.0), damping: float = 0.0) -> None:
+        self.gravity, self.damping = _pair("gravity", gravity), float(damping)
+        if not (math.isfinite(damping) and damping >= 0):
+            raise InputError(f"damping = {damping} s was given; expected zero or more")
         self.members: list[Member] = []
         self.numbers: list[Integers] = []
-        self.masses: list[tuple[Integers, Floats, float]] = []
+        self.masses: list[tuple[Point, float]] = []
         self.torques: list[tuple[int, Callable[[float], float]]] = []
         self.drives: list[list[tuple[int, Callable[[float], float]]]] = []
         self._start: list[float] = []
@@ -68,12 +82,26 @@ class Mechanism:
         self._start.append(value)
         return len(self._start) - 1
 
-    def point(self, position: ArrayLike, *, fixed: str = "") -> Point:
-        """A point at ``position`` (2,) m at the start; ``fixed``: "", "x", "y" or "xy"."""
+    def point(
+        self, position: ArrayLike, *, fixed: str = "", motion: Callable[[float], ArrayLike] | None = None
+    ) -> Point:
+        """A point at ``position`` (2,) m at the start; ``fixed``: "", "x", "y" or "xy".
+
+        With a ``motion`` (2,) m, a function of the time that starts at zero, at rest and without acceleration, it is
+        moved by that much from its position.
+
+        Raises:
+            InputError: another word, or a motion that does not start at zero.
+        """
         where = _pair("position of a point", position)
+        if motion is not None:
+            if np.abs(first := _pair("motion of a point at t = 0", motion(0.0))).max() > 1e-12:
+                raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero")
+            fixed = "xy"
         if fixed not in ("", "x", "y", "xy"):
             raise InputError(f"fixed = {fixed!r} was given; expected '', 'x', 'y' or 'xy'")
-        return Point(where, np.array([self._number(float(where[k]), "xy"[k] in fixed) for k in range(2)]))
+        numbers = np.array([self._number(float(where[k]), "xy"[k] in fixed) for k in range(2)])
+        return Point(where, numbers, motion)
 
     def angle(self, value: float, *, fixed: bool = False) -> Angle:
         """A direction (rad) that ends of members may share."""
@@ -122,7 +150,11 @@ class Mechanism:
                 )
         q = member.start(np.concatenate((first.position, [direction], second.position, [direction])))
         inner = [self._number(float(value), False) for value in q[6:]]
-        self.drives.append([(place, a.motion) for place, a in zip((2, 5), angles, strict=True) if a.motion is not None])
+        drives = [(place, a.motion) for place, a in zip((2, 5), angles, strict=True) if a.motion is not None]
+        for place, point in ((0, first), (3, second)):
+            if point.motion is not None:
+                drives += [(place + k, _part(point.motion, k)) for k in range(2)]
+        self.drives.append(drives)
         if angles[0].number == angles[1].number:
             raise InputError("both ends of a member follow the same angle; expected different ones")
         numbers = [*first.numbers, angles[0].number, *second.numbers, angles[1].number, *inner]
@@ -138,7 +170,7 @@ class Mechanism:
         """A point mass in kg."""
         if not (math.isfinite(mass) and mass > 0):
             raise InputError(f"a point mass of {mass} kg was given; expected a positive number")
-        self.masses.append((point.numbers, point.position, mass))
+        self.masses.append((point, mass))
 
     def torque(self, angle: Angle | int, value: Callable[[float], float]) -> None:
         """A torque (N m) as a function of time (s) on an angle or the number of one (see ``ends``)."""
@@ -159,6 +191,10 @@ class Mechanism:
         for place, motion in self.drives[member]:
             local[place] += motion(t)
         return local
+
+
+def _part(motion: Callable[[float], ArrayLike], k: int) -> Callable[[float], float]:
+    return lambda t: float(np.asarray(motion(t), dtype=float)[k])
 
 
 def _pair(what: str, value: ArrayLike) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.nonlinear.component import NonlinearComponent
+from morembs.nonlinear.component import NonlinearComponent, StrainStiffness
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -22,7 +23,9 @@ class MemberState:
     """A member at one configuration q (k,).
 
     ``x`` (N,) coordinates of the motion, those of the nodes or fewer, ``J`` (N, k) dx/dq or None for x = q, strain
-    energy ``V``, ``force`` (k,) dV/dq, ``stiffness`` (k, k) d2V/dq2 (a part of it is enough for Newton's method).
+    energy ``V``, ``force`` (k,) dV/dq, ``stiffness`` (k, k) d2V/dq2 (a part of it is enough for Newton's method),
+    ``strains`` gives the part (k, k) of it by which strains resist: no negative eigenvalues, free of rigid motion; None
+    where that is not known.
     """
 
     x: Floats
@@ -30,6 +33,7 @@ class MemberState:
     V: float
     force: Floats
     stiffness: Floats | sp.spmatrix
+    strains: Callable[[], Floats | sp.spmatrix] | None = None
 
 
 class Member(Protocol):
@@ -95,11 +99,15 @@ class FullMember:
 
     def at(self, q: Floats) -> MemberState:
         x = q[self._back]
-        K = sp.coo_matrix(self.component.tangent(x))
-        ordered = sp.coo_matrix((K.data, (self._back[K.row], self._back[K.col])), shape=K.shape)
+        part = self.component
         return MemberState(
-            x=q, J=None, V=self.component.energy(x), force=self.component.force(x)[self._order], stiffness=ordered
-        )
+            x=q, J=None, V=part.energy(x), force=part.force(x)[self._order], stiffness=self._ordered(part.tangent(x)),
+            strains=(lambda: self._ordered(part.strain_stiffness(x))) if isinstance(part, StrainStiffness) else None,
+        )  # fmt: skip
+
+    def _ordered(self, matrix: sp.spmatrix) -> sp.spmatrix:
+        K = sp.coo_matrix(matrix)
+        return sp.coo_matrix((K.data, (self._back[K.row], self._back[K.col])), shape=K.shape)
 
     def nodes(self, x: Floats) -> Floats:
         return np.asarray(x[self._back])

@@ -7,6 +7,7 @@ members give few amplitudes of fields for x, which is the same to round-off and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,8 +30,18 @@ Integers = NDArray[np.int64]
 _ITERATIONS, _SLOW = 25, 0.1
 # Static answer of the modes left out, per length, from which a result says so.
 _NEGLECTED = 5e-3
+# s, half the span of the central difference that gives the rate of a prescribed motion.
+_RATE = 1e-6
 # Entries of J up to which matrices are dense.
 DENSE = 40_000
+
+
+class LeftTablesError(SolverError):
+    """A coordinate left the range of its table; ``share`` is its value over the range."""
+
+    def __init__(self, message: str, *, share: float) -> None:
+        super().__init__(message)
+        self.share = share
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +50,7 @@ class MechanismMotion:
 
     ``times`` (T,) s; ``q`` (T, size); ``x``: per member (N, T) coordinates of its motion, of which ``member.nodes``
     makes those of its component; ``kinetic``, ``potential`` (T,) J, gravity included; ``iterations``: mean number per
-    step; ``warnings``: losses, with time and coordinate.
+    step; ``dissipated`` (T,) J by damping; ``warnings``: losses, with time and coordinate.
     """
 
     times: Floats
@@ -47,6 +58,7 @@ class MechanismMotion:
     x: tuple[Floats, ...]
     kinetic: Floats
     potential: Floats
+    dissipated: Floats
     iterations: float
     warnings: tuple[str, ...]
 
@@ -56,7 +68,7 @@ class _Run:
 
     def __init__(self, mechanism: Mechanism, outside: str, dense_entries: int) -> None:
         self.mechanism, self.outside = mechanism, outside
-        blocks = [m.M for m in mechanism.members] + [mass * sp.eye(2) for _, _, mass in mechanism.masses]
+        blocks = [m.M for m in mechanism.members] + [mass * sp.eye(2) for _, mass in mechanism.masses]
         self.M = sp.block_diag(blocks, format="csr")
         cuts = np.cumsum([0, *(b.shape[0] for b in blocks)])
         self.slices = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
@@ -70,7 +82,7 @@ class _Run:
         if self.dense:
             self.M = self.M.toarray()
         # Coordinates of members and masses that can move, and their numbers in the mechanism.
-        every = [*mechanism.numbers, *(numbers for numbers, _, _ in mechanism.masses)]
+        every = [*mechanism.numbers, *(point.numbers for point, _ in mechanism.masses)]
         self.free = [(free, numbers[free]) for numbers in every for free in [np.flatnonzero(numbers >= 0)]]
         self.warnings: dict[str, str] = {}
         self.shares: dict[int, tuple[float, float]] = {}
@@ -79,7 +91,7 @@ class _Run:
         """Nodes x, the members, and J = dx/dq."""
         mechanism = self.mechanism
         states = [member.at(mechanism.configuration(k, q, t)) for k, member in enumerate(mechanism.members)]
-        points = [np.where(numbers >= 0, q[numbers], position) for numbers, position, _ in mechanism.masses]
+        points = [np.where(point.numbers >= 0, q[point.numbers], point.at(t)) for point, _ in mechanism.masses]
         x = np.concatenate([*(m.x for m in states), *points])
         shape = self.M.shape[0], mechanism.size
         matrices = [*(m.J for m in states), *(None for _ in mechanism.masses)]
@@ -113,20 +125,38 @@ class _Run:
             total[number] -= torque(t)
         return total
 
-    def factor(self, states: list[MemberState], J: Any, scale: float) -> Callable[[Floats], Floats]:
-        """Solver of scale J'MJ + d2V/dq2."""
+    def damping(self, t: float, states: list[MemberState], rate: Floats) -> Floats:
+        """Forces (size,) of damping at the ``rate`` (size,) dq/dt, on the side of ``forces``."""
+        total = np.zeros(self.mechanism.size)
+        for k, (state, (free, columns)) in enumerate(zip(states, self.free, strict=False)):
+            if state.strains is None:
+                raise InputError(
+                    f"damping was given, and member {k} does not say which of its stiffness resists strains; expected "
+                    "beams and reduced members"
+                )
+            local = np.zeros(self.mechanism.members[k].size)
+            local[free] = rate[columns]
+            for place, motion in self.mechanism.drives[k]:
+                local[place] += (motion(t + _RATE) - motion(t - _RATE)) / (2 * _RATE)
+            total[columns] += self.mechanism.damping * (state.strains() @ local)[free]
+        return total
+
+    def factor(
+        self, states: list[MemberState], J: Any, scale: float, stiffer: float = 1.0
+    ) -> Callable[[Floats], Floats]:
+        """Solver of scale J'MJ + d2V/dq2, the latter ``stiffer`` times."""
         A = scale * (J.T @ (self.M @ J if self.masses is None else self.masses[:, None] * J))
         if self.dense:
             for (free, columns), state in zip(self.free, states, strict=False):
                 S = state.stiffness if isinstance(state.stiffness, np.ndarray) else state.stiffness.toarray()
-                A[columns[:, None], columns] += S[free[:, None], free]
+                A[columns[:, None], columns] += stiffer * S[free[:, None], free]
             lu, pivots, _ = getrf(A)
             return lambda right: np.asarray(getrs(lu, pivots, right)[0])
         for numbers, state in zip(self.mechanism.numbers, states, strict=True):
             K = sp.coo_matrix(state.stiffness)
             i, j = numbers[K.row], numbers[K.col]
             free = (i >= 0) & (j >= 0)
-            A = A + sp.csr_matrix((K.data[free], (i[free], j[free])), shape=A.shape)
+            A = A + sp.csr_matrix((stiffer * K.data[free], (i[free], j[free])), shape=A.shape)
         factor = spl.splu(sp.csc_matrix(A))
         return lambda right: np.asarray(factor.solve(right))
 
@@ -134,7 +164,7 @@ class _Run:
         """Range of the tables and modes left out, at the end of a step.
 
         Raises:
-            SolverError: a coordinate left its table and the motion shall stop there.
+            LeftTablesError: a coordinate left its table and the motion shall stop there.
         """
         for k, member in enumerate(self.mechanism.members):
             local = self.mechanism.configuration(k, q, t)
@@ -143,9 +173,11 @@ class _Run:
                 name, value, limit = left
                 text = f"member {k}: {name} = {value:.4g} left its tabulated range of +-{limit:.4g} at t = {t:.6g} s"
                 if self.outside == "stop":
-                    raise SolverError(
-                        f"{text}. Tabulate a larger range, divide the member into more, or continue with "
-                        "outside='continue' (tables go on as straight lines, results lose accuracy)"
+                    raise LeftTablesError(
+                        f"{text}. Tabulate a larger range, divide the member into "
+                        f"{math.ceil(abs(value) / limit / 0.75)} or more, or continue with outside='continue' (tables "
+                        "go on as straight lines, results lose accuracy)",
+                        share=abs(value) / limit,
                     )
                 self.warnings.setdefault(f"{k}{name}", f"{text}; from there on the tables are extended")
             share = member.neglected(local, states[k], load[self.slices[k]])
@@ -182,7 +214,7 @@ def simulate(
 
     Raises:
         InputError: wrong numbers, an empty mechanism.
-        SolverError: no convergence, a coordinate that leaves its table.
+        SolverError: no convergence; LeftTablesError, which is one, where a coordinate leaves its table.
     """
     scheme = Scheme(rho=rho)
     if not mechanism.members or mechanism.size == 0:
@@ -214,31 +246,33 @@ class _Integration:
         self.rate = J @ (scale * run.factor(states, J, scale)(J.T @ run.weight - run.forces(0.0, states)))
         self.v, self.auxiliary = np.zeros_like(self.x), self.rate.copy()
         self.states = states
+        self.drag, self.loss = np.zeros_like(self.q), 0.0
 
     def run(self, steps: int) -> MechanismMotion:
         size, run = self.run_.mechanism.size, self.run_
         q, x = np.empty((steps + 1, size)), np.empty((steps + 1, len(self.x)))
-        kinetic, potential = np.zeros(steps + 1), np.zeros(steps + 1)
+        kinetic, potential, dissipated = np.zeros((3, steps + 1))
         for k in range(steps + 1):
             if k:
                 self._advance(k * self.h)
             run.watch(k * self.h, self.q, self.states, run.weight - run.inertia(self.rate))
             q[k], x[k] = self.q, self.x
+            dissipated[k] = self.loss
             kinetic[k] = 0.5 * float(self.v @ run.inertia(self.v))
             potential[k] = sum(m.V for m in self.states) - float(run.weight @ self.x)
         count = len(run.mechanism.members)
         return MechanismMotion(
             times=np.asarray(self.h * np.arange(steps + 1), dtype=np.float64), q=q,
             x=tuple(x[:, s].T for s in run.slices[:count]),
-            kinetic=kinetic, potential=potential, iterations=self.iterations / max(1, steps),
-            warnings=run.sentences(),
+            kinetic=kinetic, potential=potential, dissipated=np.cumsum(dissipated),
+            iterations=self.iterations / max(1, steps), warnings=run.sentences(),
         )  # fmt: skip
 
     def _advance(self, t: float) -> None:
         a, h, run = self.scheme, self.h, self.run_
         c = (1 - a.alpha_m) / ((1 - a.alpha_f) * a.beta * h * h)
         # The first guess goes on as in the last two steps.
-        old, factor, last = self.x, None, np.inf
+        old, factor, last, damping = self.x, None, np.inf, run.mechanism.damping
         q = 3 * self.q - 3 * self.past[1] + self.past[0]
         x, states, J = run.at(q, t)
         first = True
@@ -247,8 +281,10 @@ class _Integration:
             auxiliary = ((x - old) / h - self.v) / (a.beta * h) - (0.5 - a.beta) / a.beta * self.auxiliary
             rate = ((1 - a.alpha_m) * auxiliary + a.alpha_m * self.auxiliary - a.alpha_f * self.rate) / (1 - a.alpha_f)
             if factor is None:
-                factor = run.factor(states, J, c)
+                factor = run.factor(states, J, c, 1 + 1.5 * damping / h)
             residual = J.T @ (run.inertia(rate) - run.weight) + run.forces(t, states)
+            if damping:
+                residual += self._drag(q, t, states)
             dq = -factor(residual)
             size = float(np.abs(J @ dq).max())
             if not np.isfinite(size):
@@ -260,6 +296,9 @@ class _Integration:
                 rate = (1 - a.alpha_m) * auxiliary + a.alpha_m * self.auxiliary - a.alpha_f * self.rate
                 self.rate = rate / (1 - a.alpha_f)
                 self.v = self.v + h * ((1 - a.gamma) * self.auxiliary + a.gamma * auxiliary)
+                if damping:
+                    drag = self._drag(q, t, states)
+                    self.loss, self.drag = 0.5 * float((drag + self.drag) @ (q - self.q)), drag
                 self.x, self.q, self.auxiliary, self.states = x, q, auxiliary, states
                 self.past = [*self.past[1:], q]
                 return
@@ -270,3 +309,7 @@ class _Integration:
             f"the step to t = {t:.6g} s with h = {h:.3g} s does not converge in {_ITERATIONS} iterations (last change "
             f"{last:.2g}, limit {self.tolerance:.2g}, in m and rad). Take a smaller step"
         )
+
+    def _drag(self, q: Floats, t: float, states: list[MemberState]) -> Floats:
+        """Damping at the end of a step, with the rate of second order from two steps (BDF2)."""
+        return self.run_.damping(t, states, (3 * q - 4 * self.past[2] + self.past[1]) / (2 * self.h))

@@ -170,6 +170,12 @@ class PlanarBeam:
         np.add.at(result, self._dofs, local)
         return result
 
+    def strain_stiffness(self, x: Floats) -> sp.csr_matrix:
+        """The part of the tangent (size, size) by which strains resist; the rest turns their forces."""
+        half, turn, p, _ = self._states(x)
+        G = self._gradient(half, turn, p)[0] @ _T
+        return self._assembled(np.einsum("eik,ei,eil->ekl", G, self._C, G))
+
     def tangent(self, x: Floats) -> sp.csr_matrix:
         half, turn, p, strain = self._states(x)
         G, (s, s1, s2, R, side) = self._gradient(half, turn, p)

@@ -1,0 +1,175 @@
+"""Chains of equal pieces, damping and moved points of planar mechanisms."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from morembs.errors import InputError
+from morembs.gmp import ReducedMember, divide_until_within, divided_member
+from morembs.nonlinear import FullMember, LeftTablesError, Mechanism, PlanarBeam, Section, simulate
+
+# A strip of 1 m by 20 mm by 6 mm, so soft that it folds as it falls.
+OF_A_COMPONENT = ("size", "frames", "translations", "reference", "M", "energy", "force", "tangent")
+STRIP = Section.of(E=1.2e7, A=1.2e-4, I=0.02 * 0.006**3 / 12, density=1100)
+
+
+def falling(add, **options):
+    mechanism = Mechanism(gravity=(0, -9.81), **options)
+    return mechanism, add(mechanism, mechanism.point((0, 0), fixed="xy"), mechanism.point((1, 0)))
+
+
+def chain(pieces, modes, formulation):
+    return divided_member(PlanarBeam.straight(1.0, 24, STRIP), pieces, modes=modes, formulation=formulation)
+
+
+@pytest.fixture(scope="module")
+def tip():
+    """(T, 2) of the tip of the strip with all its degrees of freedom."""
+    member = FullMember(PlanarBeam.straight(1.0, 24, STRIP))
+    mechanism, _ = falling(lambda m, a, b: m.add(member, a, b))
+    return member.nodes(simulate(mechanism, end=0.6, step=2e-3).x[0])[-3:-1].T
+
+
+@pytest.mark.parametrize(
+    ("pieces", "modes", "formulation", "rms"),
+    [(2, 2, "membrane", 2.6e-3), (4, 2, "membrane", 1.4e-4), (6, 1, "foreshortened", 1.2e-4)],
+)
+def test_pieces_follow_a_strip_that_folds(tip, pieces, modes, formulation, rms):
+    member = chain(pieces, modes, formulation)
+    mechanism, numbers = falling(member.add)
+    assert mechanism.size == 1 + pieces * (modes + 3) and len(mechanism.members) == pieces
+    nodes = member.nodes(simulate(mechanism, end=0.6, step=2e-3), numbers)
+    assert nodes.shape == (301, 25, 3) and nodes[0, :, 0] == pytest.approx(np.linspace(0, 1, 25), abs=1e-9)
+    # Of the length; the tip ends above and behind the hinge.
+    assert tip[-1] == pytest.approx([-0.65489, -0.70275], abs=2e-5)
+    assert np.sqrt(np.mean(np.sum((nodes[:, -1, :2] - tip) ** 2, axis=1))) < rms
+
+
+def test_a_run_that_leaves_its_tables_is_divided():
+    with pytest.raises(LeftTablesError, match=r"divide the member into 2 or more") as left:
+        simulate(falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3)
+    assert 1.0 < left.value.share < 1.1
+    motion, pieces = divide_until_within(
+        lambda pieces: falling(chain(pieces, 2, "membrane").add)[0], end=0.3, step=2e-3, pieces=1
+    )
+    assert pieces == 2 and motion.times[-1] == pytest.approx(0.3)
+    with pytest.raises(LeftTablesError):
+        divide_until_within(lambda pieces: falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3, most=1)
+
+
+def test_the_example_of_the_document(capsys):
+    text = (Path(__file__).parents[2] / "docs" / "gmp.md").read_text()
+    (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
+    exec(compile(code, "gmp.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("2 [")
+
+
+def test_beams_that_do_not_divide_are_refused():
+    with pytest.raises(InputError, match=r"5 pieces of 24 elements.*1, 2, 3, 4, 6, 8, 12, 24"):
+        chain(5, 2, "linear")
+    bent = PlanarBeam([[0, 0, 0], [0.5, 0.05, 0.2], [1, 0.2, 0.4]], STRIP)
+    with pytest.raises(InputError, match="curved"):
+        divided_member(bent, 2, modes=1)
+
+
+def beams():
+    beam = PlanarBeam.straight(0.5, 8, Section.of(E=2e9, A=1e-4, I=1e-9, density=1200))
+    return {"full": FullMember(beam), "reduced": ReducedMember(beam, modes=2, formulation="membrane", reach=0.4)}
+
+
+def swinging(member, damping, end, step):
+    """A cantilever that a short torque sets into motion."""
+    mechanism = Mechanism(damping=damping)
+    root, angle = mechanism.point((0, 0), fixed="xy"), mechanism.angle(0.0, fixed=True)
+    mechanism.add(member, root, mechanism.point((0.5, 0)), start=angle)
+    mechanism.torque(mechanism.ends(0)[1], lambda t: 0.05 * np.sin(np.pi * t / 0.02) ** 2 if t < 0.02 else 0.0)
+    return simulate(mechanism, end=end, step=step, rho=1.0)
+
+
+@pytest.mark.parametrize("kind", ["full", "reduced"])
+def test_small_vibrations_decay_with_the_ratio_of_the_damping(kind):
+    f = 1.8751040687**2 / (2 * np.pi) * np.sqrt(2e9 * 1e-9 / (0.12 * 0.5**4))
+    damping = 0.03 / (np.pi * f)
+    motion = swinging(beams()[kind], damping, 0.6, 2e-3)
+    late = motion.times > 0.2
+    t, y = motion.times[late], motion.q[late, 1]
+    peaks = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] > y[2:])) + 1
+    decay = -np.polyfit(t[peaks], np.log(y[peaks]), 1)[0]
+    assert decay == pytest.approx(0.03 * 2 * np.pi * f, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["full", "reduced"])
+def test_energy_goes_where_the_damping_says(kind):
+    off = []
+    for step in (1e-3, 5e-4):
+        motion = swinging(beams()[kind], 1e-3, 0.2, step)
+        total = motion.kinetic + motion.potential + motion.dissipated
+        free = motion.times >= 0.02
+        off.append(np.ptp(total[free]) / motion.dissipated[-1])
+    assert motion.dissipated[-1] > 0 and off[1] < min(0.02, 0.4 * off[0])
+
+
+@pytest.mark.parametrize("kind", ["full", "reduced"])
+def test_rigid_motion_is_not_damped(kind):
+    member = beams()[kind]
+    q = member.start(np.array([0.0, 0.0, 0.0, member.length, 0.0, 0.0]))
+    if kind == "reduced":
+        q[[2, 5, 6]] += 0.2, -0.3, 1e-3
+    else:
+        q[3::3] += 0.01
+    turn = member.rigid.copy() if kind == "full" else np.eye(member.size, 3)
+    motion = np.zeros(member.size)
+    if kind == "full":
+        motion = turn[:, 2].copy()
+        motion[0::3], motion[1::3] = -q[1::3], q[0::3]
+    else:
+        motion[:6] = -q[1], q[0], 1, -q[4], q[3], 1
+    K = member.at(q).strains()
+    assert np.abs(K @ motion).max() < 1e-9 * abs(K).max()
+    assert np.linalg.eigvalsh(K.toarray() if kind == "full" else K).min() > -1e-9 * abs(K).max()
+
+
+def test_a_pendulum_on_a_moved_base_follows_its_equation():
+    length, mass, amplitude, rate = 0.4, 0.3, 0.05, 6.0
+
+    def base(t):
+        # Starts without speed and acceleration.
+        return amplitude * (np.sin(rate * t) - 0.5 * np.sin(2 * rate * t)), 0.0
+
+    def pulled(t, y):
+        a = amplitude * rate**2 * (-np.sin(rate * t) + 2 * np.sin(2 * rate * t))
+        rod = 1.0 * length
+        moment, inertia = mass * length + rod * length / 2, mass * length**2 + rod * length**2 / 3
+        # Angle from the direction straight down.
+        return [y[1], -(moment / inertia) * (9.81 * np.sin(y[0]) + a * np.cos(y[0]))]
+
+    rod = FullMember(PlanarBeam.straight(length, 2, Section(EA=1e7, GA=1e7, EI=1e4, mass=1.0)))
+    mechanism = Mechanism(gravity=(0, -9.81))
+    top, end = mechanism.point((0, 0), motion=base), mechanism.point((0, -length))
+    mechanism.add(rod, top, end)
+    mechanism.mass(end, mass)
+    errors = []
+    exact = solve_ivp(pulled, (0, 2.0), [0, 0], rtol=1e-10, atol=1e-12, t_eval=[1.0]).y[0, -1]
+    for step in (1e-2, 5e-3):
+        motion = simulate(mechanism, end=1.0, step=step, rho=0.9)
+        x, y = motion.q[-1, :2]
+        errors.append(abs(np.arctan2(x - base(1.0)[0], -y) - exact))
+    assert abs(exact) > 0.1 and errors[1] < 1e-3 and errors[1] < 0.3 * errors[0]
+
+
+def test_motions_and_damping_that_cannot_be_used_are_refused():
+    mechanism = Mechanism()
+    with pytest.raises(InputError, match=r"starts at \[0\.0, 1\.0\] m"):
+        mechanism.point((0, 0), motion=lambda t: (0, 1))
+    with pytest.raises(InputError, match=r"damping = -1"):
+        Mechanism(damping=-1)
+    beam = PlanarBeam.straight(1.0, 2, STRIP)
+    solid = SimpleNamespace(**{key: getattr(beam, key) for key in OF_A_COMPONENT})
+    with pytest.raises(InputError, match="member 0 does not say"):
+        simulate(falling(lambda m, a, b: m.add(FullMember(solid), a, b), damping=1e-3)[0], end=0.1, step=0.01)
