@@ -123,7 +123,7 @@ def _taken(A: sp.csr_array, rows: Ints) -> sp.csr_array:
     """``A[rows]``, a view where they follow each other."""
     first, last = int(rows[0]), int(rows[-1]) + 1
     if last - first != len(rows) or (np.diff(rows) != 1).any():
-        return A[rows]
+        return sp.csr_array(A[rows])
     begin, end = A.indptr[first], A.indptr[last]
     part = (A.data[begin:end], A.indices[begin:end], A.indptr[first : last + 1] - begin)
     return sp.csr_array(part, shape=(len(rows), A.shape[1]))
@@ -142,13 +142,13 @@ def _merged(
     values, begin = A.data, A.indptr
     if not stays.all():
         values, column, begin = values[stays], column[stays], np.concatenate([[0], np.cumsum(stays)])[begin]
-    counts = np.diff(begin)
+    counts: Ints = np.diff(begin)
     ordered = sp.csr_array((values, column, begin), shape=(A.shape[0], first))
     if not ordered.has_sorted_indices:
         # Not in place: the values may be those of the matrix itself.
         ordered = ordered.sorted_indices()
     values, column = ordered.data, ordered.indices
-    added = np.diff(side.indptr)
+    added: Ints = np.diff(side.indptr)
     end = len(column) + side.nnz
     if not side.nnz:
         data[:end], indices[:end] = values, column
