@@ -26,6 +26,7 @@ lint: setup
 	@$(RUN)/lint-imports
 	@$(RUN)/python scripts/imports.py
 	@$(RUN)/python scripts/schema.py --check
+	@$(RUN)/python benchmarks/figures.py --check
 	@$(RUN)/mypy
 
 # The site, in build/site. Pictures of the gallery and what tutorials print are made anew where their programs changed.

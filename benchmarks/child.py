@@ -62,8 +62,18 @@ def machine(spec: Spec) -> Row:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "cores": cores, "blas_threads": blas_threads(), "system": platform.system(), "processor": platform.machine(),
+        "model": processor_model(),
         "versions": {"python": platform.python_version(), **packages, **versions, "blas": blas},
     }  # fmt: skip
+
+
+def processor_model() -> str:
+    """Name of the processor where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
 def dgemm(spec: Spec) -> Row:
@@ -297,6 +307,13 @@ def fmu(spec: Spec) -> Row:
     return measure(spec)
 
 
+def mechanism(spec: Spec) -> Row:
+    """See mechanisms.py."""
+    from mechanisms import measure
+
+    return measure(spec)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -312,6 +329,7 @@ TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "job": write_job, "interpolation": interpolation, "frames": frames,
     "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
+    "mechanism": mechanism,
 }  # fmt: skip
 
 

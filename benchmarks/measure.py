@@ -6,6 +6,7 @@ stays small (nothing here imports NumPy), because a child begins with the peak o
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 import statistics
@@ -25,6 +26,8 @@ Rounds = dict[str, list[Row]]
 # Libraries with threads of their own.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _DIGITS = 5
+# What the figures depend on; a commit with changes of theirs has a "+" behind its name.
+_MEASURED = ("morembs", "benchmarks", "pipelines", "studies", ":!benchmarks/results")
 
 
 @dataclass(frozen=True)
@@ -153,8 +156,10 @@ class Report:
 
     def add(self, rounds: Rounds) -> None:
         """Keep the medians of ``rounds``, and where there are several rounds the values of each."""
+        origin = {"commit": commit(), "date": datetime.date.today().isoformat()}
         for name, rows in rounds.items():
-            self.rows[name] = {**median(rows), "rounds": rows} if len(rows) > 1 else median(rows)
+            values = {**median(rows), "rounds": rows} if len(rows) > 1 else median(rows)
+            self.rows[name] = {**values, **origin}
 
     def table(self, title: str, columns: Sequence[tuple[str, str, str]]) -> None:
         """Print the rows; columns are (key, heading, unit of ``shown``)."""
@@ -179,32 +184,58 @@ class Report:
         each = f" ({', '.join(f'{value:.3g}' for value in values)})" if len(values) > 1 else ""
         print(f"{words}: {statistics.median(values):.3g}{each}")
 
-    def write(self) -> None:
-        """Write the figures where results are kept."""
+    def write(self, *, some: bool = False) -> None:
+        """Write the figures where results are kept. Where ``some`` rows of the case were measured, others that are
+        there from the same machine stay, each with the commit that it was measured on."""
         if self.settings.results is None:
             return
         self.settings.results.mkdir(parents=True, exist_ok=True)
-        compared = {words: {"median": statistics.median(v), "rounds": v} for words, v in self.comparisons.items()}
-        document = {
-            "case": self.case, "quick": self.settings.quick, "repeat": self.settings.repeat,
-            "machine": self.machine or required("machine", self.settings), "rows": self.rows, "ratios": compared,
-        }  # fmt: skip
-        document["machine"].pop("process_peak_bytes", None)
         path = self.settings.results / f"{self.case}.json"
+        machine = dict(self.machine or required("machine", self.settings))
+        machine.pop("process_peak_bytes", None)
+        for row in self.rows.values():
+            row.setdefault("threads", machine["blas_threads"])
+        compared = {words: {"median": statistics.median(v), "rounds": v} for words, v in self.comparisons.items()}
+        earlier = json.loads(path.read_text(encoding="utf-8")) if some and path.exists() else {}
+        if not _same_machine(earlier.get("machine", {}), machine):
+            earlier = {}
+        document = {
+            "case": self.case, "quick": self.settings.quick, "repeat": self.settings.repeat, "machine": machine,
+            "rows": {**earlier.get("rows", {}), **self.rows}, "ratios": {**earlier.get("ratios", {}), **compared},
+        }  # fmt: skip
         path.write_text(json.dumps(_rounded(document), indent=1) + "\n", encoding="utf-8")
         say(f"written: {os.path.relpath(path)}")
 
 
+def commit() -> str:
+    """Short name of the commit that is checked out, with a "+" where something that is measured was changed since."""
+    try:
+        name = subprocess.check_output(["git", "rev-parse", "--short=7", "HEAD"], cwd=ROOT, text=True).strip()
+        changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", *_MEASURED], cwd=ROOT, check=False).returncode
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return name + "+" * bool(changed)
+
+
+def _same_machine(first: Row, second: Row) -> bool:
+    return all(first.get(key) == second.get(key) for key in ("cores", "model", "system", "processor"))
+
+
 def shown(value: Any, unit: str) -> str:
-    """A figure in a table. Units: s, MB, G (10^9), % (of one), x (a ratio), e (an error), n (a count), text."""
+    """A figure in a table. Units: s, ms, MB, GB, GiB, G (10^9), % (of one), x (a ratio), e (an error), n (a count),
+    text."""
     if value is None:
         return "-"
     if unit == "text":
         return str(value)
     if unit == "MB":
         return f"{value / 1e6:,.0f}"
-    if unit == "G":
+    if unit in ("G", "GB"):
         return f"{value / 1e9:.3g}"
+    if unit == "GiB":
+        return f"{value / (1 << 30):.2f}"
+    if unit == "ms":
+        return f"{1e3 * value:.3g}"
     if unit == "n":
         return f"{value:,.0f}"
     if unit == "%":

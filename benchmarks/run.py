@@ -3,13 +3,15 @@
 usage: python benchmarks/run.py [CASE ...] [--quick] [--repeat 3]
 
 Measurements are taken in turn within each round, so that a drift of the machine's speed hits all alike; medians
-and ratios are printed and written to benchmarks/results/CASE.json. Figures of one machine say little on another:
-compare within one run.
+and ratios are printed and written to benchmarks/results/CASE.json, and from there to the tables of README and docs
+(figures.py; parts that are named replace their own rows alone). Figures of one machine say little on another: compare
+within one run.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import signal
 import sys
 import tempfile
@@ -17,24 +19,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import budgets
-import certify
-import fmus
-import frames
-import jobs
-import krylov
+import figures
 import parts
-import solvers
-import startup
-import switching
-from measure import HERE, Settings, required
+from measure import Settings, required
 
-CASES = {
-    **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
-    **startup.CASES, **certify.CASES, **fmus.CASES,
+# Module -> its cases. It is imported when one of them is run: a child begins with the peak memory of this process, and
+# the cases that come first have small children.
+MODULES = {
+    "startup": ("startup",), "solvers": ("small", "medium", "large", "factor", "modes"), "krylov": ("krylov",),
+    "frames": ("frames",), "jobs": ("million", "forecast"), "switching": ("switching",), "budgets": ("budgets",),
+    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"),
 }  # fmt: skip
-# These take an hour or more, and are run only if they are named.
-LONG = ("million", "forecast")
+CASES = {case: module for module, cases in MODULES.items() for case in cases}
+# These are run only if they are named; what a round of them takes on two cores.
+LONG = {"million": "an hour", "forecast": "an hour", "krylov": "20 minutes", "budgets": "15 minutes"}
 ROUNDS = 3
 
 
@@ -44,13 +42,16 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "cases", nargs="*", metavar="CASE",
-        help=f"{', '.join(known)}; without any: all but {' and '.join(LONG)}, which take long",
+        help=f"{', '.join(known)}; without any: all but the long ones, which are "
+        + ", ".join(f"{case} ({time} a round)" for case, time in LONG.items()),
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="small sizes, once: a test of the benchmarks themselves")
     parser.add_argument("--repeat", "--runs", type=int, help="rounds (3; 1 with --quick and for the long ones)")
     parser.add_argument("--threads", type=int, help="threads of the BLAS libraries; without it what they take")
     parser.add_argument("--folder", type=Path, help="keeps meshes and matrices; without it a temporary one")
-    parser.add_argument("--results", type=Path, help="folder for JSON (benchmarks/results; none with --quick)")
+    parser.add_argument(
+        "--results", type=Path, help="folder for JSON (benchmarks/results, and tables of the docs; none with --quick)"
+    )
     given = parser.parse_args(arguments)
     if wrong := [case for case in given.cases if case not in known]:
         parser.error(f"no such case: {', '.join(wrong)}; expected some of {', '.join(known)}")
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = (given.folder or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         settings = Settings(
-            folder=folder, results=given.results or (None if given.quick else HERE / "results"), quick=given.quick,
+            folder=folder, results=given.results or (None if given.quick else figures.RESULTS), quick=given.quick,
             repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads,
         )  # fmt: skip
         hardware = required("machine", settings)
@@ -85,9 +86,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for case in cases:
             if case in CASES:
                 once = case in LONG and given.repeat is None
-                CASES[case](replace(settings, repeat=1) if once else settings)
+                measured = importlib.import_module(CASES[case]).CASES[case]
+                measured(replace(settings, repeat=1) if once else settings)
         if single := [case for case in cases if case in parts.NAMES]:
             parts.measured(single, settings)
+    if settings.results == figures.RESULTS:
+        figures.write()
 
 
 if __name__ == "__main__":

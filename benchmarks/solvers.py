@@ -6,6 +6,7 @@ The matrices are the stiffness of a cube of ten-node tetrahedra on springs that 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from measure import Report, Rounds, Row, Settings, child, in_rounds, ratios, required
@@ -119,10 +120,6 @@ def medium(settings: Settings) -> None:
             report.compare(
                 f"default over the fastest ({best}), seconds {words}", ratios(rounds, (DEFAULT, key), (best, key))
             )
-    report.compare(
-        "mumps-embedded over mumps, processor seconds of the factorisation and its check",
-        ratios(rounds, ("mumps-embedded", "factor_cpu_seconds"), ("mumps", "factor_cpu_seconds")),
-    )
     report.write()
 
 
@@ -164,6 +161,31 @@ def large(settings: Settings) -> None:
         "bytes read by the cold solve over the factor on disk",
         ratios(rounds, (disk, "read_bytes"), (disk, "disk_bytes")),
     )
+    report.write()
+
+
+# Solvers with a factor in memory, and thousands of dofs with the numbers of threads.
+DIRECT = ("cholmod", "mumps", "mumps-embedded", "pardiso")
+SIZES, QUICK_SIZES = ((59, (1, 2)), (104, (1, 2)), (305, (2,))), ((6, (1, 2)),)
+
+
+def factor(settings: Settings) -> None:
+    """Factorisations in memory on one thread and on two, beside DGEMM on as many."""
+    report = Report("factor", settings)
+    for size, counts in QUICK_SIZES if settings.quick else SIZES:
+        for threads in counts:
+            specs: dict[str, Spec] = {
+                f"{name} {size}k, threads: {threads}": {"solver": name, "columns": [30]} for name in DIRECT
+            }
+            rounds = compared(specs, 1000 * size, replace(settings, threads=threads))
+            report.add(rounds)
+            first, second = (f"{name} {size}k, threads: {threads}" for name in ("mumps-embedded", "mumps"))
+            key = "factor_cpu_seconds"
+            report.compare(
+                f"{first} over {second}, processor seconds", ratios(rounds, (first, key), (second, key))
+            )
+    columns = (*_FACTOR[:-2], ("factor_cpu_seconds", "processor s", "s"), _FACTOR[-2])
+    report.table(f"factor: cubes on one thread and on two\n{_NOTE}", columns)
     report.write()
 
 
@@ -223,4 +245,6 @@ def _of_arpack(row: Row) -> Row:
     }  # fmt: skip
 
 
-CASES: dict[str, Callable[[Settings], None]] = {"small": small, "medium": medium, "large": large, "modes": modes}
+CASES: dict[str, Callable[[Settings], None]] = {
+    "small": small, "medium": medium, "large": large, "factor": factor, "modes": modes,
+}  # fmt: skip

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,7 @@ def test_large_arrays_live_in_a_file_without_a_name(tmp_path: Path, order: str) 
 
 REST = """
 import sys
+from itertools import pairwise
 from pathlib import Path
 import numpy as np
 from morembs.budget import Budget, Values
@@ -168,6 +170,7 @@ def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 SCRATCH = """
 import sys
+from itertools import pairwise
 from pathlib import Path
 from morembs.scratch import ScratchFolder
 folder = ScratchFolder(Path(sys.argv[1]))
@@ -222,6 +225,7 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
 
 CUT = """
 import os, sys
+from itertools import pairwise
 from pathlib import Path
 from morembs.scratch import ScratchFolder
 
@@ -321,6 +325,14 @@ def test_congruence_is_that_of_scipy(filed: Budget, in_files: bool) -> None:
     assert bool(filed.files) == in_files
     np.testing.assert_allclose(magnitudes(A, np.ones((192, 1)))[:, 0], abs(A).sum(axis=1), rtol=1e-14)
     filed.close()
+
+
+def test_congruence_leaves_a_matrix_with_rows_in_any_order_as_it_was() -> None:
+    A = sp.csr_array(brick(2))
+    reverse = np.concatenate([np.arange(end - 1, begin - 1, -1) for begin, end in pairwise(A.indptr)])
+    turned = sp.csr_array((A.data[reverse], A.indices[reverse], A.indptr), shape=A.shape)
+    product = congruence(sp.csr_array(sp.eye_array(A.shape[0])), turned, Budget())
+    assert product.has_canonical_format and (abs(product - A).max(), abs(turned - A).max()) == (0, 0)
 
 
 @pytest.mark.parametrize(("rows", "width"), [(50, 8), (50, 150), (70_000, 8)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,14 +37,15 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array
     indptr, used, row = np.zeros(f + m + 1, dtype=index), 0, 0
     place = np.full(A.shape[0], -1, dtype=index)
     place[kept] = np.arange(f, dtype=index)
-    parts = (sp.csr_array(sp.hstack([_renumbered(A[kept[rows]], place, f), side[rows]])) for rows in _pieces(A, kept))
-    for part in chain(parts, [below]):
-        part.sort_indices()
-        end = used + part.nnz
-        data[used:end], indices[used:end] = part.data, part.indices
-        indptr[row + 1 : row + 1 + part.shape[0]] = used + part.indptr[1:]
-        used, row = end, row + part.shape[0]
+    for rows in _pieces(A, kept):
+        part = _taken(A, kept[rows])
+        counts = _merged(part, place, side[rows], f, data[used:], indices[used:])
+        indptr[row + 1 : row + 1 + len(counts)] = used + np.cumsum(counts, dtype=index)
+        used, row = int(indptr[row + len(counts)]), row + len(counts)
         budget.release_if_tight()
+    below.sort_indices()
+    data[used:], indices[used:] = below.data, below.indices
+    indptr[row + 1 :] = used + below.indptr[1:].astype(index)
     result = sp.csr_array((data, indices, indptr), shape=(f + m, f + m))
     result.has_canonical_format = True
     return result
@@ -118,14 +119,48 @@ def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tup
     return sp.csr_array((whole.data, whole.indices, indptr), shape=(len(kept), R.shape[1])), dropped
 
 
-def _renumbered(A: sp.csr_array, place: Ints, count: int) -> sp.csr_array:
-    """``A`` with column j at ``place[j]`` of ``count`` ones; without the columns whose place is below zero."""
+def _taken(A: sp.csr_array, rows: Ints) -> sp.csr_array:
+    """``A[rows]``, a view where they follow each other."""
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    if last - first != len(rows) or (np.diff(rows) != 1).any():
+        return sp.csr_array(A[rows])
+    begin, end = A.indptr[first], A.indptr[last]
+    part = (A.data[begin:end], A.indices[begin:end], A.indptr[first : last + 1] - begin)
+    return sp.csr_array(part, shape=(len(rows), A.shape[1]))
+
+
+def _merged(
+    A: sp.csr_array, place: Ints, side: sp.csr_array, first: int, data: NDArray[Any], indices: NDArray[Any]
+) -> Ints:
+    """Write [A side], row by row, to the beginning of ``data`` and ``indices``, and return the entries of each row.
+
+    Column j of ``A`` becomes ``place[j]`` and is dropped where that is below zero; columns of ``side`` begin at
+    ``first``.
+    """
     column = place[A.indices]
     stays = column >= 0
-    if stays.all():
-        return sp.csr_array((A.data, column, A.indptr), shape=(A.shape[0], count))
-    indptr = np.concatenate([[0], np.cumsum(stays)])[A.indptr]
-    return sp.csr_array((A.data[stays], column[stays], indptr), shape=(A.shape[0], count))
+    values, begin = A.data, A.indptr
+    if not stays.all():
+        values, column, begin = values[stays], column[stays], np.concatenate([[0], np.cumsum(stays)])[begin]
+    counts: Ints = np.diff(begin)
+    ordered = sp.csr_array((values, column, begin), shape=(A.shape[0], first))
+    if not ordered.has_sorted_indices:
+        # Not in place: the values may be those of the matrix itself.
+        ordered = ordered.sorted_indices()
+    values, column = ordered.data, ordered.indices
+    added: Ints = np.diff(side.indptr)
+    end = len(column) + side.nnz
+    if not side.nnz:
+        data[:end], indices[:end] = values, column
+        return counts
+    side.sort_indices()
+    # Entries of the side end their rows.
+    ends = np.repeat(np.cumsum(counts), added) + np.arange(side.nnz)
+    own = np.ones(end, dtype=bool)
+    own[ends] = False
+    data[:end][own], indices[:end][own] = values, column
+    data[ends], indices[ends] = side.data, side.indices + first
+    return counts + added
 
 
 def _pieces(A: sp.csr_array, rows: Ints) -> Iterator[slice]:
