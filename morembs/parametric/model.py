@@ -163,11 +163,14 @@ class ModelAt:
         )  # fmt: skip
         return np.asarray(there.error(omega)), str(there.kind)
 
-    def sensitivity(self) -> Sensitivity:
-        """Derivatives with respect to each parameter, exact for the reduced model."""
+    def sensitivity(self, count: int | None = None) -> Sensitivity:
+        """Derivatives with respect to each parameter, exact for the reduced model; of the first ``count`` frequencies,
+        of all without it."""
         box = self.model.box
         dK, dM = self.model.derivatives(self.p)
         clusters = _clusters(self.values[self.rigid.shape[1] :])
+        if count is not None:
+            clusters = [cluster for cluster in clusters if cluster[0] < count]
         frequencies = {name: self._slopes(dK[j], dM[j], clusters) for j, name in enumerate(box.names)}
         clustered = np.concatenate([np.full(len(c), len(c) > 1) for c in clusters])
         return Sensitivity(
@@ -177,7 +180,7 @@ class ModelAt:
 
     def _slopes(self, dK: Floats, dM: Floats, clusters: list[NDArray[np.int64]]) -> Floats:
         """d f / dp (e,) of the elastic frequencies; of a cluster those of its branches, ascending."""
-        r, result = self.rigid.shape[1], np.empty(len(self.values) - self.rigid.shape[1])
+        r, result = self.rigid.shape[1], np.empty(clusters[-1][-1] + 1)
         for cluster in clusters:
             y = self.Y[:, r + cluster]
             value = self.values[r + cluster].mean()
