@@ -8,7 +8,7 @@ final arrays, so that peak memory stays near that of K and M themselves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -91,41 +91,85 @@ def assemble(
     if not seams:
         _refuse_gaps(mesh)
     graph = node_graph(mesh)
-    blocks_per_row = np.diff(graph.indptr).astype(np.int64)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
-    densities = np.array([material.density for material in materials])
-    done, total, axes = 0, sum(len(block.ids) for block in mesh.blocks), np.arange(3)
-    for block, rows in chunks(mesh):
-        which = owner[id(block)][rows]
-        x, ids = mesh.nodes.xyz[block.nodes[rows]], block.ids[rows]
-        rule = block.mass if mass_integration == "element" else mass_integration
-        mass = element_mass(block, rule, x, densities[which])
-        nodes = block.nodes[rows]
-        k = nodes.shape[1]
-        at = np.asarray(graph[np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()]).astype(np.int64)
-        np.add.at(m_data, at, mass.ravel())
-        at = at.reshape(-1, k, k)
-        for part, stiffness in _stiffness(formulation_of(block), TYPES[block.type], x, ids, materials, which):
-            # Entry (a, b) of node block `at` lies at 9*start + 3*a*blocks + 3*(at - start) + b of the CSR array.
-            start = graph.indptr[nodes[part]].astype(np.int64)[:, :, None, None, None]
-            step = (3 * blocks_per_row[nodes[part]])[:, :, None, None, None] * axes[:, None, None]
-            place = 6 * start + 3 * at[part][:, :, None, :, None] + step + axes
-            np.add.at(k_data, place.ravel(), stiffness.ravel())
-        done += len(rows)
-        budget.release_if_tight()
-        progress.update(f"assembled {done} of {total} elements")
+    integrate(
+        mesh, materials, owner, graph, stiffness=k_data, mass=m_data, mass_integration=mass_integration,
+        budget=budget, progress=progress,
+    )  # fmt: skip
     if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
-    indptr, K_indices = _scalar_pattern(graph, budget, full=True)
-    K = sp.csr_array((k_data, K_indices, indptr), shape=(3 * len(mesh.nodes),) * 2)
-    M = _expand_mass(graph, m_data, budget)
+    K, M = stiffness_matrix(graph, k_data, budget), mass_matrix(graph, m_data, budget)
     if mass_integration == "element" and any(block.mass == "row-sum" for block in mesh.blocks):
         M.eliminate_zeros()
-    K.has_canonical_format = True
     return FEModel(
         K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, materials=tuple(materials),
         source=mesh.source, warnings=(*mesh.warnings, *other_mass),
     )  # fmt: skip
+
+
+def integrate(
+    mesh: Mesh, materials: Sequence[Material], owner: dict[int, Ints], graph: sp.csr_array, *,
+    stiffness: Floats | None = None, mass: Floats | None = None, mass_integration: str = "element",
+    chosen: Mapping[int, NDArray[np.bool_]] | None = None,
+    weights: Callable[[ElementBlock, Ints], Floats] | None = None,
+    budget: Budget = UNLIMITED, progress: Progress = SILENT,
+) -> None:  # fmt: skip
+    """Add elements to the data of K (9 nnz) and of the scalar mass (nnz) on the ``graph`` of ``node_graph``.
+
+    Args:
+        mesh: with middle nodes in order.
+        owner: index of the material of each element, as of ``material_of_elements``.
+        chosen: per block (by identity) which elements count (ne,); all of them by default.
+        weights: factors (n, nq) of the volumes at the points of the stiffness, of a block and rows of its elements.
+    """
+    blocks_per_row = np.diff(graph.indptr).astype(np.int64)
+    densities = np.array([material.density for material in materials])
+    done, total, axes = 0, mesh.element_count, np.arange(3)
+    for block, rows in chunks(mesh, chosen):
+        which = owner[id(block)][rows]
+        x, ids, nodes = mesh.nodes.xyz[block.nodes[rows]], block.ids[rows], block.nodes[rows]
+        k = nodes.shape[1]
+        at = np.asarray(graph[np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()]).astype(np.int64)
+        if mass is not None:
+            rule = block.mass if mass_integration == "element" else mass_integration
+            np.add.at(mass, at, element_mass(block, rule, x, densities[which]).ravel())
+        if stiffness is not None:
+            at = at.reshape(-1, k, k)
+            factors = None if weights is None else weights(block, rows)
+            formulation, kind = formulation_of(block), TYPES[block.type]
+            for part, K in _stiffness(formulation, kind, x, ids, materials, which, factors):
+                # Entry (a, b) of node block `at` lies at 9*start + 3*a*blocks + 3*(at - start) + b of the CSR array.
+                start = graph.indptr[nodes[part]].astype(np.int64)[:, :, None, None, None]
+                step = (3 * blocks_per_row[nodes[part]])[:, :, None, None, None] * axes[:, None, None]
+                place = 6 * start + 3 * at[part][:, :, None, :, None] + step + axes
+                np.add.at(stiffness, place.ravel(), K.ravel())
+        done += len(rows)
+        budget.release_if_tight()
+        progress.update(f"assembled {done} of {total} elements")
+
+
+def entries_of(
+    mesh: Mesh, graph: sp.csr_array, chosen: Mapping[int, NDArray[np.bool_]] | None = None
+) -> tuple[Ints, Ints]:
+    """Places (l,) in the data of the scalar mass and (9 l,) in those of K that the ``chosen`` elements touch."""
+    touched = np.zeros(graph.nnz, dtype=bool)
+    for block, rows in chunks(mesh, chosen):
+        nodes = block.nodes[rows]
+        k = nodes.shape[1]
+        touched[np.asarray(graph[np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()])] = True
+    entries, axes = np.flatnonzero(touched), np.arange(3)
+    row = np.searchsorted(graph.indptr, entries, side="right") - 1
+    start, blocks = graph.indptr[row].astype(np.int64), np.diff(graph.indptr)[row].astype(np.int64)
+    places = (6 * start + 3 * entries)[:, None, None] + 3 * axes[:, None] * blocks[:, None, None] + axes
+    return entries, np.sort(places.ravel())
+
+
+def stiffness_matrix(graph: sp.csr_array, k_data: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+    """K (3 n, 3 n) of its data (9 nnz) on the ``graph`` (n, n), as ``integrate`` fills them."""
+    indptr, indices = _scalar_pattern(graph, budget, full=True)
+    K = sp.csr_array((k_data, indices, indptr), shape=(3 * graph.shape[0],) * 2)
+    K.has_canonical_format = True
+    return K
 
 
 def mass_warnings(mesh: Mesh, mass_integration: str) -> tuple[str, ...]:
@@ -203,15 +247,21 @@ def _refuse_gaps(mesh: Mesh) -> None:
         )
 
 
-def chunks(mesh: Mesh) -> Iterator[tuple[ElementBlock, Ints]]:
-    """Blocks with rows of their elements, few enough that what is integrated over them stays near 50 MB times 4."""
+def chunks(
+    mesh: Mesh, chosen: Mapping[int, NDArray[np.bool_]] | None = None
+) -> Iterator[tuple[ElementBlock, Ints]]:
+    """Blocks with rows of their elements, few enough that what is integrated over them stays near 50 MB times 4.
+
+    ``chosen`` says for each block (by identity) which elements (ne,) are meant; all by default.
+    """
     for block in mesh.blocks:
         kind = TYPES[block.type]
         points = len(kind.rule(kind.stiffness_order).weights)
         per_element = 8 * (2 * 6 * 3 * kind.n_nodes * points + 2 * 9 * kind.n_nodes**2)
         size = max(1, CHUNK_BYTES // per_element)
-        for start in range(0, len(block.ids), size):
-            yield block, np.arange(start, min(start + size, len(block.ids)))
+        rows = np.arange(len(block.ids)) if chosen is None else np.flatnonzero(chosen[id(block)])
+        for start in range(0, len(rows), size):
+            yield block, rows[start : start + size]
 
 
 def node_graph(mesh: Mesh) -> sp.csr_array:
@@ -263,8 +313,8 @@ def _entries(graph: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Ints]]
         first = last
 
 
-def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_array:
-    """Ms (x) I3 in CSR form."""
+def mass_matrix(graph: sp.csr_array, m_data: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+    """M = Ms (x) I3 (3 n, 3 n) of the data (nnz) of the scalar mass on the ``graph`` (n, n)."""
     indptr, indices = _scalar_pattern(graph, budget, full=False)
     data = budget.empty(3 * graph.nnz)
     for begin, end, start, local, row_length in _entries(graph):
@@ -276,11 +326,15 @@ def _expand_mass(graph: sp.csr_array, m_data: Floats, budget: Budget) -> sp.csr_
 
 
 def _stiffness(
-    formulation: Formulation, kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints
-) -> Iterator[tuple[slice, Floats]]:
-    """Stiffness (n, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3), piece by piece."""
+    formulation: Formulation, kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints,
+    factors: Floats | None = None,
+) -> Iterator[tuple[slice, Floats]]:  # fmt: skip
+    """Stiffness (n, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3), piece by piece; ``factors`` (ne, nq)
+    multiply the volumes."""
     constants = np.stack([material.stiffness for material in materials])
     whole = formulation.elements(kind, x, ids, constants[which])
+    if factors is not None:
+        whole = replace(whole, here=Geometry(whole.here.dN, whole.here.dV * factors))
     # C = L L', so that B' C B = (L'B)'(L'B) is one product of a matrix with itself.
     roots = np.linalg.cholesky(constants).transpose(0, 2, 1)
     _, nq, k, _ = whole.here.dN.shape

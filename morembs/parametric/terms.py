@@ -1,0 +1,155 @@
+"""The coupled problem of a model with parameters: the affine terms in coupled dofs, and problems at other values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.errors import InputError
+from morembs.interface import Interface, couple
+from morembs.linalg.congruence import congruence
+from morembs.model import FEModel, skew
+from morembs.model.assembly import mass_matrix, stiffness_matrix
+from morembs.parametric.law import Law
+from morembs.parametric.varied import VariedModel, varied_model
+from morembs.problem import Problem
+from morembs.problem.damping import Damping
+
+Floats = NDArray[np.float64]
+# Part of the size of a model by which the displacements of the nodes of an interface may differ.
+SAME = 1e-9
+
+
+class AffineProblem(Problem):
+    """The coupled problem at nominal values of parameters, with the terms of which all others of its box are sums.
+
+    ``K_terms``, ``M_terms`` (Nc, Nc) and ``law_K``, ``law_M`` give K(p) and M(p); B and the coupling are one for all.
+    ``rigid_terms`` (Nc, 6, 1 + morphs): the geometric rigid motions are R0 + sum_i t_i R_i, about a fixed pole.
+
+    >>> with AffineProblem(varied, interfaces) as problem:
+    ...     problem.at(problem.box.point({"E": 2e11})).K.shape
+    (48, 48)
+    """
+
+    def __init__(
+        self, varied: VariedModel, interfaces: Sequence[Interface] = (), *, damping: Damping | None = None,
+        budget: Budget | None = None, model: FEModel | None = None, **options: Any,
+    ) -> None:  # fmt: skip
+        nominal = varied.box.nominal
+        model = varied.model(nominal, budget or UNLIMITED) if model is None else model
+        self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
+        _refuse_bent(varied, interfaces)
+        given = self.box.damping(damping or Damping(), nominal)
+        super().__init__(model, interfaces, damping=given, budget=budget, **options)
+
+    @property
+    def law_K(self) -> Law:
+        """Coefficients a_q(p) of the stiffness."""
+        return self.varied.stiffness.law
+
+    @property
+    def law_M(self) -> Law:
+        """Coefficients b_j(p) of the mass."""
+        return self.varied.mass.law
+
+    @cached_property
+    def K_terms(self) -> tuple[sp.csr_array, ...]:
+        """The terms K_q (Nc, Nc), each on the pattern of its own elements."""
+        return tuple(self.stiffness_sum(theta) for theta in np.eye(len(self.varied.stiffness)))
+
+    @cached_property
+    def M_terms(self) -> tuple[sp.csr_array, ...]:
+        """The terms M_j (Nc, Nc)."""
+        return tuple(self.mass_sum(theta) for theta in np.eye(len(self.varied.mass)))
+
+    def stiffness_sum(self, theta: Floats) -> sp.csr_array:
+        """sum_q theta_q K_q (Nc, Nc) for any coefficients (Q,)."""
+        terms = self.varied.stiffness
+        return self._coupled(stiffness_matrix(self.varied.graph, terms.combined(theta), self.budget))
+
+    def mass_sum(self, theta: Floats) -> sp.csr_array:
+        """sum_j theta_j M_j (Nc, Nc) for any coefficients (J,)."""
+        return self._coupled(mass_matrix(self.varied.graph, self.varied.mass.combined(theta), self.budget))
+
+    def _coupled(self, A: sp.csr_array) -> sp.csr_array:
+        A.eliminate_zeros()
+        T = self.coupling.T
+        return A if T.shape[0] == T.shape[1] else congruence(T, A, self.budget)
+
+    @property
+    def eps(self) -> float:
+        """(1 - eps) x'Kx <= x'K~x <= (1 + eps) x'Kx for the assembled K and the sum K~ of the terms, at all values."""
+        return self.varied.eps
+
+    @property
+    def morphs(self) -> tuple[int, ...]:
+        """Numbers of the parameters that are morphs."""
+        return self.box.morphs
+
+    @cached_property
+    def rigid_terms(self) -> Floats:
+        """(Nc, 6, 1 + morphs): R(p) = R0 + sum_i t_i R_i over the morphs i in the order of the parameters.
+
+        Geometric rigid motions as of ``coupling.R``, with rotations about the pole of nominal values at all of them.
+        """
+        nominal, terms = self.box.nominal, []
+        for number in self.morphs:
+            p = nominal.copy()
+            p[number] = self.box.high[number] if nominal[number] < self.box.high[number] else self.box.low[number]
+            moved = couple(self.varied.outline(p), self.interfaces_at(p))
+            shift = np.eye(6)
+            shift[:3, 3:] = skew(self.coupling.pole - moved.pole)
+            terms.append((moved.R @ shift - self.coupling.R) / (p[number] - nominal[number]))
+        constant = self.coupling.R - sum(nominal[i] * R for i, R in zip(self.morphs, terms, strict=True))
+        return np.stack([constant, *terms], axis=-1)
+
+    def rigid_at(self, p: Floats) -> Floats:
+        """R(p) (Nc, 6) of ``rigid_terms``."""
+        return self.box.affine(self.rigid_terms, p)
+
+    def damping_at(self, p: Floats) -> Damping:
+        """The damping at ``p`` (P,)."""
+        return self.box.damping(self.damping, p)
+
+    def at(self, p: Floats, *, assembled: bool = False) -> Problem:
+        """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
+        model = (self.varied.assembled if assembled else self.varied.model)(p, self.budget)
+        return Problem(
+            model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p), budget=self.budget,
+            progress=self.progress,
+        )  # fmt: skip
+
+    def interfaces_at(self, p: Floats) -> tuple[Interface, ...]:
+        """The interfaces at ``p`` (P,), which a morph moves along."""
+        away = self.varied.morph.positions(p) - self.varied.morph.positions(self.box.nominal)
+        return tuple(replace(each, point=each.point + away[each.nodes[0]]) for each in self.interfaces)
+
+
+def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
+    """Refuse morphs that do not move an interface by one translation.
+
+    Raises:
+        InputError: as said.
+    """
+    morph = varied.morph
+    size = float(np.ptp(morph.mesh.nodes.xyz, axis=0).max())
+    for number, d in zip(morph.which, morph.displacements, strict=True):
+        parameter = varied.parameters[number]
+        reach = max(abs(parameter.low), abs(parameter.high))
+        for interface in interfaces:
+            apart = float(np.linalg.norm(np.ptp(d[interface.nodes], axis=0))) * reach
+            if apart > SAME * size:
+                raise InputError(
+                    f"parameter {parameter.name} moves the nodes of interface {interface.name} by different "
+                    f"displacements (up to {1e3 * apart:.3g} mm apart); a morph may only translate an interface"
+                )
+
+
+__all__ = ["AffineProblem", "VariedModel", "varied_model"]
