@@ -148,6 +148,22 @@ def integrate(
         progress.update(f"assembled {done} of {total} elements")
 
 
+def entries_of(
+    mesh: Mesh, graph: sp.csr_array, chosen: Mapping[int, NDArray[np.bool_]] | None = None
+) -> tuple[Ints, Ints]:
+    """Places (l,) in the data of the scalar mass and (9 l,) in those of K that the ``chosen`` elements touch."""
+    touched = np.zeros(graph.nnz, dtype=bool)
+    for block, rows in chunks(mesh, chosen):
+        nodes = block.nodes[rows]
+        k = nodes.shape[1]
+        touched[np.asarray(graph[np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()])] = True
+    entries, axes = np.flatnonzero(touched), np.arange(3)
+    row = np.searchsorted(graph.indptr, entries, side="right") - 1
+    start, blocks = graph.indptr[row].astype(np.int64), np.diff(graph.indptr)[row].astype(np.int64)
+    places = (6 * start + 3 * entries)[:, None, None] + 3 * axes[:, None] * blocks[:, None, None] + axes
+    return entries, np.sort(places.ravel())
+
+
 def stiffness_matrix(graph: sp.csr_array, k_data: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
     """K (3 n, 3 n) of its data (9 nnz) on the ``graph`` (n, n), as ``integrate`` fills them."""
     indptr, indices = _scalar_pattern(graph, budget, full=True)

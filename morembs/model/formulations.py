@@ -229,6 +229,14 @@ def formulation_of(block: ElementBlock) -> Formulation:
 _TYPES_OF = {name: tuple(formulation.orders or TYPES) for name, formulation in FORMULATIONS.items()}
 
 
+def mass_rule(block: ElementBlock, rule_name: str) -> Rule:
+    """Where ``element_mass`` integrates."""
+    kind = TYPES[block.type]
+    if rule_name == "reduced":
+        return formulation_of(block).integration(kind)
+    return kind.rule(rule_name if rule_name in (IRONS, STROUD) else kind.mass_order)
+
+
 def element_mass(block: ElementBlock, rule_name: str, x: Floats, density: Floats) -> Floats:
     """Scalar mass (ne, k, k) in kg of elements with node coordinates ``x`` (ne, k, 3) and ``density`` (ne,) in kg/m3.
 
@@ -236,10 +244,7 @@ def element_mass(block: ElementBlock, rule_name: str, x: Floats, density: Floats
     whose Jacobian dips below zero in a corner still has its exact mass.
     """
     kind, formulation = TYPES[block.type], formulation_of(block)
-    if rule_name == "reduced":
-        rule = formulation.integration(kind)
-    else:
-        rule = kind.rule(rule_name if rule_name in (IRONS, STROUD) else kind.mass_order)
+    rule = mass_rule(block, rule_name)
     dm = np.linalg.det(jacobian(x, rule)) * rule.weights * density[:, None]
     if rule_name == "reduced" and formulation.mean:
         rule, dm = formulation.points(kind), dm.sum(axis=1, keepdims=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,12 @@ ONE, LINEAR, SQUARE, LAGRANGE = range(4)
 def chebyshev_points(low: float, high: float, count: int) -> Floats:
     """The ``count`` extrema of a Chebyshev polynomial on [low, high], ascending; the ends belong to them."""
     z = np.sin(np.pi * (2 * np.arange(count) - (count - 1)) / (2 * (count - 1)))
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * z)
+
+
+def chebyshev_roots(low: float, high: float, count: int) -> Floats:
+    """The ``count`` roots of a Chebyshev polynomial on [low, high], ascending, where interpolation is most even."""
+    z = np.sin(np.pi * (2 * np.arange(count) - (count - 1)) / (2 * count))
     return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * z)
 
 
@@ -40,6 +47,16 @@ def lagrange(points: Floats, t: Floats) -> tuple[Floats, Floats]:
     np.fill_diagonal(slopes, 0.0)
     np.fill_diagonal(slopes, -slopes.sum(axis=1))
     return np.asarray(values), np.asarray(values @ slopes)
+
+
+def bernstein(points: Floats, low: float, high: float) -> Floats:
+    """Matrix (S, S) from values at ``points`` (S,) of a polynomial of degree S - 1 to its Bernstein coefficients on
+    [low, high], between the least and the largest of which all of its values there lie.
+    """
+    degree = len(points) - 1
+    x = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / max(degree, 1))
+    polynomials = np.array([comb(degree, k) * x**k * (1 - x) ** (degree - k) for k in range(degree + 1)]).T
+    return np.asarray(np.linalg.solve(polynomials, lagrange(points, low + (high - low) * x)[0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,7 +9,8 @@ import pytest
 from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
-from morembs.model.assembly import assemble
+from morembs.model.assembly import assemble, integrate, material_of_elements
+from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
 from morembs.model.selection import select_nodes
 from morembs.parametric.law import Law, chebyshev_points, lagrange
@@ -125,3 +126,104 @@ def test_values_outside_the_box_are_refused():
         box.point({"E_arm": 3e11})
     with pytest.raises(InputError, match="did you mean 'E_arm'"):
         box.point({"E_amr": 2e11})
+
+
+def longer(mesh):
+    """Displacement of the arm of the bracket along z per millimetre: its lower end stays."""
+    xyz = 1e3 * mesh.nodes.xyz
+    d = np.zeros_like(xyz)
+    d[:, 2] = 1e-3 * np.where(xyz[:, 1] <= 10 + 1e-9, np.clip((xyz[:, 2] - 10) / 10, 0, 1), 0)
+    return Parameter(name="t", kind="morph", low=-3.0, high=3.0, nominal=0.0, displacement=d)
+
+
+@pytest.fixture(scope="module")
+def morphed(mesh):
+    varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
+    with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
+        yield problem
+
+
+def random_values(problem, count):
+    rng = np.random.default_rng(8)
+    return rng.uniform(problem.box.low, problem.box.high, (count, len(problem.box.low)))
+
+
+def test_rigid_motion_has_no_stiffness_under_a_morph(morphed):
+    for p in random_values(morphed, 20):
+        K = morphed.stiffness_sum(morphed.law_K(p))
+        R = morphed.rigid_at(p)
+        size = abs(K).max() * np.abs(R).max(axis=0)
+        assert (np.abs(K @ R).max(axis=0) <= 1e-14 * size).all()
+
+
+def test_rigid_terms_are_the_rigid_motions_of_the_moved_model(morphed):
+    p = morphed.box.point({"t": 2.0})
+    with morphed.at(p) as there:
+        expected = there.coupling.R.copy()
+        away = morphed.coupling.pole - there.coupling.pole
+        expected[:, 3:] += expected[:, :3] @ np.array(
+            [[0, -away[2], away[1]], [away[2], 0, -away[0]], [-away[1], away[0], 0]]
+        )
+        np.testing.assert_allclose(morphed.rigid_at(p), expected, atol=1e-13)
+
+
+def test_a_morph_has_the_matrices_assembled_on_the_moved_mesh(morphed):
+    assert morphed.varied.points == 8
+    rng = np.random.default_rng(3)
+    for p in random_values(morphed, 2):
+        with morphed.at(p) as terms, morphed.at(p, assembled=True) as exact:
+            assert abs(terms.M - exact.M).max() <= 1e-13 * abs(exact.M).max()
+            X = np.column_stack([rng.standard_normal((terms.K.shape[0], 100)), exact.elastic_modes(count=4).vectors])
+            energy, other = (np.einsum("ij,ij->j", X, K @ X) for K in (exact.K, terms.K))
+            off = np.abs(other / energy - 1)
+            assert off.max() <= morphed.eps
+            # The modes see the interpolation.
+            assert off.max() > 1e-3 * morphed.eps
+
+
+@pytest.mark.parametrize(("count", "expected"), [(3, 1.4e-2), (4, 2.6e-3), (5, 4.9e-4), (6, 9.4e-5), (8, 3.4e-6)])
+def test_error_of_the_interpolated_volumes_of_a_stretched_arm(morphed, count, expected):
+    assert morphed.varied.morph.error(count) == pytest.approx(1.1 * expected, rel=0.03)
+
+
+def test_terms_are_the_weighted_integrals_at_any_value(morphed):
+    # What the terms say between their points is what integration with the factors gives there.
+    varied, p = morphed.varied, morphed.box.point({"t": 1.234, "E_arm": 1.7e11})
+    morph, owner = varied.morph, material_of_elements(varied.morph.mesh, varied.materials(p))
+    data = np.zeros(varied.stiffness.size)
+    integrate(
+        morph.moved(p), varied.materials(p), owner, varied.graph, stiffness=data,
+        weights=morph.factors(p, morph.roots(1, varied.points)),
+    )  # fmt: skip
+    np.testing.assert_allclose(varied.stiffness.combined(varied.stiffness.law(p)), data, atol=1e-13 * data.max())
+
+
+def test_limits_of_volumes_hold_and_are_reached(morphed):
+    groups, ratios = morphed.varied.volume_ratios()
+    assert groups.tolist() == [2]
+    (block,), rule = morphed.varied.morph.mesh.blocks, TYPES["hex20"].rule(5)
+    rows = np.arange(len(block.ids))
+    volume = {
+        t: morphed.varied.morph.determinants(block, rows, rule, morphed.box.point({"t": t}))
+        for t in (-3.0, -1.234, 0.0, 2.9)
+    }
+    for t, det in volume.items():
+        low, high = ratios.at(morphed.box.point({"t": t}))
+        true = det / volume[0.0]
+        assert true.min() - 1e-5 < low[0] <= true.min()
+        assert true.max() <= high[0] < true.max() + 1e-5
+
+
+def test_a_morph_that_turns_elements_is_refused(mesh):
+    with pytest.raises(InputError, match=r"t between -3 and 12: \d+ hex20 elements are inverted.*narrow its range"):
+        given = longer(mesh)
+        varied_model(mesh, [STEEL], [replace(given, high=12.0, displacement=-given.displacement)])
+
+
+def test_a_morph_that_bends_an_interface_is_refused(mesh):
+    given = longer(mesh)
+    d = given.displacement.copy()
+    d[:, 0] = 1e-2 * mesh.nodes.xyz[:, 2]
+    varied = varied_model(mesh, [STEEL], [replace(given, displacement=d)])
+    with pytest.raises(InputError, match=r"t moves the nodes of interface .* mm apart\); a morph may only translate"):
+        AffineProblem(varied, interfaces(varied.model(varied.box.nominal)))
