@@ -54,8 +54,9 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 # Angles psi that are tried, in radians.
 ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-# Ritz vectors up to this multiple of the upper frequency are V_L.
-LOW = 2.25
+# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the second one whose residuals
+# take no more than this part of b together.
+LOW, FAR, TAKEN = 1.5, 4.0, 0.05
 TINY = float(np.finfo(float).tiny)
 KINDS = ("bound", "estimate", "none")
 
@@ -143,16 +144,24 @@ class ParametricBound:
         off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         alpha_cell, least, proven = self.cells.at(p)
         alpha = alpha_cell * ratio(self.law_K, p, self.anchor).min()
-        few = int((values < (LOW * self.highest) ** 2).sum())
+        gram = np.hstack([start, rho])
+        gram = gram.T @ gram / max(alpha, TINY)
+        few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
         d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
         s_K, s_M = ratio(self.law_K, p, self.soft).min(), ratio(self.law_M, p, self.soft).max()
-        gram = np.hstack([start, rho])
         return BoundAt(
-            values=values, b=b, gram=gram.T @ gram / max(alpha, TINY), off=off / np.sqrt(max(alpha, TINY)),
+            values=values, b=b, gram=gram, off=off / np.sqrt(max(alpha, TINY)),
             off_start=off_start / np.sqrt(max(alpha, TINY)), few=few,
             least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping, eps=self.eps,
             proven=proven and not damping.is_modal,
         )  # fmt: skip
+
+    def _few(self, values: Floats, own: Floats) -> int:
+        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms: more of them make d
+        smaller and kappa larger."""
+        low = int((values < (LOW * self.highest) ** 2).sum())
+        far = int((values < (FAR * self.highest) ** 2).sum())
+        return low + int((np.cumsum(own[low:far] / (values[low:far] - self.highest**2)) <= TAKEN).sum())
 
     def _missed(self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats) -> float:
         """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W."""
@@ -198,6 +207,12 @@ class BoundAt:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(best > 0, two * whole / best, np.inf)
         return error + self._geometry(a, c, g, whole, kappa) if self.eps else error
+
+    def residual(self, omega: Floats) -> Floats:
+        """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        two, whole = self._residual(self._a(omega)[0], omega)
+        return np.asarray(two * whole / self.envelope(omega))
 
     def _a(self, omega: Floats) -> tuple[Complexes, Complexes, Complexes]:
         """a_i (nf, e), c and g (nf,)."""

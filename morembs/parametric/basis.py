@@ -1,0 +1,314 @@
+"""One global basis for a box of parameters, grown where the bound is largest and cut to the smallest that keeps it.
+
+Greedy search (Rozza, Huynh and Patera 2008; for second-order pencils Baur, Beattie, Benner and Gugercin 2011 take given
+points): responses and modes at the p of a training set where the bound over the band is largest. What was collected is
+compressed by proper orthogonal decomposition of reduced responses over p and frequencies, and the least number of
+vectors is taken whose bound keeps the tolerance at all training points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from morembs.errors import InputError
+from morembs.linalg.columns import map_columns, multiply, symmetric
+from morembs.linalg.lanczos import BlockLanczos
+from morembs.parametric.bound import BoundAt, ParametricBound
+from morembs.parametric.cells import Proofs
+from morembs.parametric.parameter import Box
+from morembs.parametric.space import GlobalSpace, ReducedTerms
+from morembs.parametric.terms import AffineProblem
+from morembs.problem import Problem
+from morembs.problem.damping import Damping
+from morembs.progress import SILENT, Progress
+from morembs.responses.certified import floor_of
+
+Floats = NDArray[np.float64]
+# Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
+DEFLATED, TAKEN = 1.75, 1.5
+# Weight of deflated loads in eigenvalues at the limit of the deflated modes.
+WEIGHT = 2.0
+# Modes at other p are as sharp as this: they are columns of a basis only.
+SHARP, STEPS = 1e-5, 40
+# Corners of boxes with so many parameters at most join the training set.
+CORNERS = 6
+# Frequencies over the band at each p, beside the flanks of its resonances.
+GRID = 16
+# Values of p of the decomposition, and of the full points that a search may take.
+SNAPSHOTS, POINTS = 96, 40
+# Fresh values per value of training for the bound over the box.
+FRESH = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParametricBasis:
+    """Columns ``V`` (Nc, n), the ``terms`` of the reduced matrices and the ``bound``; ``kinds`` of the columns.
+
+    ``box_bound`` is the largest bound over the band at all values looked at, a maximum over samples; ``worst`` (P,) is
+    the p and ``worst_hz`` the frequency of it, ``points`` (k, P) are the values with factorisations of K, of which
+    there were ``factorisations`` and ``counts`` of eigenvalues beside them. ``collected`` columns were there before the
+    cut. ``kind`` is "bound" or "estimate"; ``floor`` the damping ratio that is assumed.
+    """
+
+    V: Floats
+    kinds: tuple[str, ...]
+    terms: ReducedTerms
+    bound: ParametricBound
+    box_bound: float
+    worst: Floats
+    worst_hz: float
+    points: Floats
+    factorisations: int
+    counts: int
+    collected: int
+    kind: str
+    floor: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wanted:
+    """What a basis is to keep: relative error ``tolerance`` of the response over ``band_hz``, at ``training`` Sobol
+    points and the corners, with ``order_limit`` columns at most."""
+
+    band_hz: tuple[float, float]
+    tolerance: float
+    training: int
+    order_limit: int
+    floor: float | None = None
+    accept_bound: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Worst:
+    """The largest relative bound, its p (P,) and frequency."""
+
+    value: float
+    p: Floats
+    hz: float
+
+
+def training_points(box: Box, count: int, seed: int = 1) -> Floats:
+    """The nominal values, the corners of boxes that have few, and ``count`` Sobol points (k, P)."""
+    sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
+    inside = box.low + sobol * (box.high - box.low)
+    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
+    return np.vstack([box.nominal, *corners, inside])
+
+
+def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Floats:
+    """Frequencies (nf,) in rad/s over a band where the bound is looked at: steps, and flanks of resonances."""
+    inside = values[(values > low**2) & (values < high**2)]
+    omega = np.sqrt(inside)
+    width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
+    flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
+    return np.concatenate([np.linspace(low, high, GRID), flanks[(flanks > low) & (flanks < high)]])
+
+
+class GreedySearch:
+    """The search for a basis of ``problem`` that keeps what is ``wanted``."""
+
+    def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
+        self.problem, self.wanted, self.progress = problem, wanted, progress
+        self.floor = floor_of(problem, wanted.band_hz, wanted.floor)
+        self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
+        self.training = training_points(problem.box, wanted.training)
+        progress.update("modes at nominal values")
+        modes = problem.elastic_modes(below=(DEFLATED * self.high) ** 2)
+        self.space = GlobalSpace(problem)
+        rigid = problem.rigid.shape[1]
+        before = self.space.size
+        self.space.add(np.array(modes.vectors, order="F"))
+        self.kept = self.space.size
+        # Motions that are rigid at other p only are no low modes anywhere.
+        self.deflated = np.r_[:rigid, before : self.kept]
+        self.sigma = WEIGHT * (DEFLATED * self.high) ** 2
+        self.proofs = Proofs(self.space, progress)
+        self.cells = self.proofs.cells()
+        self.points: list[Floats] = []
+        self.factorisations = 1
+
+    def damping(self, p: Floats) -> Damping:
+        """The damping at ``p`` (P,) with its floor."""
+        own = self.problem.damping_at(p)
+        return replace(own, structural=own.structural + 2 * self.floor) if self.floor else own
+
+    def run(self) -> ParametricBasis:
+        """The basis.
+
+        Raises:
+            InputError: the tolerance is not reached.
+        """
+        wanted = self.wanted
+        self._take(self.problem.box.nominal)
+        terms, bound = self._bound(proof=False)
+        while True:
+            worst = self.worst(terms, bound)
+            self.progress.update(
+                f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
+            )
+            if worst.value <= wanted.tolerance or len(self.points) >= POINTS or not self._take(worst.p):
+                break
+            terms, bound = self._bound(proof=False)
+        terms, bound = self._bound(proof=True)
+        return self._cut(terms, bound)
+
+    def _bound(self, *, proof: bool) -> tuple[ReducedTerms, ParametricBound]:
+        F = np.eye(self.space.size)[:, self.deflated]
+        cells = self.proofs.least(self.cells, F, self.sigma, proof=proof)
+        bound = self.space.bound(
+            cells, F, sigma=self.sigma, highest=self.high, soft=self.proofs.soft, eps=self.problem.eps
+        )
+        return self.space.reduced(), bound
+
+    def _take(self, p: Floats) -> bool:
+        """Static responses and modes at ``p`` (P,) join the space; whether there was anything new."""
+        if any(np.array_equal(p, known) for known in self.points):
+            return False
+        self.points.append(p)
+        if np.array_equal(p, self.problem.box.nominal):
+            return self.space.add(self._responses(self.problem)) > 0
+        self.factorisations += 1
+        with self.problem.at(p) as there:
+            X = self._responses(there)
+        return self.space.add(X) > 0
+
+    def _responses(self, problem: Problem) -> Floats:
+        """Static responses to the interface loads and modes of ``problem``, from one factorisation."""
+        flexibility, M = problem.elastic.flexibility, problem.M
+        loads = problem.B.toarray() * self.problem.motion_scale
+        X = map_columns(flexibility, loads, problem.budget)
+        least = (TAKEN * self.high) ** -2
+        lanczos = BlockLanczos(flexibility, M, X.copy(), capacity=min(400, len(X)), budget=problem.budget)
+        for step in range(STEPS):
+            if lanczos.full() or not lanczos.pending.shape[1]:
+                break
+            lanczos.expand()
+            if step < 2:
+                continue
+            theta, Y, residual = lanczos.ritz()
+            low = theta > least
+            if (residual[low] <= SHARP * theta[low]).all():
+                break
+        theta, Y, _ = lanczos.ritz()
+        return np.hstack([lanczos.vectors(Y[:, theta > least]), X])
+
+    def worst(
+        self, terms: ReducedTerms, bound: ParametricBound, points: Floats | None = None, enough: float = np.inf
+    ) -> Worst:
+        """The largest relative bound over the band at ``points`` (k, P), by default those of the training; the first
+        one above ``enough``. Where it is infinite anywhere the residual tells which p is the worst."""
+        largest = Worst(value=-1.0, p=self.problem.box.nominal, hz=0.0)
+        residual = -1.0
+        for p in self.training if points is None else points:
+            at = terms.bounded(bound, p, self.damping(p))
+            omega = frequencies(at.values, at.damping, self.low, self.high)
+            relative = at.error(omega) / at.envelope(omega)
+            k = int(np.argmax(relative))
+            size = at.residual(omega).max() if np.isinf(relative[k]) else 0.0
+            if relative[k] > largest.value or (relative[k] == largest.value and size > residual):
+                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(omega[k] / (2 * np.pi))), size
+            if largest.value > enough:
+                break
+        return largest
+
+    def _cut(self, terms: ReducedTerms, bound: ParametricBound) -> ParametricBasis:
+        """The least part of the space that keeps the tolerance."""
+        wanted, whole = self.wanted, self.space.size
+        T = self._decomposition(terms)
+        order = np.argsort([-self._at(terms, bound, p) for p in self.training])
+
+        def of(n: int) -> tuple[ReducedTerms, ParametricBound]:
+            return terms.turned(T[:, :n], T[:, :n].T), bound.turned(T[:, :n])
+
+        low, high = self.kept, min(whole, wanted.order_limit)
+        worst = self.worst(*of(high), points=self.training[order])
+        if worst.value > wanted.tolerance and not wanted.accept_bound:
+            raise self._unreached(worst, high)
+        while worst.value <= wanted.tolerance and low < high:
+            middle = (low + high) // 2
+            self.progress.update(f"{middle} of {whole} columns")
+            if self.worst(*of(middle), points=self.training[order], enough=wanted.tolerance).value <= wanted.tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        terms, bound = of(high)
+        box = self.problem.box
+        fresh = training_points(box, FRESH * wanted.training, seed=2)
+        worst = self.worst(terms, bound, np.vstack([self.training, fresh]))
+        rigid = self.problem.rigid.shape[1]
+        kinds = ("rigid",) * rigid + tuple(
+            "elastic" if j in set(self.deflated.tolist()) else "krylov" for j in range(rigid, high)
+        )
+        every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
+        return ParametricBasis(
+            V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds, terms=terms, bound=bound,
+            box_bound=worst.value, worst=worst.p, worst_hz=worst.hz, points=np.array(self.points),
+            factorisations=self.factorisations, counts=self.proofs.count, collected=whole,
+            kind="bound" if every else "estimate", floor=self.floor,
+        )  # fmt: skip
+
+    def _at(self, terms: ReducedTerms, bound: ParametricBound, p: Floats) -> float:
+        at = terms.bounded(bound, p, self.damping(p))
+        omega = frequencies(at.values, at.damping, self.low, self.high)
+        return float((at.error(omega) / at.envelope(omega)).max())
+
+    def _decomposition(self, terms: ReducedTerms) -> Floats:
+        """(n, n) orthonormal directions in the space: those that are kept, then those of responses, the largest first.
+
+        Responses count relative to the envelope, in the inner product of K_a + mu M_a.
+        """
+        n, kept = self.space.size, self.kept
+        covariance = np.zeros((n, n))
+        for p in self._some():
+            K, M = terms.at(p)
+            at = _modes(K, M, terms.rigid_at(p), terms.B, self.damping(p))
+            omega = frequencies(at[1], self.damping(p), self.low, self.high)
+            for Y in _responses_of(*at, self.damping(p), omega):
+                covariance += Y
+        K, M = terms.at(self.problem.box.nominal)
+        L = sl.cholesky(symmetric(K) + self.high**2 * np.eye(n), lower=True)
+        known = sl.qr(L.T[:, :kept], mode="economic")[0]
+        C = L.T @ covariance @ L
+        C -= known @ (known.T @ C)
+        C -= (C @ known) @ known.T
+        _, U = sl.eigh(symmetric(C))
+        new = sl.solve_triangular(L.T, U[:, ::-1][:, : n - kept])
+        Q, R = sl.qr(np.hstack([np.eye(n, kept), new]))
+        return np.asarray(Q * np.where(np.diag(R) < 0, -1.0, 1.0))
+
+    def _some(self) -> Floats:
+        step = max(1, len(self.training) // SNAPSHOTS)
+        return np.vstack([*self.points, self.training[::step]])
+
+    def _unreached(self, worst: Worst, order: int) -> InputError:
+        names, units = self.problem.box.names, self.problem.parameters
+        at = ", ".join(f"{name} = {x:.4g} {each.unit}".rstrip() for name, x, each in zip(names, worst.p, units, strict=True))
+        return InputError(
+            f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is "
+            f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz; raise the tolerance or the order_limit, narrow the "
+            "ranges or the band, or take accept_bound = true"
+        )
+
+
+def _modes(K: Floats, M: Floats, rigid: Floats, B: Floats, damping: Damping) -> tuple[Floats, Floats, Floats]:
+    from morembs.parametric.bound import ritz_pairs
+
+    _, values, Y = ritz_pairs(K, M, rigid)
+    return Y, values, Y.T @ B
+
+
+def _responses_of(Y: Floats, values: Floats, b: Floats, damping: Damping, omega: Floats) -> Iterator[Floats]:
+    """Covariances (n, n) of the responses at ``omega`` (nf,), relative to their envelopes."""
+    for w in omega:
+        c, g = damping.proportional(1j * w)
+        a = c * values + g + 1j * w * (damping.of_modes(values) - damping.alpha - damping.beta * values)
+        envelope = float((1 / np.abs(a)) @ (b**2).sum(axis=1))
+        X = Y @ (b / a[:, None]) / envelope
+        yield (X @ X.conj().T).real
