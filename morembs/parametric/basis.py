@@ -33,10 +33,12 @@ from morembs.responses.certified import floor_of
 Floats = NDArray[np.float64]
 # Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
 DEFLATED, TAKEN = 1.75, 1.5
+# Blocks of the Krylov space of the loads that are taken beside the modes, one more each time that p comes again.
+BLOCKS = 2
 # Weight of deflated loads in eigenvalues at the limit of the deflated modes.
 WEIGHT = 2.0
 # Modes at other p are as sharp as this: they are columns of a basis only.
-SHARP, STEPS = 1e-5, 40
+SHARP, STEPS = 1e-5, 30
 # Corners of boxes with so many parameters at most join the training set.
 CORNERS = 6
 # Frequencies over the band at each p, beside the flanks of its resonances.
@@ -122,12 +124,11 @@ class GreedySearch:
         progress.update("modes at nominal values")
         modes = problem.elastic_modes(below=(DEFLATED * self.high) ** 2)
         self.space = GlobalSpace(problem)
-        rigid = problem.rigid.shape[1]
-        before = self.space.size
         self.space.add(np.array(modes.vectors, order="F"))
+        # Before the motions that are rigid at other p only: no low modes are beside those, nor orthogonal to them.
+        self.deflated = self.space.size
+        self.space.add_rigid_at_others()
         self.kept = self.space.size
-        # Motions that are rigid at other p only are no low modes anywhere.
-        self.deflated = np.r_[:rigid, before : self.kept]
         self.sigma = WEIGHT * (DEFLATED * self.high) ** 2
         self.proofs = Proofs(self.space, progress)
         self.cells = self.proofs.cells()
@@ -153,14 +154,15 @@ class GreedySearch:
             self.progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
-            if worst.value <= wanted.tolerance or len(self.points) >= POINTS or not self._take(worst.p):
+            enough = worst.value <= wanted.tolerance
+            if enough or len(self.points) >= POINTS or not self._take(worst.p):
                 break
             terms, bound = self._bound(proof=False)
         terms, bound = self._bound(proof=True)
         return self._cut(terms, bound)
 
     def _bound(self, *, proof: bool) -> tuple[ReducedTerms, ParametricBound]:
-        F = np.eye(self.space.size)[:, self.deflated]
+        F = np.eye(self.space.size, self.deflated)
         cells = self.proofs.least(self.cells, F, self.sigma, proof=proof)
         bound = self.space.bound(
             cells, F, sigma=self.sigma, highest=self.high, soft=self.proofs.soft, eps=self.problem.eps
@@ -168,36 +170,35 @@ class GreedySearch:
         return self.space.reduced(), bound
 
     def _take(self, p: Floats) -> bool:
-        """Static responses and modes at ``p`` (P,) join the space; whether there was anything new."""
-        if any(np.array_equal(p, known) for known in self.points):
-            return False
+        """Responses and modes at ``p`` (P,) join the space, more of them where it was taken before; whether there was
+        anything new."""
+        before = sum(np.array_equal(p, known) for known in self.points)
         self.points.append(p)
         if np.array_equal(p, self.problem.box.nominal):
-            return self.space.add(self._responses(self.problem)) > 0
+            return self.space.add(self._responses(self.problem, before)) > 0
         self.factorisations += 1
         with self.problem.at(p) as there:
-            X = self._responses(there)
+            X = self._responses(there, before)
         return self.space.add(X) > 0
 
-    def _responses(self, problem: Problem) -> Floats:
-        """Static responses to the interface loads and modes of ``problem``, from one factorisation."""
-        flexibility, M = problem.elastic.flexibility, problem.M
-        loads = problem.B.toarray() * self.problem.motion_scale
-        X = map_columns(flexibility, loads, problem.budget)
-        least = (TAKEN * self.high) ** -2
-        lanczos = BlockLanczos(flexibility, M, X.copy(), capacity=min(400, len(X)), budget=problem.budget)
+    def _responses(self, problem: Problem, before: int) -> Floats:
+        """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses
+        first: all from one factorisation."""
+        flexibility, M, budget = problem.elastic.flexibility, problem.M, problem.budget
+        X = map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale, budget)
+        blocks, least = BLOCKS + before, (TAKEN * (1 + 0.5 * before) * self.high) ** -2
+        lanczos = BlockLanczos(flexibility, M, X, capacity=min(STEPS * X.shape[1], len(X)), budget=budget)
+        start = 0
         for step in range(STEPS):
             if lanczos.full() or not lanczos.pending.shape[1]:
                 break
             lanczos.expand()
-            if step < 2:
-                continue
+            start = lanczos.size if step < blocks else start
             theta, Y, residual = lanczos.ritz()
             low = theta > least
-            if (residual[low] <= SHARP * theta[low]).all():
+            if step >= blocks and (residual[low] <= SHARP * theta[low]).all():
                 break
-        theta, Y, _ = lanczos.ritz()
-        return np.hstack([lanczos.vectors(Y[:, theta > least]), X])
+        return np.hstack([lanczos.vectors(Y[:, low]), lanczos.V[:, :start]])
 
     def worst(
         self, terms: ReducedTerms, bound: ParametricBound, points: Floats | None = None, enough: float = np.inf
@@ -243,9 +244,7 @@ class GreedySearch:
         fresh = training_points(box, FRESH * wanted.training, seed=2)
         worst = self.worst(terms, bound, np.vstack([self.training, fresh]))
         rigid = self.problem.rigid.shape[1]
-        kinds = ("rigid",) * rigid + tuple(
-            "elastic" if j in set(self.deflated.tolist()) else "krylov" for j in range(rigid, high)
-        )
+        kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
         every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
         return ParametricBasis(
             V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds, terms=terms, bound=bound,

@@ -102,9 +102,11 @@ class GlobalSpace:
                 f"a morph was given for a body with {r} rigid-body motions; expected six (free) or none (held)"
             )
         self._append(np.array(problem.rigid, order="F"))
-        for j in range(len(self.morphs)):
-            X = np.array(problem.rigid_terms[:, :, 1 + j], order="F") if r else np.zeros((len(problem.rigid), 0))
-            self.add(X)
+
+    def add_rigid_at_others(self) -> None:
+        """Add what rigid motions at other values of the morphs are beside those at the anchor."""
+        for j in range(len(self.morphs) if self.problem.rigid.shape[1] else 0):
+            self.add(np.array(self.problem.rigid_terms[:, :, 1 + j], order="F"))
 
     def add(self, X: Floats, least: float = 0.0) -> int:
         """Number of columns that ``X`` (Nc, k), overwritten, adds; those that keep less than ``least`` of their energy
