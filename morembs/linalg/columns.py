@@ -237,3 +237,17 @@ __getattr__ = renamed(
     __name__,
     {"remove": "project_out", "combine": "multiply_into", "beside": "hstack", "m_orthonormal": "orthonormal"},
 )
+
+
+def without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:
+    """P' K P with P = I - R (R' M R)^-1 R' M for the rigid motions R = ``rigid`` (n, r).
+
+    What K holds of them is round-off of the stiffest parts, which would hold a soft or free body.
+    """
+    if not rigid.shape[1] or not (E := K @ rigid).any():
+        return K
+    W = sl.solve(rigid.T @ M @ rigid, rigid.T @ M, assume_a="pos").T
+    E -= 0.5 * W @ (rigid.T @ E)
+    off = E @ W.T
+    # In one sum, so that symmetry holds to the last bit.
+    return np.asarray(K - (off + off.T))

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
+from morembs.problem.damping import Damping
 
 Floats = NDArray[np.float64]
 # What may vary, and the unit of its values in SI.
 PROPERTIES = {"young": "Pa", "density": "kg/m3", "morph": "", "alpha": "1/s", "beta": "s"}
+DAMPING = ("alpha", "beta")
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 
 
@@ -52,7 +55,7 @@ class Parameter:
             raise self._refuse_range("[LOW, HIGH] with LOW < HIGH")
         if self.kind in ("young", "density") and not self.low > 0:
             raise self._refuse_range("positive values")
-        if self.kind in ("alpha", "beta") and self.low < 0:
+        if self.kind in DAMPING and self.low < 0:
             raise self._refuse_range("values of zero or more")
         if not self.low <= self.nominal <= self.high:
             raise InputError(
@@ -73,9 +76,10 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """Named ranges of P parameters: ``low``, ``high`` and ``nominal`` (P,)."""
+    """Named ranges of P parameters: ``kinds`` of ``PROPERTIES``, ``low``, ``high`` and ``nominal`` (P,)."""
 
     names: tuple[str, ...]
+    kinds: tuple[str, ...]
     low: Floats
     high: Floats
     nominal: Floats
@@ -95,7 +99,26 @@ class Box:
             np.array([getattr(parameter, key) for parameter in parameters], dtype=float)
             for key in ("low", "high", "nominal")
         )
-        return cls(names=names, low=low, high=high, nominal=nominal)
+        return cls(names=names, kinds=tuple(each.kind for each in parameters), low=low, high=high, nominal=nominal)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the values."""
+        return tuple(PROPERTIES[kind] for kind in self.kinds)
+
+    @property
+    def morphs(self) -> tuple[int, ...]:
+        """Numbers of the parameters that are morphs."""
+        return tuple(number for number, kind in enumerate(self.kinds) if kind == "morph")
+
+    def affine(self, terms: Floats, p: Floats) -> Floats:
+        """X0 + sum_i t_i X_i over the morphs i, at ``p`` (P,): of ``terms`` (..., 1 + morphs)."""
+        return np.asarray(terms @ np.concatenate([[1.0], p[list(self.morphs)]]))
+
+    def damping(self, nominal: Damping, p: Floats) -> Damping:
+        """The damping at ``p`` (P,): that of ``nominal`` values, with the alpha and beta that are parameters."""
+        values: dict[str, Any] = {kind: float(x) for kind, x in zip(self.kinds, p, strict=True) if kind in DAMPING}
+        return replace(nominal, **values) if values else nominal
 
     def point(self, values: Mapping[str, float]) -> Floats:
         """Values (P,) of all parameters; those that are not named are nominal.

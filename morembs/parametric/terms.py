@@ -18,7 +18,6 @@ from morembs.linalg.congruence import congruence
 from morembs.model import FEModel, skew
 from morembs.model.assembly import mass_matrix, stiffness_matrix
 from morembs.parametric.law import Law
-from morembs.parametric.parameter import Parameter
 from morembs.parametric.varied import VariedModel, varied_model
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -47,7 +46,7 @@ class AffineProblem(Problem):
         model = varied.model(nominal, budget or UNLIMITED) if model is None else model
         self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
         _refuse_bent(varied, interfaces)
-        given = _damping(damping or Damping(), self.parameters, nominal)
+        given = self.box.damping(damping or Damping(), nominal)
         super().__init__(model, interfaces, damping=given, budget=budget, **options)
 
     @property
@@ -89,10 +88,10 @@ class AffineProblem(Problem):
         """(1 - eps) x'Kx <= x'K~x <= (1 + eps) x'Kx for the assembled K and the sum K~ of the terms, at all values."""
         return self.varied.eps
 
-    @cached_property
+    @property
     def morphs(self) -> tuple[int, ...]:
         """Numbers of the parameters that are morphs."""
-        return self.varied.morph.which
+        return self.box.morphs
 
     @cached_property
     def rigid_terms(self) -> Floats:
@@ -113,11 +112,11 @@ class AffineProblem(Problem):
 
     def rigid_at(self, p: Floats) -> Floats:
         """R(p) (Nc, 6) of ``rigid_terms``."""
-        return np.asarray(self.rigid_terms @ np.concatenate([[1.0], p[list(self.morphs)]]))
+        return self.box.affine(self.rigid_terms, p)
 
     def damping_at(self, p: Floats) -> Damping:
         """The damping at ``p`` (P,)."""
-        return _damping(self.damping, self.parameters, p)
+        return self.box.damping(self.damping, p)
 
     def at(self, p: Floats, *, assembled: bool = False) -> Problem:
         """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
@@ -151,15 +150,6 @@ def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
                     f"parameter {parameter.name} moves the nodes of interface {interface.name} by different "
                     f"displacements (up to {1e3 * apart:.3g} mm apart); a morph may only translate an interface"
                 )
-
-
-def _damping(damping: Damping, parameters: Sequence[Parameter], p: Floats) -> Damping:
-    given: dict[str, Any] = {
-        parameter.kind: float(value)
-        for parameter, value in zip(parameters, p, strict=True)
-        if parameter.kind in ("alpha", "beta")
-    }
-    return replace(damping, **given) if given else damping
 
 
 __all__ = ["AffineProblem", "VariedModel", "varied_model"]

@@ -12,7 +12,16 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
-from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply, multiply_into, projected
+from morembs.linalg.columns import (
+    complement,
+    dot,
+    fix_signs,
+    hstack,
+    multiply,
+    multiply_into,
+    projected,
+    without_rigid_motion,
+)  # fmt: skip
 from morembs.linalg.eigen import graded_modes
 from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
@@ -24,6 +33,7 @@ from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from morembs.model.stress_operator import StressOperator
+    from morembs.parametric.model import ParametricModel
     from morembs.reducers.switching_tables import StaticModeTables
 
 Floats = NDArray[np.float64]
@@ -174,9 +184,7 @@ class Reducer(ABC):
     def why_not(self, facts: Facts) -> str:
         """Why such a problem cannot be reduced, as far as is known before a factorisation; "" where it can."""
         if self.needs_interfaces and not facts.inputs:
-            return (
-                f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
-            )
+            return f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         return ""
 
     def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
@@ -192,6 +200,13 @@ class Reducer(ABC):
         progress: Progress = SILENT,
     ) -> StaticModeTables | None:  # fmt: skip
         """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""
+        return None
+
+    def variation(
+        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
+    ) -> ParametricModel | None:
+        """The reduced model of all values of parameters, of which ``reduced`` of this reducer is that of nominal ones;
+        None for all but one method."""
         return None
 
     @abstractmethod
@@ -225,7 +240,7 @@ class Reducer(ABC):
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
             M = projected(V, problem.M, budget)
-            K = _without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
+            K = without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
@@ -245,20 +260,6 @@ class Reducer(ABC):
             rigid_count=basis.rigid.shape[1], recipe=recipe, W=basis.W, is_projection=basis.V_velocity is None,
             structural=structural,
         )  # fmt: skip
-
-
-def _without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:
-    """P' K P with P = I - R (R' M R)^-1 R' M for the rigid motions R = ``rigid`` (n, r).
-
-    What K holds of them is round-off of the stiffest parts, which would hold a soft or free body.
-    """
-    if not rigid.shape[1] or not (E := K @ rigid).any():
-        return K
-    W = sl.solve(rigid.T @ M @ rigid, rigid.T @ M, assume_a="pos").T
-    E -= 0.5 * W @ (rigid.T @ E)
-    off = E @ W.T
-    # In one sum, so that symmetry holds to the last bit.
-    return np.asarray(K - (off + off.T))
 
 
 def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:
@@ -286,7 +287,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
     if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
-            f"method {method!r} gave a reduced stiffness that is not W\' K V of its basis: {off / np.sqrt(n):.1e} of "
+            f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
     if not coupled or n == r:

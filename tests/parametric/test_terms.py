@@ -1,40 +1,23 @@
 """Terms of K and M in the parameters, against models assembled at the values."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from morembs.errors import InputError
-from morembs.importers import read_mesh
-from morembs.interface import make_interface
 from morembs.model.assembly import assemble, integrate, material_of_elements
 from morembs.model.elements import TYPES
 from morembs.model.material import isotropic, orthotropic
-from morembs.model.selection import select_nodes
 from morembs.parametric.law import Law, chebyshev_points, lagrange
-from morembs.parametric.parameter import Box, Parameter
+from morembs.parametric.parameter import Box
 from morembs.parametric.terms import AffineProblem, varied_model
-from morembs.units import parse_units
-
-BRACKET = Path(__file__).parents[2] / "data" / "small_meshes" / "bracket.inp"
-ARM = ("Volume2", "Volume3", "Volume4", "Volume5")
-STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
-
-
-def parameters():
-    return (
-        Parameter(name="E_arm", kind="young", low=1.5e11, high=2.7e11, nominal=2.1e11, sets=ARM),
-        Parameter(name="E_rest", kind="young", low=1.5e11, high=2.7e11, nominal=2.0e11, sets=("Volume1", "Volume6")),
-        Parameter(name="rho", kind="density", low=7000.0, high=8700.0, nominal=7850.0),
-        Parameter(name="alpha", kind="alpha", low=0.0, high=50.0, nominal=10.0),
-    )
+from tests.support.parametric import ARM, REST, STEEL, bracket, interfaces, longer, parameters
 
 
 @pytest.fixture(scope="module")
 def mesh():
-    return read_mesh(BRACKET, parse_units("mm-kg-s"))
+    return bracket()
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +25,10 @@ def varied(mesh):
     return varied_model(mesh, [STEEL], parameters())
 
 
-def interfaces(model):
-    return [make_interface(model, name=name, nodes=select_nodes(model, f"set:{name}")) for name in ("FOOT", "TIP")]
-
-
 def test_sums_of_terms_are_the_matrices_assembled_at_the_values(varied, mesh):
     p = varied.box.point({"E_arm": 1.6e11, "E_rest": 2.6e11, "rho": 8000.0})
     arm = [isotropic(set=name, young=1.6e11, poisson=0.3, density=8000.0) for name in ARM]
-    rest = [isotropic(set=name, young=2.6e11, poisson=0.3, density=8000.0) for name in ("Volume1", "Volume6")]
+    rest = [isotropic(set=name, young=2.6e11, poisson=0.3, density=8000.0) for name in REST]
     expected = assemble(mesh, [*arm, *rest])
     for model in (varied.model(p), varied.assembled(p)):
         assert abs(model.K - expected.K).max() <= 1e-14 * abs(expected.K).max()
@@ -126,14 +105,6 @@ def test_values_outside_the_box_are_refused():
         box.point({"E_arm": 3e11})
     with pytest.raises(InputError, match="did you mean 'E_arm'"):
         box.point({"E_amr": 2e11})
-
-
-def longer(mesh):
-    """Displacement of the arm of the bracket along z per millimetre: its lower end stays."""
-    xyz = 1e3 * mesh.nodes.xyz
-    d = np.zeros_like(xyz)
-    d[:, 2] = 1e-3 * np.where(xyz[:, 1] <= 10 + 1e-9, np.clip((xyz[:, 2] - 10) / 10, 0, 1), 0)
-    return Parameter(name="t", kind="morph", low=-3.0, high=3.0, nominal=0.0, displacement=d)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,268 @@
+"""A reduced model for every value of its parameters: matrices, frequencies, responses, and their derivatives.
+
+All values share one basis V, so K(p) = sum_q a_q(p) V'K_q V and M(p) are sums of small matrices, and derivatives are
+those of the coefficients. NumPy and SciPy only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.errors import InputError, SolverError
+from morembs.linalg.columns import projected, without_rigid_motion
+from morembs.linalg.eigen import graded_modes
+from morembs.parametric.law import Law
+from morembs.parametric.parameter import DAMPING, Box
+from morembs.parametric.terms import AffineProblem
+from morembs.problem.damping import Damping
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+# Relative difference of frequencies below which modes are one cluster.
+CLUSTER = 1e-6
+# Part of a rigid motion that a basis may miss.
+SPANNED = 1e-8
+# Values of a table that are computed at once.
+BATCH = 256
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParametricModel:
+    """``K`` (Q, n, n) and ``M`` (J, n, n) with their laws, ``B`` (n, m), and rigid motions ``rigid`` (n, r, 1 + morphs)
+    of unit translations and rotations, affine in the morphs.
+
+    ``damping`` is that of nominal values, ``scale`` (m,) turns rotations into lengths; ``bound`` says how wrong the
+    responses are, None where that is not known.
+    """
+
+    box: Box
+    law_K: Law
+    law_M: Law
+    K: Floats
+    M: Floats
+    B: Floats
+    rigid: Floats
+    damping: Damping
+    scale: Floats
+    bound: Any = None
+
+    @property
+    def order(self) -> int:
+        """Number n of reduced coordinates."""
+        return int(self.K.shape[1])
+
+    def matrices(self, p: Floats) -> tuple[Floats, Floats]:
+        """K and M (..., n, n) at ``p`` (..., P)."""
+        return np.tensordot(self.law_K(p), self.K, axes=1), np.tensordot(self.law_M(p), self.M, axes=1)
+
+    def rigid_at(self, p: Floats) -> Floats:
+        """Coordinates (n, r) of the rigid motions at ``p`` (P,)."""
+        return self.box.affine(self.rigid, p)
+
+    def at(self, p: Floats) -> ModelAt:
+        """The reduced model at ``p`` (P,).
+
+        Raises:
+            InputError: a value outside the box.
+        """
+        p = self.box.checked(p)
+        K, M = self.matrices(p)
+        rigid = self.rigid_at(p)
+        K = without_rigid_motion(K, M, rigid)
+        damping = self.box.damping(self.damping, p)
+        G = rigid.T @ M @ rigid
+        Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+        values, Y = graded_modes(K, M)
+        values[: rigid.shape[1]] = 0.0
+        return ModelAt(
+            model=self, p=p, K=K, M=M, D=damping.matrix(M, K, Z), rigid=Z, damping=damping, values=values, Y=Y
+        )
+
+    def frequencies_hz(self, table: Floats, count: int) -> Floats:
+        """The first elastic eigenfrequencies (k, ``count``) at each row of ``table`` (k, P).
+
+        Raises:
+            InputError: a value outside the box, or more frequencies than there are.
+        """
+        table, r = np.atleast_2d(self.box.checked(table)), self.rigid.shape[1]
+        if not 0 < count <= self.order - r:
+            raise InputError(f"{count} frequencies were asked for; expected 1 to {self.order - r}")
+        result = np.empty((len(table), count))
+        for first in range(0, len(table), BATCH):
+            p = table[first : first + BATCH]
+            K, M = self.matrices(p)
+            L = np.linalg.cholesky(M)
+            A = np.linalg.solve(L, np.linalg.solve(L, K).transpose(0, 2, 1))
+            values = np.linalg.eigvalsh(0.5 * (A + A.transpose(0, 2, 1)))[:, r : r + count]
+            result[first : first + BATCH] = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
+        return result
+
+    def derivatives(self, p: Floats) -> tuple[Floats, Floats]:
+        """dK/dp and dM/dp (P, n, n) at ``p`` (P,)."""
+        dK, dM = self.law_K.derivative(p), self.law_M.derivative(p)
+        return np.tensordot(dK.T, self.K, axes=1), np.tensordot(dM.T, self.M, axes=1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelAt:
+    """The reduced model at one ``p`` (P,): ``K``, ``M``, ``D`` (n, n), M-orthonormal ``rigid`` motions (n, r), and the
+    eigenvalues ``values`` (n,) in (rad/s)2, rigid ones zero, with vectors ``Y`` (n, n)."""
+
+    model: ParametricModel
+    p: Floats
+    K: Floats
+    M: Floats
+    D: Floats
+    rigid: Floats
+    damping: Damping
+    values: Floats
+    Y: Floats
+
+    @property
+    def B(self) -> Floats:
+        """Loads (n, m), the same at all values."""
+        return self.model.B
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Elastic eigenfrequencies (n - r,)."""
+        return np.asarray(np.sqrt(np.maximum(self.values[self.rigid.shape[1] :], 0.0)) / (2 * np.pi))
+
+    def response(self, frequencies_hz: Floats) -> Complexes:
+        """Elastic part of H (nf, m, m) at frequencies in Hz, as ``full_response`` has that of the full model."""
+        return np.asarray(self.model.B.T @ self.states(frequencies_hz))
+
+    def states(self, frequencies_hz: Floats) -> Complexes:
+        """Elastic part of A^-1 B (nf, n, m)."""
+        Y, a = self._elastic(frequencies_hz)
+        return np.asarray(Y @ ((Y.T @ self.model.B) / a[:, :, None]))
+
+    def _elastic(self, frequencies_hz: Floats) -> tuple[Floats, Complexes]:
+        """Elastic vectors (n, e) and a_k (nf, e)."""
+        r = self.rigid.shape[1]
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))[:, None]
+        values = self.values[r:]
+        a = (1 + 1j * self.damping.structural) * values + s * self.damping.of_modes(values) + s * s
+        return self.Y[:, r:], a
+
+    def bound(self, frequencies_hz: Floats) -> tuple[Floats, str]:
+        """Bounds (nf,) of |H - H_r|_F in m/N, rotations times a length, infinite where there is none; and "bound" where
+        they are proven, "estimate" or "none"."""
+        omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        if self.model.bound is None:
+            return np.full(len(omega), np.inf), "none"
+        there = self.model.bound.at(
+            self.p, K=self.K, M=self.M, B=self.model.B * self.model.scale, rigid=self.model.rigid_at(self.p),
+            damping=self.damping,
+        )  # fmt: skip
+        return np.asarray(there.error(omega)), str(there.kind)
+
+    def sensitivity(self) -> Sensitivity:
+        """Derivatives with respect to each parameter, exact for the reduced model."""
+        box = self.model.box
+        dK, dM = self.model.derivatives(self.p)
+        clusters = _clusters(self.values[self.rigid.shape[1] :])
+        frequencies = {name: self._slopes(dK[j], dM[j], clusters) for j, name in enumerate(box.names)}
+        clustered = np.concatenate([np.full(len(c), len(c) > 1) for c in clusters])
+        return Sensitivity(
+            at=self, K=dict(zip(box.names, dK, strict=True)), M=dict(zip(box.names, dM, strict=True)),
+            frequencies_hz=frequencies, clustered=clustered,
+        )  # fmt: skip
+
+    def _slopes(self, dK: Floats, dM: Floats, clusters: list[NDArray[np.int64]]) -> Floats:
+        """d f / dp (e,) of the elastic frequencies; of a cluster those of its branches, ascending."""
+        r, result = self.rigid.shape[1], np.empty(len(self.values) - self.rigid.shape[1])
+        for cluster in clusters:
+            y = self.Y[:, r + cluster]
+            value = self.values[r + cluster].mean()
+            # f = sqrt(lam) / 2 pi.
+            slope = np.linalg.eigvalsh(y.T @ (dK - value * dM) @ y)
+            result[cluster] = slope / (4 * np.pi * np.sqrt(value))
+        return result
+
+
+def _clusters(values: Floats) -> list[NDArray[np.int64]]:
+    """Places of eigenvalues that lie together, ascending."""
+    apart = np.flatnonzero(np.diff(values) > 2 * CLUSTER * values[1:])
+    return np.split(np.arange(len(values)), apart + 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sensitivity:
+    """Derivatives at one value, by the names of the parameters: ``K``, ``M`` (n, n) and elastic ``frequencies_hz``
+    (e,). ``clustered`` (e,) marks frequencies that lie together, whose derivatives are those of the branches."""
+
+    at: ModelAt
+    K: Mapping[str, Floats]
+    M: Mapping[str, Floats]
+    frequencies_hz: Mapping[str, Floats]
+    clustered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    def response(self, frequencies_hz: Floats) -> dict[str, Complexes]:
+        """dH/dp (nf, m, m) of the elastic part of H by each parameter, dH = -y' dA y.
+
+        Raises:
+            InputError: modal damping, which follows the modes.
+        """
+        at, damping = self.at, self.at.damping
+        if damping.is_modal:
+            raise InputError(
+                "derivatives of responses need Rayleigh or structural damping, or none: modal damping follows the modes"
+            )
+        model, p = at.model, at.p
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))[:, None, None]
+        y, R = at.states(frequencies_hz), model.rigid_at(p)
+        w = np.linalg.solve(R.T @ at.M @ R, R.T @ model.B)
+        c, g = damping.proportional(s)
+        result = {}
+        for j, (name, kind) in enumerate(zip(model.box.names, model.box.kinds, strict=True)):
+            dA = c * self.K[name] + g * self.M[name]
+            if kind in DAMPING:
+                dA = dA + s * (at.M if kind == "alpha" else at.K)
+            # A^-1 B is y and R w / g; with K R = 0 at all values what that adds comes down to the change of the
+            # momentum M R, to which y is orthogonal.
+            momentum = self.M[name] @ R
+            if j in model.box.morphs:
+                momentum = momentum + at.M @ model.rigid[:, :, 1 + model.box.morphs.index(j)]
+            across = y.transpose(0, 2, 1) @ (momentum @ w)
+            result[name] = -(y.transpose(0, 2, 1) @ dA @ y) - across - across.transpose(0, 2, 1)
+        return result
+
+
+def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None) -> ParametricModel:
+    """The reduced model of all values on the basis ``V`` (Nc, n), which spans the rigid motions of each.
+
+    Raises:
+        SolverError: it does not span them.
+    """
+    budget = problem.budget
+    K, M = (
+        np.array([projected(V, make(theta), budget) for theta in np.eye(len(law.factors))])
+        for make, law in ((problem.stiffness_sum, problem.law_K), (problem.mass_sum, problem.law_M))
+    )
+    return ParametricModel(
+        box=problem.box, law_K=problem.law_K, law_M=problem.law_M, K=K, M=M, B=np.asarray((problem.B.T @ V).T),
+        rigid=_rigid(problem, V), damping=problem.damping, scale=problem.motion_scale, bound=bound,
+    )  # fmt: skip
+
+
+def _rigid(problem: AffineProblem, V: Floats) -> Floats:
+    """Coordinates (n, r, 1 + morphs) in ``V`` of the rigid motions."""
+    if not problem.rigid.shape[1]:
+        return np.zeros((V.shape[1], 0, 1 + len(problem.morphs)))
+    R = problem.rigid_terms.reshape(len(V), -1)
+    # Columns of unit size: translations are larger than rotations by a length.
+    size = np.linalg.norm(R, axis=0)
+    size[size == 0] = 1.0
+    Q, T = np.linalg.qr(V)
+    coordinates = sl.solve_triangular(T, Q.T @ (R / size))
+    missed = float(np.linalg.norm(R / size - V @ coordinates, axis=0).max(initial=0.0))
+    if not missed <= SPANNED:
+        raise SolverError(f"the basis misses {missed:.1e} of a rigid motion of some value; it has to span all of them")
+    return np.asarray((coordinates * size).reshape(V.shape[1], 6, -1))
