@@ -20,10 +20,11 @@ from scipy.stats import qmc
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import BoundAt, ParametricBound
+from morembs.parametric.bound import BoundAt, ParametricBound, ritz_pairs
 from morembs.parametric.cells import Proofs
+from morembs.parametric.model import ParametricModel
 from morembs.parametric.parameter import Box
-from morembs.parametric.space import GlobalSpace, ReducedTerms
+from morembs.parametric.space import GlobalSpace
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -51,7 +52,7 @@ FRESH = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParametricBasis:
-    """Columns ``V`` (Nc, n), the ``terms`` of the reduced matrices and the ``bound``; ``kinds`` of the columns.
+    """Columns ``V`` (Nc, n) of the ``model``, which has the bound; ``kinds`` of the columns.
 
     ``box_bound`` is the largest bound over the band at all values looked at, a maximum over samples; ``worst`` (P,) is
     the p and ``worst_hz`` the frequency of it, ``points`` (k, P) are the values with factorisations of K, of which
@@ -61,8 +62,7 @@ class ParametricBasis:
 
     V: Floats
     kinds: tuple[str, ...]
-    terms: ReducedTerms
-    bound: ParametricBound
+    model: ParametricModel
     box_bound: float
     worst: Floats
     worst_hz: float
@@ -137,7 +137,7 @@ class GreedySearch:
 
     def damping(self, p: Floats) -> Damping:
         """The damping at ``p`` (P,) with its floor."""
-        own = self.problem.damping_at(p)
+        own = self.problem.box.damping(self.problem.damping, p)
         return replace(own, structural=own.structural + 2 * self.floor) if self.floor else own
 
     def run(self) -> ParametricBasis:
@@ -148,20 +148,20 @@ class GreedySearch:
         """
         wanted = self.wanted
         self._take(self.problem.box.nominal)
-        terms, bound = self._bound(proof=False)
+        model, bound = self._bound(proof=False)
         while True:
-            worst = self.worst(terms, bound)
+            worst = self.worst(model, bound)
             self.progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
             enough = worst.value <= wanted.tolerance
             if enough or len(self.points) >= POINTS or not self._take(worst.p):
                 break
-            terms, bound = self._bound(proof=False)
-        terms, bound = self._bound(proof=True)
-        return self._cut(terms, bound)
+            model, bound = self._bound(proof=False)
+        model, bound = self._bound(proof=True)
+        return self._cut(model, bound)
 
-    def _bound(self, *, proof: bool) -> tuple[ReducedTerms, ParametricBound]:
+    def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
         F = np.eye(self.space.size, self.deflated)
         cells = self.proofs.least(self.cells, F, self.sigma, proof=proof)
         bound = self.space.bound(
@@ -201,14 +201,14 @@ class GreedySearch:
         return np.hstack([lanczos.vectors(Y[:, low]), lanczos.V[:, :start]])
 
     def worst(
-        self, terms: ReducedTerms, bound: ParametricBound, points: Floats | None = None, enough: float = np.inf
+        self, model: ParametricModel, bound: ParametricBound, points: Floats | None = None, enough: float = np.inf
     ) -> Worst:
         """The largest relative bound over the band at ``points`` (k, P), by default those of the training; the first
         one above ``enough``. Where it is infinite anywhere the residual tells which p is the worst."""
         largest = Worst(value=-1.0, p=self.problem.box.nominal, hz=0.0)
         residual = -1.0
         for p in self.training if points is None else points:
-            at = terms.bounded(bound, p, self.damping(p))
+            at = self._bounded(model, bound, p)
             omega = frequencies(at.values, at.damping, self.low, self.high)
             relative = at.error(omega) / at.envelope(omega)
             k = int(np.argmax(relative))
@@ -219,14 +219,19 @@ class GreedySearch:
                 break
         return largest
 
-    def _cut(self, terms: ReducedTerms, bound: ParametricBound) -> ParametricBasis:
+    def _bounded(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> BoundAt:
+        K, M = model.matrices(p)
+        B, rigid = model.B * model.scale, model.rigid_at(p)
+        return bound.at(p, K=K, M=M, B=B, rigid=rigid, damping=self.damping(p))
+
+    def _cut(self, model: ParametricModel, bound: ParametricBound) -> ParametricBasis:
         """The least part of the space that keeps the tolerance."""
         wanted, whole = self.wanted, self.space.size
-        T = self._decomposition(terms)
-        order = np.argsort([-self._at(terms, bound, p) for p in self.training])
+        T = self._decomposition(model)
+        order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
-        def of(n: int) -> tuple[ReducedTerms, ParametricBound]:
-            return terms.turned(T[:, :n], T[:, :n].T), bound.turned(T[:, :n])
+        def of(n: int) -> tuple[ParametricModel, ParametricBound]:
+            return reduced_to(model, T[:, :n]), bound.turned(T[:, :n])
 
         low, high = self.kept, min(whole, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
@@ -239,26 +244,28 @@ class GreedySearch:
                 high = middle
             else:
                 low = middle + 1
-        terms, bound = of(high)
+        model, bound = of(high)
+        bound = bound.compressed()
         box = self.problem.box
         fresh = training_points(box, FRESH * wanted.training, seed=2)
-        worst = self.worst(terms, bound, np.vstack([self.training, fresh]))
+        worst = self.worst(model, bound, np.vstack([self.training, fresh]))
         rigid = self.problem.rigid.shape[1]
         kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
         every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
         return ParametricBasis(
-            V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds, terms=terms, bound=bound,
+            V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds,
+            model=replace(model, bound=bound),
             box_bound=worst.value, worst=worst.p, worst_hz=worst.hz, points=np.array(self.points),
             factorisations=self.factorisations, counts=self.proofs.count, collected=whole,
             kind="bound" if every else "estimate", floor=self.floor,
         )  # fmt: skip
 
-    def _at(self, terms: ReducedTerms, bound: ParametricBound, p: Floats) -> float:
-        at = terms.bounded(bound, p, self.damping(p))
+    def _relative(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> float:
+        at = self._bounded(model, bound, p)
         omega = frequencies(at.values, at.damping, self.low, self.high)
         return float((at.error(omega) / at.envelope(omega)).max())
 
-    def _decomposition(self, terms: ReducedTerms) -> Floats:
+    def _decomposition(self, model: ParametricModel) -> Floats:
         """(n, n) orthonormal directions in the space: those that are kept, then those of responses, the largest first.
 
         Responses count relative to the envelope, in the inner product of K_a + mu M_a.
@@ -266,12 +273,13 @@ class GreedySearch:
         n, kept = self.space.size, self.kept
         covariance = np.zeros((n, n))
         for p in self._some():
-            K, M = terms.at(p)
-            at = _modes(K, M, terms.rigid_at(p), terms.B, self.damping(p))
-            omega = frequencies(at[1], self.damping(p), self.low, self.high)
-            for Y in _responses_of(*at, self.damping(p), omega):
-                covariance += Y
-        K, M = terms.at(self.problem.box.nominal)
+            K, M = model.matrices(p)
+            _, values, Y = ritz_pairs(K, M, model.rigid_at(p))
+            damping = self.damping(p)
+            omega = frequencies(values, damping, self.low, self.high)
+            for X in _responses(Y, values, Y.T @ (model.B * model.scale), damping, omega):
+                covariance += X
+        K, M = model.matrices(self.problem.box.nominal)
         L = sl.cholesky(symmetric(K) + self.high**2 * np.eye(n), lower=True)
         known = sl.qr(L.T[:, :kept], mode="economic")[0]
         C = L.T @ covariance @ L
@@ -287,8 +295,8 @@ class GreedySearch:
         return np.vstack([*self.points, self.training[::step]])
 
     def _unreached(self, worst: Worst, order: int) -> InputError:
-        names, units = self.problem.box.names, self.problem.parameters
-        at = ", ".join(f"{name} = {x:.4g} {each.unit}".rstrip() for name, x, each in zip(names, worst.p, units, strict=True))
+        given = zip(self.problem.parameters, worst.p, strict=True)
+        at = ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
         return InputError(
             f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is "
             f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz; raise the tolerance or the order_limit, narrow the "
@@ -296,14 +304,13 @@ class GreedySearch:
         )
 
 
-def _modes(K: Floats, M: Floats, rigid: Floats, B: Floats, damping: Damping) -> tuple[Floats, Floats, Floats]:
-    from morembs.parametric.bound import ritz_pairs
+def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:
+    """``model`` on the basis V ``T`` (n, k) with orthonormal columns, whose span has all rigid motions."""
+    rigid = np.einsum("nk,nrs->krs", T, model.rigid)
+    return replace(model, K=T.T @ model.K @ T, M=T.T @ model.M @ T, B=T.T @ model.B, rigid=rigid)
 
-    _, values, Y = ritz_pairs(K, M, rigid)
-    return Y, values, Y.T @ B
 
-
-def _responses_of(Y: Floats, values: Floats, b: Floats, damping: Damping, omega: Floats) -> Iterator[Floats]:
+def _responses(Y: Floats, values: Floats, b: Floats, damping: Damping, omega: Floats) -> Iterator[Floats]:
     """Covariances (n, n) of the responses at ``omega`` (nf,), relative to their envelopes."""
     for w in omega:
         c, g = damping.proportional(1j * w)

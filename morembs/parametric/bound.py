@@ -15,26 +15,26 @@ Multiplied with any exp(-i psi), the real part of the left side is at least (b -
     b = min over 0 <= m <= 1 / Lam of Re exp(-i psi) (c + g m),
     kappa = lambda_max(sum_L max(0, Re exp(-i psi) c^2 / a_i) rho_i rho_i') in the dual norm,
 
-if K >= Lam M on {V_L' M w = 0}. Hence |H - H_r|_F <= |r|_2 |r|_F / (b - kappa). With damping the angle psi takes most of
-a resonance out of kappa: 1 / a_i turns through the lower half-plane there. Where b <= kappa there is no bound: it is
-infinite, and said to be.
+if K >= Lam M on {V_L' M w = 0}. Hence |H - H_r|_F <= |r|_2 |r|_F / (b - kappa). With damping the angle psi takes most
+of a resonance out of kappa: 1 / a_i turns through the lower half-plane there. Where b <= kappa there is no bound: it
+is infinite, and said to be.
 
 **The dual norm.** Six dofs S are held that determine rigid motion at every p. For loads free of rigid motion the dual
-norm is that of K_SS(p)^-1, and K_SS(p) >= alpha(p) K_SS(p_a) gives |r|^2 <= |r|_a^2 / alpha. In a morph alpha is that of
-a cell, times the least ratio of the factors of moduli (min-theta).
+norm is that of K_SS(p)^-1, and K_SS(p) >= alpha(p) K_SS(p_a) gives |r|^2 <= |r|_a^2 / alpha. In a morph alpha is
+that of a cell, times the least ratio of the factors of moduli (min-theta).
 
 **Lam.** Let F be columns in span(V), W = M(p_a) F, and K_soft - Lam^ M_heavy + sigma W W' >= 0 for the softest and
 heaviest values on a cell. K grows with each modulus, M with each density, so with the least ratio s_K of stiffness
 factors to the softest and the largest one s_M of mass factors to the heaviest, K(p) >= s_K Lam^ / s_M M(p) - s_K sigma
 W W'. For w with V_L' M w = 0 and any X, W'w = (W - M V_L X)'w, so
 
-    |W'w|^2 <= d |w|^2,   d = lambda_max of W - M V_L X in the dual norm,   Lam(p) = (s_K Lam^ / s_M) / (1 + s_K sigma d).
+    |W'w|^2 <= d |w|^2,  d = lambda_max of W - M V_L X in the dual norm,  Lam(p) = (s_K Lam^ / s_M) / (1 + s_K sigma d).
 
 No mode at p is needed, no count of them, and F need not be of modes.
 
 All residuals are held in orthonormal coordinates of the norm of K_SS(p_a)^-1 (Casenave, Ern and Lelievre 2014); what
-was cut of them is added by its norm. Sources: the Galerkin identity and min-theta of Rozza, Huynh and Patera (2008), the
-deflated residual of ``morembs.responses.residual_bound``; the inequality for Lam is derived here.
+was cut of them is added by its norm. Sources: the Galerkin identity and min-theta of Rozza, Huynh and Patera (2008),
+the deflated residual of ``morembs.responses.residual_bound``; the inequality for Lam is derived here.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 # Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the second one whose residuals
 # take no more than this part of b together.
 LOW, FAR, TAKEN = 1.5, 4.0, 0.05
+# Parts of their energy that columns may lose by compression, and below which they count as rigid.
+SMALL, RIGID = 1e-5, 1e-6
 TINY = float(np.finfo(float).tiny)
 KINDS = ("bound", "estimate", "none")
 
@@ -121,10 +123,33 @@ class ParametricBound:
         )  # fmt: skip
         return ParametricBound(**parts)
 
+    def compressed(self, cut: float = SMALL) -> ParametricBound:
+        """The same with fewer coordinates: directions along which every column has less than about ``cut`` of its own
+        energy are left out, and count by norms."""
+        energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
+        energy = np.maximum(energy, energy[energy > RIGID * energy.max(initial=0.0)].min(initial=np.inf))
+        size = np.linalg.norm(self.residual_B, axis=0)
+        one = np.ones_like(self.anchor)
+        parts = (
+            (self.residual_B[None], np.ones(1), 1 / np.where(size > 0, size, 1.0)),
+            (self.residual_K, ratio(self.law_K, self.anchor, one), 1 / energy),
+            (self.residual_M, ratio(self.law_M, self.anchor, one), energy),
+        )
+        weighted = np.hstack([a * term * weight for terms, theta, weight in parts for a, term in zip(theta, terms)])
+        U, values, _ = sl.svd(weighted, full_matrices=False)
+        keep = int((values > cut).sum())
+        new = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name in ("B", "K", "M", "F"):
+            C, rest = getattr(self, f"residual_{name}"), getattr(self, f"rest_{name}")
+            new[f"residual_{name}"] = U[:, :keep].T @ C
+            new[f"rest_{name}"] = np.hypot(rest, np.linalg.norm(U[:, keep:].T @ C, axis=-2))
+        return ParametricBound(**new)
+
     @cached_property
     def _flat(self) -> tuple[Floats, Floats]:
         """Coordinates of the terms as rows, for one product each."""
-        return tuple(np.ascontiguousarray(A.reshape(len(A), -1)) for A in (self.residual_K, self.residual_M))
+        K, M = (np.ascontiguousarray(A.reshape(len(A), -1)) for A in (self.residual_K, self.residual_M))
+        return K, M
 
     def at(
         self, p: Floats, *, K: Floats, M: Floats, B: Floats, rigid: Floats, damping: Damping
@@ -260,7 +285,6 @@ class BoundAt:
         |H - H~|_F <= |c| eps' |x|_K^2 / (1 - |c| eps' G), G the norm of A~^-1 from the dual norm to that of K~, at most
         g_L + (1 + sqrt(g_L kappa))^2 / (b - kappa), g_L = max mu_i / |a_i|, b and kappa of sizes.
         """
-        m = self.b.shape[1]
         far = np.where(self.least > 0, g / max(self.least, TINY), -c)
         # The least |c + t far| on 0 <= t <= 1.
         t = np.clip(-(c * far.conj()).real / np.maximum(np.abs(far) ** 2, TINY), 0.0, 1.0)

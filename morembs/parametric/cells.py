@@ -69,23 +69,25 @@ class Proofs:
 
     def __init__(self, space: GlobalSpace, progress: Progress = SILENT) -> None:
         self.space, self.problem, self.progress = space, space.problem, progress
+        self.morphs = np.array(space.problem.morphs, dtype=np.int64)
         self.count = 0
 
     def controls(self, law: Law, p: Floats, low: Floats, high: Floats) -> Floats:
         """Bernstein coefficients (s, Q) of the terms of ``law`` on a cell, parameters beside morphs as in ``p`` (P,)."""
-        morphs, points = self.space.morphs, self.problem.law_K.points
-        turn, at = np.ones((1, 1)), np.tile(p, (1, 1))
+        morphs, points = self.morphs, self.problem.law_K.points
+        turn: Floats = np.ones((1, 1))
+        at: Floats = p[None]
         if len(morphs):
             grid = np.array(list(product(*(points[j] for j in morphs))))
             at = np.tile(p, (len(grid), 1))
             at[:, morphs] = grid
         for j in morphs:
-            turn = np.kron(turn, bernstein(points[j], low[j], high[j]))
+            turn = np.asarray(np.kron(turn, bernstein(points[j], low[j], high[j])), dtype=np.float64)
         return np.asarray(turn @ law(at))
 
     def cells(self) -> list[Cell]:
         """The box in cells of the morphs with their alpha."""
-        box, morphs = self.problem.box, self.space.morphs
+        box, morphs = self.problem.box, self.morphs
         if not len(morphs):
             return [Cell(low=box.low, high=box.high, alpha=1.0, corner=1.0, proven=True)]
         cells = [self._cell(box.low, box.high)]
@@ -116,7 +118,7 @@ class Proofs:
     def _corners(self, size: int) -> NDArray[np.bool_]:
         """Which of the coefficients on a cell are values at its corners."""
         ends = np.ones(1, dtype=bool)
-        for j in self.space.morphs:
+        for j in self.morphs:
             axis = np.zeros(len(self.problem.law_K.points[j]), dtype=bool)
             axis[[0, -1]] = True
             ends = np.kron(ends, axis)
@@ -124,10 +126,10 @@ class Proofs:
 
     def _sampled(self, cell: Cell) -> Cell:
         problem, values = self.problem, []
-        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.space.morphs]
+        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.morphs]
         for t in product(*axes):
             p = problem.box.nominal.copy()
-            p[self.space.morphs] = t
+            p[self.morphs] = t
             values.append(least_ratio(problem.stiffness_sum(problem.law_K(p)), self.space))
         return replace(cell, alpha=UNPROVEN * max(min(values), 0.0))
 
@@ -145,14 +147,12 @@ class Proofs:
                 sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
                 for a, b in zip(*rows, strict=True)
             )
-            held: list[float] = []
-            for part in TRIED if W is not None and promised > 0 else ():
+            held = 0.0
+            if W is not None and promised > 0:
                 self.progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
-                if self._holds(rows, part * promised, W, sigma):
-                    held = [part]
-                    break
-            values.append(max((held[0] if held else UNPROVEN if W is None else 0.0) * promised, 0.0))
-            proven.append(bool(held) and cell.proven)
+                held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
+            values.append(max((UNPROVEN if W is None else held) * promised, 0.0))
+            proven.append(held > 0 and cell.proven)
         return Cells(
             low=np.array([cell.low for cell in cells]), high=np.array([cell.high for cell in cells]),
             alpha=np.array([cell.alpha for cell in cells]), least=np.array(values), proven=np.array(proven),
@@ -182,7 +182,7 @@ class Proofs:
 
     def _words(self, low: Floats, high: Floats) -> str:
         names = self.problem.box.names
-        return ", ".join(f"{names[j]} {low[j]:g} to {high[j]:g}" for j in self.space.morphs) or "the box"
+        return ", ".join(f"{names[j]} {low[j]:g} to {high[j]:g}" for j in self.morphs) or "the box"
 
 
 def is_positive(
