@@ -135,7 +135,7 @@ class ParametricBound:
             (self.residual_K, ratio(self.law_K, self.anchor, one), 1 / energy),
             (self.residual_M, ratio(self.law_M, self.anchor, one), energy),
         )
-        weighted = np.hstack([a * term * weight for terms, theta, weight in parts for a, term in zip(theta, terms)])
+        weighted = np.hstack([np.hstack([*(a[:, None, None] * terms * weight)]) for terms, a, weight in parts])
         U, values, _ = sl.svd(weighted, full_matrices=False)
         keep = int((values > cut).sum())
         new = {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -303,7 +303,7 @@ class BoundAt:
 def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:
     """M-orthonormal rigid motions Z (n, r) in span(``rigid``), and elastic Ritz values (e,) and vectors (n, e), M-
     orthogonal to them: rigid motion is never what an eigensolver leaves of it."""
-    n, r = rigid.shape
+    r = rigid.shape[1]
     if not r:
         values, Y = sl.eigh(K, M)
         return rigid, values, Y

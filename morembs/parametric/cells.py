@@ -73,7 +73,7 @@ class Proofs:
         self.count = 0
 
     def controls(self, law: Law, p: Floats, low: Floats, high: Floats) -> Floats:
-        """Bernstein coefficients (s, Q) of the terms of ``law`` on a cell, parameters beside morphs as in ``p`` (P,)."""
+        """Bernstein coefficients (s, Q) of the terms of ``law`` on a cell, other parameters as in ``p`` (P,)."""
         morphs, points = self.morphs, self.problem.law_K.points
         turn: Floats = np.ones((1, 1))
         at: Floats = p[None]
@@ -175,8 +175,10 @@ class Proofs:
             p[used] = end[used]
         return p
 
-    def is_positive(self, A: sp.csr_array, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0) -> bool:
-        """As the function."""
+    def is_positive(
+        self, A: sp.csr_array, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0
+    ) -> bool:
+        """As the function of that name, and counted."""
         self.count += 1
         return is_positive(A, self.problem.solver, rows, W=W, sigma=sigma, budget=self.problem.budget)
 
@@ -220,5 +222,7 @@ def least_ratio(A: sp.csr_array, space: GlobalSpace) -> float:
     inverse = spl.LinearOperator((n, n), matvec=solve, dtype=np.float64)
     inner = [sp.csr_array(B)[keep][:, keep] for B in (A, K)]
     start = np.random.default_rng(3).standard_normal(n)
-    value = spl.eigsh(inner[0], k=1, M=inner[1], Minv=inverse, which="SA", v0=start, tol=1e-3, return_eigenvectors=False)
-    return float(value[0])
+    values = spl.eigsh(
+        inner[0], k=1, M=inner[1], Minv=inverse, which="SA", v0=start, tol=1e-3, return_eigenvectors=False
+    )
+    return float(values[0])
