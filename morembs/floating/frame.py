@@ -240,10 +240,25 @@ def floating_frame(
         for name, at in coupling.frame_columns.items()
     }
     integrals, note = shape_integrals(problem.model, _on_model(problem, elastic), center, budget)
-    K, D = Y.T @ reduced.K @ Y, Y.T @ reduced.D @ Y
+    return frame_about(
+        reduced.K, reduced.D, Y, rigid, integrals, markers, center, kind=kind, interfaces=interfaces, origin=origin,
+        note=note,
+    )  # fmt: skip
+
+
+def frame_about(
+    K: Floats, D: Floats, Y: Floats, rigid: Floats, integrals: ShapeIntegrals, markers: Mapping[str, InterfaceMarker],
+    center: Floats, *, kind: str, interfaces: Sequence[str], origin: Sequence[float], note: str = "",
+) -> FloatingFrame:  # fmt: skip
+    """A floating frame about ``origin``, of what is known about the ``center`` of mass (3,) in the model.
+
+    ``K``, ``D`` (nr, nr) of a reduced model, ``Y`` (nr, n) its elastic modes, with their ``integrals`` and ``markers``,
+    and ``rigid`` (nr, 6) unit motions.
+    """
+    Ke, De = Y.T @ K @ Y, Y.T @ D @ Y
     body = FloatingFrame(
         kind="mean-axes", interfaces=(), origin=center, elastic=Y, rigid=rigid, integrals=integrals,
-        Ke=0.5 * (K + K.T), De=0.5 * (D + D.T), markers=markers, notes=(note,) if note else (),
+        Ke=0.5 * (Ke + Ke.T), De=0.5 * (De + De.T), markers=markers, notes=(note,) if note else (),
     )  # fmt: skip
     # What is left of rigid motion in the modes is round-off; the frame takes it out.
     return body.in_frame("mean-axes").in_frame(kind, interfaces).about(origin)

@@ -15,6 +15,7 @@ from morembs.reducers.guyan import Guyan
 from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
+from morembs.reducers.parametric import ParametricReducer
 from morembs.reducers.static_modes_switching import StaticModesSwitching
 
 # One line for each method.
@@ -29,6 +30,7 @@ _OWN: tuple[type[Reducer], ...] = (
     Balanced,
     Irka,
     StaticModesSwitching,
+    ParametricReducer,
 )
 REDUCERS: Registry[type[Reducer]] = Registry(
     "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
@@ -36,7 +38,7 @@ REDUCERS: Registry[type[Reducer]] = Registry(
 
 __all__ = [
     "MODE_KINDS", "REDUCERS", "AutoReducer", "Balanced", "Basis", "CraigBampton", "Facts", "FreeInterface", "Gramian",
-    "Guyan", "Irka", "Krylov", "Modal", "ReducedModel", "Reducer", "StaticModesSwitching",
+    "Guyan", "Irka", "Krylov", "Modal", "ParametricReducer", "ReducedModel", "Reducer", "StaticModesSwitching",
 ]  # fmt: skip
 
 __getattr__ = renamed(__name__, {"Automatic": "AutoReducer"})

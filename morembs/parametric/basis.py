@@ -1,0 +1,320 @@
+"""One global basis for a box of parameters, grown where the bound is largest and cut to the smallest that keeps it.
+
+Greedy search (Rozza, Huynh and Patera 2008; for second-order pencils Baur, Beattie, Benner and Gugercin 2011 take given
+points): responses and modes at the p of a training set where the bound over the band is largest. What was collected is
+compressed by proper orthogonal decomposition of reduced responses over p and frequencies, and the least number of
+vectors is taken whose bound keeps the tolerance at all training points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from morembs.errors import InputError
+from morembs.linalg.columns import map_columns, multiply, symmetric
+from morembs.linalg.lanczos import BlockLanczos
+from morembs.parametric.bound import BoundAt, ParametricBound, ritz_pairs
+from morembs.parametric.cells import Proofs
+from morembs.parametric.model import ParametricModel
+from morembs.parametric.parameter import Box
+from morembs.parametric.space import GlobalSpace
+from morembs.parametric.terms import AffineProblem
+from morembs.problem import Problem
+from morembs.problem.damping import Damping
+from morembs.progress import SILENT, Progress
+from morembs.responses.certified import floor_of
+
+Floats = NDArray[np.float64]
+# Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
+DEFLATED, TAKEN = 1.75, 1.5
+# Blocks of the Krylov space of the loads that are taken beside the modes, one more each time that p comes again.
+BLOCKS = 2
+# Weight of deflated loads in eigenvalues at the limit of the deflated modes.
+WEIGHT = 2.0
+# Modes at other p are as sharp as this: they are columns of a basis only.
+SHARP, STEPS = 1e-5, 30
+# Corners of boxes with so many parameters at most join the training set.
+CORNERS = 6
+# Frequencies over the band at each p, beside the flanks of its resonances.
+GRID = 16
+# Values of p of the decomposition, and of the full points that a search may take.
+SNAPSHOTS, POINTS = 96, 40
+# Fresh values per value of training for the bound over the box.
+FRESH = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParametricBasis:
+    """Columns ``V`` (Nc, n) of the ``model``, which has the bound; ``kinds`` of the columns.
+
+    ``box_bound`` is the largest bound over the band at all values looked at, a maximum over samples; ``worst`` (P,) is
+    the p and ``worst_hz`` the frequency of it, ``points`` (k, P) are the values with factorisations of K, of which
+    there were ``factorisations`` and ``counts`` of eigenvalues beside them. ``collected`` columns were there before the
+    cut. ``kind`` is "bound" or "estimate"; ``floor`` the damping ratio that is assumed.
+    """
+
+    V: Floats
+    kinds: tuple[str, ...]
+    model: ParametricModel
+    box_bound: float
+    worst: Floats
+    worst_hz: float
+    points: Floats
+    factorisations: int
+    counts: int
+    collected: int
+    kind: str
+    floor: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wanted:
+    """What a basis is to keep: relative error ``tolerance`` of the response over ``band_hz``, at ``training`` Sobol
+    points and the corners, with ``order_limit`` columns at most."""
+
+    band_hz: tuple[float, float]
+    tolerance: float
+    training: int
+    order_limit: int
+    floor: float | None = None
+    accept_bound: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Worst:
+    """The largest relative bound, its p (P,) and frequency."""
+
+    value: float
+    p: Floats
+    hz: float
+
+
+def training_points(box: Box, count: int, seed: int = 1) -> Floats:
+    """The nominal values, the corners of boxes that have few, and ``count`` Sobol points (k, P)."""
+    sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
+    inside = box.low + sobol * (box.high - box.low)
+    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
+    return np.vstack([box.nominal, *corners, inside])
+
+
+def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Floats:
+    """Frequencies (nf,) in rad/s over a band where the bound is looked at: steps, and flanks of resonances."""
+    inside = values[(values > low**2) & (values < high**2)]
+    omega = np.sqrt(inside)
+    width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
+    flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
+    return np.concatenate([np.linspace(low, high, GRID), flanks[(flanks > low) & (flanks < high)]])
+
+
+class GreedySearch:
+    """The search for a basis of ``problem`` that keeps what is ``wanted``."""
+
+    def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
+        self.problem, self.wanted, self.progress = problem, wanted, progress
+        self.floor = floor_of(problem, wanted.band_hz, wanted.floor)
+        self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
+        self.training = training_points(problem.box, wanted.training)
+        progress.update("modes at nominal values")
+        modes = problem.elastic_modes(below=(DEFLATED * self.high) ** 2)
+        self.space = GlobalSpace(problem)
+        self.space.add(np.array(modes.vectors, order="F"))
+        # Before the motions that are rigid at other p only: no low modes are beside those, nor orthogonal to them.
+        self.deflated = self.space.size
+        self.space.add_rigid_at_others()
+        self.kept = self.space.size
+        self.sigma = WEIGHT * (DEFLATED * self.high) ** 2
+        self.proofs = Proofs(self.space, progress)
+        self.cells = self.proofs.cells()
+        self.points: list[Floats] = []
+        self.factorisations = 1
+
+    def damping(self, p: Floats) -> Damping:
+        """The damping at ``p`` (P,) with its floor."""
+        own = self.problem.box.damping(self.problem.damping, p)
+        return replace(own, structural=own.structural + 2 * self.floor) if self.floor else own
+
+    def run(self) -> ParametricBasis:
+        """The basis.
+
+        Raises:
+            InputError: the tolerance is not reached.
+        """
+        wanted = self.wanted
+        self._take(self.problem.box.nominal)
+        model, bound = self._bound(proof=False)
+        while True:
+            worst = self.worst(model, bound)
+            self.progress.update(
+                f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
+            )
+            enough = worst.value <= wanted.tolerance
+            if enough or len(self.points) >= POINTS or not self._take(worst.p):
+                break
+            model, bound = self._bound(proof=False)
+        model, bound = self._bound(proof=True)
+        return self._cut(model, bound)
+
+    def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
+        F = np.eye(self.space.size, self.deflated)
+        cells = self.proofs.least(self.cells, F, self.sigma, proof=proof)
+        bound = self.space.bound(
+            cells, F, sigma=self.sigma, highest=self.high, soft=self.proofs.soft, eps=self.problem.eps
+        )
+        return self.space.reduced(), bound
+
+    def _take(self, p: Floats) -> bool:
+        """Responses and modes at ``p`` (P,) join the space, more of them where it was taken before; whether there was
+        anything new."""
+        before = sum(np.array_equal(p, known) for known in self.points)
+        self.points.append(p)
+        if np.array_equal(p, self.problem.box.nominal):
+            return self.space.add(self._responses(self.problem, before)) > 0
+        self.factorisations += 1
+        with self.problem.at(p) as there:
+            X = self._responses(there, before)
+        return self.space.add(X) > 0
+
+    def _responses(self, problem: Problem, before: int) -> Floats:
+        """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses
+        first: all from one factorisation."""
+        flexibility, M, budget = problem.elastic.flexibility, problem.M, problem.budget
+        X = map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale, budget)
+        blocks, least = BLOCKS + before, (TAKEN * (1 + 0.5 * before) * self.high) ** -2
+        lanczos = BlockLanczos(flexibility, M, X, capacity=min(STEPS * X.shape[1], len(X)), budget=budget)
+        start = 0
+        for step in range(STEPS):
+            if lanczos.full() or not lanczos.pending.shape[1]:
+                break
+            lanczos.expand()
+            start = lanczos.size if step < blocks else start
+            theta, Y, residual = lanczos.ritz()
+            low = theta > least
+            if step >= blocks and (residual[low] <= SHARP * theta[low]).all():
+                break
+        return np.hstack([lanczos.vectors(Y[:, low]), lanczos.V[:, :start]])
+
+    def worst(
+        self, model: ParametricModel, bound: ParametricBound, points: Floats | None = None, enough: float = np.inf
+    ) -> Worst:
+        """The largest relative bound over the band at ``points`` (k, P), by default those of the training; the first
+        one above ``enough``. Where it is infinite anywhere the residual tells which p is the worst."""
+        largest = Worst(value=-1.0, p=self.problem.box.nominal, hz=0.0)
+        residual = -1.0
+        for p in self.training if points is None else points:
+            at = self._bounded(model, bound, p)
+            omega = frequencies(at.values, at.damping, self.low, self.high)
+            relative = at.error(omega) / at.envelope(omega)
+            k = int(np.argmax(relative))
+            size = at.residual(omega).max() if np.isinf(relative[k]) else 0.0
+            if relative[k] > largest.value or (relative[k] == largest.value and size > residual):
+                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(omega[k] / (2 * np.pi))), size
+            if largest.value > enough:
+                break
+        return largest
+
+    def _bounded(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> BoundAt:
+        K, M = model.matrices(p)
+        B, rigid = model.B * model.scale, model.rigid_at(p)
+        return bound.at(p, K=K, M=M, B=B, rigid=rigid, damping=self.damping(p))
+
+    def _cut(self, model: ParametricModel, bound: ParametricBound) -> ParametricBasis:
+        """The least part of the space that keeps the tolerance."""
+        wanted, whole = self.wanted, self.space.size
+        T = self._decomposition(model)
+        order = np.argsort([-self._relative(model, bound, p) for p in self.training])
+
+        def of(n: int) -> tuple[ParametricModel, ParametricBound]:
+            return reduced_to(model, T[:, :n]), bound.turned(T[:, :n])
+
+        low, high = self.kept, min(whole, wanted.order_limit)
+        worst = self.worst(*of(high), points=self.training[order])
+        if worst.value > wanted.tolerance and not wanted.accept_bound:
+            raise self._unreached(worst, high)
+        while worst.value <= wanted.tolerance and low < high:
+            middle = (low + high) // 2
+            self.progress.update(f"{middle} of {whole} columns")
+            if self.worst(*of(middle), points=self.training[order], enough=wanted.tolerance).value <= wanted.tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        model, bound = of(high)
+        bound = bound.compressed()
+        box = self.problem.box
+        fresh = training_points(box, FRESH * wanted.training, seed=2)
+        worst = self.worst(model, bound, np.vstack([self.training, fresh]))
+        rigid = self.problem.rigid.shape[1]
+        kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
+        every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
+        return ParametricBasis(
+            V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds,
+            model=replace(model, bound=bound),
+            box_bound=worst.value, worst=worst.p, worst_hz=worst.hz, points=np.array(self.points),
+            factorisations=self.factorisations, counts=self.proofs.count, collected=whole,
+            kind="bound" if every else "estimate", floor=self.floor,
+        )  # fmt: skip
+
+    def _relative(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> float:
+        at = self._bounded(model, bound, p)
+        omega = frequencies(at.values, at.damping, self.low, self.high)
+        return float((at.error(omega) / at.envelope(omega)).max())
+
+    def _decomposition(self, model: ParametricModel) -> Floats:
+        """(n, n) orthonormal directions in the space: those that are kept, then those of responses, the largest first.
+
+        Responses count relative to the envelope, in the inner product of K_a + mu M_a.
+        """
+        n, kept = self.space.size, self.kept
+        covariance = np.zeros((n, n))
+        for p in self._some():
+            K, M = model.matrices(p)
+            _, values, Y = ritz_pairs(K, M, model.rigid_at(p))
+            damping = self.damping(p)
+            omega = frequencies(values, damping, self.low, self.high)
+            for X in _responses(Y, values, Y.T @ (model.B * model.scale), damping, omega):
+                covariance += X
+        K, M = model.matrices(self.problem.box.nominal)
+        L = sl.cholesky(symmetric(K) + self.high**2 * np.eye(n), lower=True)
+        known = sl.qr(L.T[:, :kept], mode="economic")[0]
+        C = L.T @ covariance @ L
+        C -= known @ (known.T @ C)
+        C -= (C @ known) @ known.T
+        _, U = sl.eigh(symmetric(C))
+        new = sl.solve_triangular(L.T, U[:, ::-1][:, : n - kept])
+        Q, R = sl.qr(np.hstack([np.eye(n, kept), new]))
+        return np.asarray(Q * np.where(np.diag(R) < 0, -1.0, 1.0))
+
+    def _some(self) -> Floats:
+        step = max(1, len(self.training) // SNAPSHOTS)
+        return np.vstack([*self.points, self.training[::step]])
+
+    def _unreached(self, worst: Worst, order: int) -> InputError:
+        given = zip(self.problem.parameters, worst.p, strict=True)
+        at = ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
+        return InputError(
+            f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is "
+            f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz; raise the tolerance or the order_limit, narrow the "
+            "ranges or the band, or take accept_bound = true"
+        )
+
+
+def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:
+    """``model`` on the basis V ``T`` (n, k) with orthonormal columns, whose span has all rigid motions."""
+    rigid = np.einsum("nk,nrs->krs", T, model.rigid)
+    return replace(model, K=T.T @ model.K @ T, M=T.T @ model.M @ T, B=T.T @ model.B, rigid=rigid)
+
+
+def _responses(Y: Floats, values: Floats, b: Floats, damping: Damping, omega: Floats) -> Iterator[Floats]:
+    """Covariances (n, n) of the responses at ``omega`` (nf,), relative to their envelopes."""
+    for w in omega:
+        c, g = damping.proportional(1j * w)
+        a = c * values + g + 1j * w * (damping.of_modes(values) - damping.alpha - damping.beta * values)
+        envelope = float((1 / np.abs(a)) @ (b**2).sum(axis=1))
+        X = Y @ (b / a[:, None]) / envelope
+        yield (X @ X.conj().T).real

@@ -1,0 +1,331 @@
+r"""How far the response of one global basis is from that of the full model, at any p of a box, without a factorisation.
+
+K(p) = sum_q a_q(p) K_q and M(p) = sum_j b_j(p) M_j with K(p) >= 0 and M(p) > 0, H = B' A^-1 B with A = c K(p) + g M(p).
+Let (mu_i, v_i) be the Ritz pairs of the basis V at p, M(p)-orthonormal, rigid motions R(p) among them,
+rho_i = K v_i - mu_i M v_i, V_L those with mu_i below some limit, a_i = c mu_i + g, and r the residual B - A V y of the
+Galerkin response, so that V'r = 0. |.| is the norm of K(p) for motions and its dual for loads that are free of
+rigid-body loads.
+
+**The error.** Write A^-1 r = V_L z + w with V_L' M w = 0. As v_i' A w = c rho_i' w and V_L' A e = 0,
+
+    w^H A w - c^2 sum_L |rho_i' w|^2 / a_i = w^H r,    H - H_r = r'w.
+
+Multiplied with any exp(-i psi), the real part of the left side is at least (b - kappa) |w|^2 with
+
+    b = min over 0 <= m <= 1 / Lam of Re exp(-i psi) (c + g m),
+    kappa = lambda_max(sum_L max(0, Re exp(-i psi) c^2 / a_i) rho_i rho_i') in the dual norm,
+
+if K >= Lam M on {V_L' M w = 0}. Hence |H - H_r|_F <= |r|_2 |r|_F / (b - kappa). With damping the angle psi takes most
+of a resonance out of kappa: 1 / a_i turns through the lower half-plane there. Where b <= kappa there is no bound: it
+is infinite, and said to be.
+
+**The dual norm.** Six dofs S are held that determine rigid motion at every p. For loads free of rigid motion the dual
+norm is that of K_SS(p)^-1, and K_SS(p) >= alpha(p) K_SS(p_a) gives |r|^2 <= |r|_a^2 / alpha. In a morph alpha is
+that of a cell, times the least ratio of the factors of moduli (min-theta).
+
+**Lam.** Let F be columns in span(V), W = M(p_a) F, and K_soft - Lam^ M_heavy + sigma W W' >= 0 for the softest and
+heaviest values on a cell. K grows with each modulus, M with each density, so with the least ratio s_K of stiffness
+factors to the softest and the largest one s_M of mass factors to the heaviest, K(p) >= s_K Lam^ / s_M M(p) - s_K sigma
+W W'. For w with V_L' M w = 0 and any X, W'w = (W - M V_L X)'w, so
+
+    |W'w|^2 <= d |w|^2,  d = lambda_max of W - M V_L X in the dual norm,  Lam(p) = (s_K Lam^ / s_M) / (1 + s_K sigma d).
+
+No mode at p is needed, no count of them, and F need not be of modes.
+
+All residuals are held in orthonormal coordinates of the norm of K_SS(p_a)^-1 (Casenave, Ern and Lelievre 2014); what
+was cut of them is added by its norm. Sources: the Galerkin identity and min-theta of Rozza, Huynh and Patera (2008),
+the deflated residual of ``morembs.responses.residual_bound``; the inequality for Lam is derived here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from morembs.parametric.law import LINEAR, SQUARE, Law
+from morembs.problem.damping import Damping
+from morembs.responses.residual_bound import numerator, slope
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+# Angles psi that are tried, in radians.
+ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
+# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the second one whose residuals
+# take no more than this part of b together.
+LOW, FAR, TAKEN = 1.5, 4.0, 0.05
+# Parts of their energy that columns may lose by compression, and below which they count as rigid.
+SMALL, RIGID = 1e-5, 1e-6
+TINY = float(np.finfo(float).tiny)
+KINDS = ("bound", "estimate", "none")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """Parts of a box, ``low`` and ``high`` (c, P), with what holds on each: ``alpha`` (c,), K_SS(p) >= alpha K_SS(p_a)
+    at the moduli of p_a, and ``least`` (c,), Lam^ for the softest and heaviest values, in (rad/s)2. ``proven`` (c,) by
+    counts of eigenvalues, else estimated."""
+
+    low: Floats
+    high: Floats
+    alpha: Floats
+    least: Floats
+    proven: NDArray[np.bool_]
+
+    def at(self, p: Floats) -> tuple[float, float, bool]:
+        """alpha, Lam^ and whether they are proven at ``p`` (P,): of the best cell that holds it."""
+        here = np.flatnonzero(((p >= self.low) & (p <= self.high)).all(axis=1))
+        if not len(here):
+            return 0.0, 0.0, False
+        best = here[np.argmax(self.alpha[here])]
+        return float(self.alpha[best]), float(self.least[best]), bool(self.proven[best])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParametricBound:
+    """All that the bound needs, for a basis of n columns, m loads, Q and J terms of K and M, P parameters.
+
+    ``residual_B`` (q, m), ``residual_K`` (Q, q, n), ``residual_M`` (J, q, n), ``residual_F`` (q, k) are coordinates of
+    the scaled loads, of K_q V, M_j V and W = M(p_a) F in the norm of K_SS(p_a)^-1, ``rest_B`` (m,), ``rest_K`` (Q, n),
+    ``rest_M`` (J, n), ``rest_F`` (k,) norms of what they leave out; ``motion_F`` (n, k) is V'W and ``sigma`` its
+    weight in (rad/s)2. ``anchor``, ``soft`` (P,) values of the parameters. ``highest`` upper end of the band in
+    rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0.
+    """
+
+    law_K: Law
+    law_M: Law
+    anchor: Floats
+    soft: Floats
+    cells: Cells
+    residual_B: Floats
+    residual_K: Floats
+    residual_M: Floats
+    residual_F: Floats
+    rest_B: Floats
+    rest_K: Floats
+    rest_M: Floats
+    rest_F: Floats
+    motion_F: Floats
+    sigma: float
+    highest: float
+    eps: float = 0.0
+
+    def turned(self, T: Floats) -> ParametricBound:
+        """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
+        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        size = np.abs(T)
+        parts.update(
+            residual_K=self.residual_K @ T, residual_M=self.residual_M @ T, rest_K=self.rest_K @ size,
+            rest_M=self.rest_M @ size, motion_F=T.T @ self.motion_F,
+        )  # fmt: skip
+        return ParametricBound(**parts)
+
+    def compressed(self, cut: float = SMALL) -> ParametricBound:
+        """The same with fewer coordinates: directions along which every column has less than about ``cut`` of its own
+        energy are left out, and count by norms."""
+        energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
+        energy = np.maximum(energy, energy[energy > RIGID * energy.max(initial=0.0)].min(initial=np.inf))
+        size = np.linalg.norm(self.residual_B, axis=0)
+        one = np.ones_like(self.anchor)
+        parts = (
+            (self.residual_B[None], np.ones(1), 1 / np.where(size > 0, size, 1.0)),
+            (self.residual_K, ratio(self.law_K, self.anchor, one), 1 / energy),
+            (self.residual_M, ratio(self.law_M, self.anchor, one), energy),
+        )
+        weighted = np.hstack([np.hstack([*(a[:, None, None] * terms * weight)]) for terms, a, weight in parts])
+        U, values, _ = sl.svd(weighted, full_matrices=False)
+        keep = int((values > cut).sum())
+        new = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name in ("B", "K", "M", "F"):
+            C, rest = getattr(self, f"residual_{name}"), getattr(self, f"rest_{name}")
+            new[f"residual_{name}"] = U[:, :keep].T @ C
+            new[f"rest_{name}"] = np.hypot(rest, np.linalg.norm(U[:, keep:].T @ C, axis=-2))
+        return ParametricBound(**new)
+
+    @cached_property
+    def _flat(self) -> tuple[Floats, Floats]:
+        """Coordinates of the terms as rows, for one product each."""
+        K, M = (np.ascontiguousarray(A.reshape(len(A), -1)) for A in (self.residual_K, self.residual_M))
+        return K, M
+
+    def at(
+        self, p: Floats, *, K: Floats, M: Floats, B: Floats, rigid: Floats, damping: Damping
+    ) -> BoundAt:
+        """What the bound needs at ``p`` (P,): ``K``, ``M`` (n, n) and scaled ``B`` (n, m) of the reduced model there,
+        its ``rigid`` motions (n, r) and ``damping``."""
+        theta_K, theta_M = self.law_K(p), self.law_M(p)
+        shape = self.residual_K.shape[1:]
+        KV, MV = ((theta @ flat).reshape(shape) for theta, flat in zip((theta_K, theta_M), self._flat, strict=True))
+        eK, eM = np.abs(theta_K) @ self.rest_K, np.abs(theta_M) @ self.rest_M
+        Z, values, Y = ritz_pairs(K, M, rigid)
+        KY, MY, MZ = KV @ Y, MV @ Y, MV @ Z
+        b, b_rigid, size = Y.T @ B, Z.T @ B, np.abs(Y)
+        rho = KY - MY * values
+        off = eK @ size + (eM @ size) * values
+        start = self.residual_B - KY @ (b / values[:, None]) - MZ @ b_rigid
+        off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
+        alpha_cell, least, proven = self.cells.at(p)
+        alpha = alpha_cell * ratio(self.law_K, p, self.anchor).min()
+        gram = np.hstack([start, rho])
+        gram = gram.T @ gram / max(alpha, TINY)
+        few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
+        d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
+        s_K, s_M = ratio(self.law_K, p, self.soft).min(), ratio(self.law_M, p, self.soft).max()
+        return BoundAt(
+            values=values, b=b, gram=gram, off=off / np.sqrt(max(alpha, TINY)),
+            off_start=off_start / np.sqrt(max(alpha, TINY)), few=few,
+            least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping, eps=self.eps,
+            proven=proven and not damping.is_modal,
+        )  # fmt: skip
+
+    def _few(self, values: Floats, own: Floats) -> int:
+        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms: more of them make d
+        smaller and kappa larger."""
+        low = int((values < (LOW * self.highest) ** 2).sum())
+        far = int((values < (FAR * self.highest) ** 2).sum())
+        return low + int((np.cumsum(own[low:far] / (values[low:far] - self.highest**2)) <= TAKEN).sum())
+
+    def _missed(self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats) -> float:
+        """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W."""
+        rigid = Z.T @ self.motion_F
+        left = self.residual_F - MZ @ rigid
+        X = sl.lstsq(MY, left, lapack_driver="gelsy")[0] if MY.shape[1] else np.zeros((0, left.shape[1]))
+        off = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
+        return float(np.linalg.norm(left - MY @ X, 2) ** 2 + (off**2).sum())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundAt:
+    """The bound at one p: Ritz ``values`` (e,) in (rad/s)2 and scaled loads ``b`` (e, m) of the elastic part, ``gram``
+    (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``off_start`` (m,) and
+    ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them."""
+
+    values: Floats
+    b: Floats
+    gram: Floats
+    off_start: Floats
+    off: Floats
+    few: int
+    least: float
+    damping: Damping
+    eps: float
+    proven: bool
+
+    @property
+    def kind(self) -> str:
+        """"bound" where all of it is proven in exact arithmetic, "estimate", or "none"."""
+        return "none" if not self.least > 0 else KINDS[0] if self.proven else KINDS[1]
+
+    def envelope(self, omega: Floats) -> Floats:
+        """(nf,) sum of the sizes of all modal contributions to the scaled H at ``omega`` (nf,) in rad/s, in m/N."""
+        return np.asarray((1 / np.abs(self._a(omega)[0])) @ (self.b**2).sum(axis=1))
+
+    def error(self, omega: Floats) -> Floats:
+        """(nf,) bounds of |H - H_r|_F, scaled, at ``omega`` (nf,) in rad/s, in m/N; infinite where there is none."""
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        a, c, g = self._a(omega)
+        two, whole = self._residual(a, omega)
+        best, kappa = self._gain(a, c, g)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.where(best > 0, two * whole / best, np.inf)
+        return error + self._geometry(a, c, g, whole, kappa) if self.eps else error
+
+    def residual(self, omega: Floats) -> Floats:
+        """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        two, whole = self._residual(self._a(omega)[0], omega)
+        return np.asarray(two * whole / self.envelope(omega))
+
+    def _a(self, omega: Floats) -> tuple[Complexes, Complexes, Complexes]:
+        """a_i (nf, e), c and g (nf,)."""
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        c, g = self.damping.proportional(1j * omega)
+        c, g = (np.broadcast_to(np.asarray(x, dtype=complex), omega.shape) for x in (c, g))
+        return c[:, None] * self.values + numerator(omega, slope(self.damping, self.values)), c, g
+
+    def _residual(self, a: Complexes, omega: Floats) -> tuple[Floats, Floats]:
+        """(nf,) norms |r|_2 and |r|_F: r = r_0 + sum_i rho_i b_i' (g + i w d_i) / (mu_i a_i)."""
+        m = self.b.shape[1]
+        factors = numerator(omega, slope(self.damping, self.values)) / (self.values * a)
+        T = factors[:, :, None] * self.b
+        G00, G01, G11 = self.gram[:m, :m], self.gram[:m, m:], self.gram[m:, m:]
+        cross = G01 @ T
+        S = G00 + cross + cross.conj().transpose(0, 2, 1) + T.conj().transpose(0, 2, 1) @ (G11 @ T)
+        cut = ((self.off_start + np.abs(factors) @ (self.off[:, None] * np.abs(self.b))) ** 2).sum(axis=1)
+        # Round-off of sums that cancel.
+        size = np.abs(np.trace(G00)) + np.einsum("fi,i->f", (np.abs(T) ** 2).sum(axis=2), np.diag(G11))
+        cut = cut + 10 * np.finfo(float).eps * size
+        values = np.linalg.eigvalsh(S)
+        return np.sqrt(np.maximum(values[:, -1], 0) + cut), np.sqrt(np.maximum(values, 0).sum(axis=1) + cut)
+
+    def _gain(self, a: Complexes, c: Complexes, g: Complexes) -> tuple[Floats, Floats]:
+        """(nf,) b - kappa at the best angle, and kappa with the sizes of 1 / a_i."""
+        m, few = self.b.shape[1], self.few
+        gram, off = self.gram[m : m + few, m : m + few], self.off[:few] ** 2
+        own = np.diag(gram) + off
+        turn = np.exp(-1j * ANGLES)
+        far = c if not self.least > 0 else c + g / self.least
+        b = np.minimum((turn[:, None] * c).real, (turn[:, None] * far).real)
+        weight = np.maximum((turn[:, None, None] * (c[:, None] ** 2 / a[:, :few])).real, 0.0)
+        # The trace chooses the angle, the largest eigenvalue counts.
+        chosen = np.argmax(b - weight @ own, axis=0)
+        every = np.arange(len(c))
+        best = b[chosen, every] - _largest(weight[chosen, every], gram, off)
+        if not self.least > 0:
+            best = np.full(len(c), -np.inf)
+        kappa = _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off) if self.eps else np.zeros(len(c))
+        return best, kappa
+
+    def _geometry(self, a: Complexes, c: Complexes, g: Complexes, whole: Floats, kappa: Floats) -> Floats:
+        """(nf,) what the error of K adds: with E = K - K~ and |E| <= eps' K~, eps' = eps / (1 - eps),
+
+        |H - H~|_F <= |c| eps' |x|_K^2 / (1 - |c| eps' G), G the norm of A~^-1 from the dual norm to that of K~, at most
+        g_L + (1 + sqrt(g_L kappa))^2 / (b - kappa), g_L = max mu_i / |a_i|, b and kappa of sizes.
+        """
+        far = np.where(self.least > 0, g / max(self.least, TINY), -c)
+        # The least |c + t far| on 0 <= t <= 1.
+        t = np.clip(-(c * far.conj()).real / np.maximum(np.abs(far) ** 2, TINY), 0.0, 1.0)
+        gap = np.abs(c + t * far) - kappa
+        low = (self.values[: self.few] / np.abs(a[:, : self.few])).max(axis=1, initial=0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = np.where(gap > 0, (1 + np.sqrt(low * kappa)) / gap, np.inf)
+            norm = low + (1 + np.sqrt(low * kappa)) * reach
+            y = self.b / a[:, :, None]
+            reduced = np.sqrt((self.values[:, None] * np.abs(y) ** 2).sum(axis=(1, 2)))
+            part = self.eps / (1 - self.eps) * np.abs(c)
+            full = reduced + reach * whole
+            return np.where(part * norm < 1, part * full**2 / np.maximum(1 - part * norm, TINY), np.inf)
+
+
+def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:
+    """M-orthonormal rigid motions Z (n, r) in span(``rigid``), and elastic Ritz values (e,) and vectors (n, e), M-
+    orthogonal to them: rigid motion is never what an eigensolver leaves of it."""
+    r = rigid.shape[1]
+    if not r:
+        values, Y = sl.eigh(K, M)
+        return rigid, values, Y
+    G = rigid.T @ M @ rigid
+    Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+    Q = sl.qr(M @ Z)[0][:, r:]
+    values, Y = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q)
+    return Z, values, np.asarray(Q @ Y)
+
+
+def ratio(law: Law, p: Floats, reference: Floats) -> Floats:
+    """(Q,) by how much the factors of moduli and densities differ from those at ``reference``; morphs do not count."""
+    powers = np.select([law.factors == LINEAR, law.factors == SQUARE], [1.0, 2.0], 0.0)
+    used = (powers > 0).any(axis=0)
+    if not used.any():
+        return np.ones(len(law.factors))
+    return np.asarray(np.prod((p[used] / reference[used]) ** powers[:, used], axis=1))
+
+
+def _largest(weight: Floats, gram: Floats, off: Floats) -> Floats:
+    """(nf,) largest eigenvalue of sum_i weight_i rho_i rho_i' for the Gram matrix of rho, and what was cut of them."""
+    if not gram.size:
+        return np.zeros(len(weight))
+    root = np.sqrt(weight)
+    return np.asarray(np.linalg.eigvalsh(root[:, :, None] * gram * root[:, None, :])[:, -1] + weight @ off)

@@ -1,0 +1,228 @@
+r"""What holds on whole parts of a box: lower bounds of K(p) and of K(p) beside M(p), each proven by counts.
+
+On a cell of the morphs t the terms are polynomials of t, K(t) = sum_j beta_j(t) K_j with the Bernstein polynomials
+beta_j >= 0, sum_j beta_j = 1: a quadratic form that is positive for all control matrices K_j is so on the whole cell
+(Garloff 1986). Without a morph the only control matrix is K itself.
+
+- alpha: K_j - alpha K(p_a) >= 0 with the supports held: no negative pivot.
+- Lam^: K_j - Lam^ M_j + sigma W W' >= 0. By Haynsworth (1968), applied to both diagonal blocks of
+  [[T, W], [W', -1 / sigma]] with T = K_j - Lam^ M_j, it has as many negative eigenvalues as T less those of
+  1 / sigma + W' T^-1 W.
+
+Eigenvalues that are not proven say what to try; the counts decide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.errors import SingularMatrixError
+from morembs.linalg.columns import map_columns, symmetric
+from morembs.linalg.dynamic_stiffness import constrained
+from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.parametric.bound import Cells
+from morembs.parametric.law import LINEAR, Law, bernstein
+from morembs.parametric.space import GlobalSpace
+from morembs.progress import SILENT, Progress
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Parts of what eigenvalues promise that are tried, one after the other.
+TRIED = (0.97, 0.9, 0.8, 0.65)
+# Cells are split until a proof gives this part of what holds at their corners, up to so many of them.
+ENOUGH, MOST = 0.9, 8
+# Without a proof: values of each morph on a cell, and part of the least estimate that is taken.
+SAMPLES, UNPROVEN = 5, 0.9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell:
+    """Values ``low`` to ``high`` (P,) of all parameters with ``alpha``, and whether that is ``proven``: of the
+    ``corner`` of the cell that has the least."""
+
+    low: Floats
+    high: Floats
+    alpha: float
+    corner: float
+    proven: bool
+
+    def halves(self, morphs: Ints, whole: Floats) -> list[tuple[Floats, Floats]]:
+        """The ends of its halves across its longest side, of the ``morphs`` relative to the ``whole`` box (P,)."""
+        longest = morphs[np.argmax((self.high - self.low)[morphs] / whole[morphs])]
+        below, above = self.high.copy(), self.low.copy()
+        below[longest] = above[longest] = 0.5 * (self.low[longest] + self.high[longest])
+        return [(self.low, below), (above, self.high)]
+
+
+class Proofs:
+    """Lower bounds on cells of the box of ``space``; ``count`` factorisations so far."""
+
+    def __init__(self, space: GlobalSpace, progress: Progress = SILENT) -> None:
+        self.space, self.problem, self.progress = space, space.problem, progress
+        self.morphs = np.array(space.problem.morphs, dtype=np.int64)
+        self.count = 0
+
+    def controls(self, law: Law, p: Floats, low: Floats, high: Floats) -> Floats:
+        """Bernstein coefficients (s, Q) of the terms of ``law`` on a cell, other parameters as in ``p`` (P,)."""
+        morphs, points = self.morphs, self.problem.law_K.points
+        turn: Floats = np.ones((1, 1))
+        at: Floats = p[None]
+        if len(morphs):
+            grid = np.array(list(product(*(points[j] for j in morphs))))
+            at = np.tile(p, (len(grid), 1))
+            at[:, morphs] = grid
+        for j in morphs:
+            turn = np.asarray(np.kron(turn, bernstein(points[j], low[j], high[j])), dtype=np.float64)
+        return np.asarray(turn @ law(at))
+
+    def cells(self) -> list[Cell]:
+        """The box in cells of the morphs with their alpha."""
+        box, morphs = self.problem.box, self.morphs
+        if not len(morphs):
+            return [Cell(low=box.low, high=box.high, alpha=1.0, corner=1.0, proven=True)]
+        cells = [self._cell(box.low, box.high)]
+        while len(cells) < MOST:
+            # Cells are as good as their corners at best: only what Bernstein coefficients lose is gained by halves.
+            lossy = [k for k, cell in enumerate(cells) if cell.corner > 0 and cell.alpha < ENOUGH * cell.corner]
+            if not lossy:
+                break
+            worst = min(lossy, key=lambda k: cells[k].alpha)
+            halves = cells[worst].halves(morphs, box.high - box.low)
+            cells[worst : worst + 1] = [self._cell(low, high) for low, high in halves]
+        return [cell if cell.alpha > 0 else self._sampled(cell) for cell in cells]
+
+    def _cell(self, low: Floats, high: Floats) -> Cell:
+        problem, space = self.problem, self.space
+        theta = self.controls(problem.law_K, problem.box.nominal, low, high)
+        matrices = [problem.stiffness_sum(row) for row in theta]
+        self.progress.update(f"stiffness beside the nominal one on {self._words(low, high)}")
+        # The first and the last coefficient of a polynomial are its values at the ends.
+        ends = [A for A, corner in zip(matrices, self._corners(len(theta)), strict=True) if corner]
+        promised = min(least_ratio(A, space) for A in ends)
+        for part in TRIED if promised > 0 else ():
+            alpha = part * promised
+            if all(self.is_positive(A - alpha * problem.K, space.supports) for A in matrices):
+                return Cell(low=low, high=high, alpha=alpha, corner=promised, proven=True)
+        return Cell(low=low, high=high, alpha=0.0, corner=promised, proven=False)
+
+    def _corners(self, size: int) -> NDArray[np.bool_]:
+        """Which of the coefficients on a cell are values at its corners."""
+        ends = np.ones(1, dtype=bool)
+        for j in self.morphs:
+            axis = np.zeros(len(self.problem.law_K.points[j]), dtype=bool)
+            axis[[0, -1]] = True
+            ends = np.kron(ends, axis)
+        return ends.astype(bool) if len(ends) == size else np.ones(size, dtype=bool)
+
+    def _sampled(self, cell: Cell) -> Cell:
+        problem, values = self.problem, []
+        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.morphs]
+        for t in product(*axes):
+            p = problem.box.nominal.copy()
+            p[self.morphs] = t
+            values.append(least_ratio(problem.stiffness_sum(problem.law_K(p)), self.space))
+        return replace(cell, alpha=UNPROVEN * max(min(values), 0.0))
+
+    def least(self, cells: list[Cell], F: Floats, sigma: float, *, proof: bool) -> Cells:
+        """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``."""
+        space, problem = self.space, self.problem
+        reduced, soft = space.reduced(), self.soft
+        theta = problem.law_M(problem.box.nominal)
+        W = np.asarray(problem.M @ (space.columns() @ F)) if proof else None
+        W_r = np.tensordot(theta, reduced.M, 1) @ F
+        values, proven = [], []
+        for cell in cells:
+            rows = [self.controls(law, soft, cell.low, cell.high) for law in (problem.law_K, problem.law_M)]
+            promised = min(
+                sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
+                for a, b in zip(*rows, strict=True)
+            )
+            held = 0.0
+            if W is not None and promised > 0:
+                self.progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
+                held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
+            values.append(max((UNPROVEN if W is None else held) * promised, 0.0))
+            proven.append(held > 0 and cell.proven)
+        return Cells(
+            low=np.array([cell.low for cell in cells]), high=np.array([cell.high for cell in cells]),
+            alpha=np.array([cell.alpha for cell in cells]), least=np.array(values), proven=np.array(proven),
+        )  # fmt: skip
+
+    def _holds(self, rows: list[Floats], least: float, W: Floats, sigma: float) -> bool:
+        problem = self.problem
+        return all(
+            self.is_positive(problem.stiffness_sum(a) - least * problem.mass_sum(b), W=W, sigma=sigma)
+            for a, b in zip(*rows, strict=True)
+        )
+
+    @property
+    def soft(self) -> Floats:
+        """Values (P,) of the softest and heaviest corner."""
+        problem = self.problem
+        p = problem.box.nominal.copy()
+        for law, end in ((problem.law_K, problem.box.low), (problem.law_M, problem.box.high)):
+            used = (law.factors == LINEAR).any(axis=0)
+            p[used] = end[used]
+        return p
+
+    def is_positive(
+        self, A: sp.csr_array, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0
+    ) -> bool:
+        """As the function of that name, and counted."""
+        self.count += 1
+        return is_positive(A, self.problem.solver, rows, W=W, sigma=sigma, budget=self.problem.budget)
+
+    def _words(self, low: Floats, high: Floats) -> str:
+        names = self.problem.box.names
+        return ", ".join(f"{names[j]} {low[j]:g} to {high[j]:g}" for j in self.morphs) or "the box"
+
+
+def is_positive(
+    A: sp.csr_array, solver: LinearSolver, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0,
+    budget: Budget = UNLIMITED,
+) -> bool:  # fmt: skip
+    """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
+    lower = Lower.of(A, "a control matrix", regular=False)
+    if rows is not None and len(rows):
+        lower = constrained(lower, rows)
+    counter = solver if solver.counts else select_solver(scratch=solver.scratch)
+    try:
+        if W is None:
+            return counter.negative_eigenvalues(lower, "a control matrix") == 0
+        with counter.factorize(lower, "symmetric", "a control matrix") as factor:
+            negative = factor.negative_pivots()
+            X = map_columns(factor.solve, W, budget)
+    except SingularMatrixError:
+        return False
+    S = symmetric(np.eye(W.shape[1]) / sigma + W.T @ X)
+    return bool(negative == (np.linalg.eigvalsh(S) < 0).sum())
+
+
+def least_ratio(A: sp.csr_array, space: GlobalSpace) -> float:
+    """Estimate of the least eigenvalue of (A, K(p_a)) with the supports held, by Lanczos."""
+    K = space.problem.K
+    keep = np.setdiff1d(np.arange(K.shape[0]), space.supports)
+
+    def solve(f: Floats) -> Floats:
+        F = np.zeros((K.shape[0], 1))
+        F[keep, 0] = f.ravel()
+        return np.asarray(space.coordinates.flexibility(F)[keep, 0])
+
+    n = len(keep)
+    inverse = spl.LinearOperator((n, n), matvec=solve, dtype=np.float64)
+    inner = [sp.csr_array(B)[keep][:, keep] for B in (A, K)]
+    start = np.random.default_rng(3).standard_normal(n)
+    values = spl.eigsh(
+        inner[0], k=1, M=inner[1], Minv=inverse, which="SA", v0=start, tol=1e-3, return_eigenvectors=False
+    )
+    return float(values[0])

@@ -1,0 +1,59 @@
+"""Loads in orthonormal coordinates of an energy norm: differences of large residuals keep their digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import UNLIMITED, Budget
+from morembs.linalg.columns import dot, m_norms, orthonormal, project_out, subtract, symmetric
+
+Floats = NDArray[np.float64]
+# What a column has less than this part of its own size beside the others is left out, and counts by its norm.
+CUT = 1e-6
+
+
+class LoadCoordinates:
+    """Coordinates of loads in the norm f' G f, with the flexibility G = ``flexibility`` of ``K`` (Nc, Nc) on a subspace
+    where K is positive definite: an orthonormal basis of the motions G f grows with the loads.
+
+    Peak memory: the basis, where ``budget`` wants it, and a block of loads (Casenave, Ern and Lelievre 2014).
+    """
+
+    def __init__(
+        self, flexibility: Callable[[Floats], Floats], K: sp.csr_array, budget: Budget = UNLIMITED, cut: float = CUT
+    ) -> None:
+        self.flexibility, self.K, self.budget, self.cut = flexibility, K, budget, cut
+        self.basis: list[Floats] = []
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates so far."""
+        return sum(block.shape[1] for block in self.basis)
+
+    def of(self, loads: Floats, scale: Floats) -> tuple[Floats, Floats]:
+        """Coordinates (q, k) of ``loads`` (Nc, k), which join the basis, and norms (k,) of what is left out: below
+        ``cut`` times ``scale`` (k,)."""
+        Z = np.asfortranarray(self.flexibility(loads))
+        known = project_out(self.basis, Z, self.K, budget=self.budget)
+        G = symmetric(Z.T @ (self.K @ Z))
+        values, U = sl.eigh(G / np.outer(scale, scale))
+        good = values > self.cut**2
+        new = np.zeros((0, Z.shape[1]))
+        if good.any():
+            Q = (Z / scale) @ (U[:, good] / np.sqrt(values[good]))
+            project_out(self.basis, Q, self.K, budget=self.budget)
+            Q = orthonormal(Q, self.K)
+            self.basis.append(self.budget.store(np.asfortranarray(Q)))
+            new = dot(Q, self.K @ Z)
+            subtract(Q, new, Z)
+        return np.vstack([known, new]), m_norms(Z, self.K @ Z)
+
+
+def padded(parts: list[Floats], size: int) -> Floats:
+    """``parts`` (q_i, k_i) side by side as (``size``, k): what came later has coordinates that they lack."""
+    return np.hstack([np.vstack([part, np.zeros((size - len(part), part.shape[1]))]) for part in parts])

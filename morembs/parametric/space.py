@@ -1,0 +1,148 @@
+"""One basis V for a whole box of parameters, with its reduced terms and their residuals; it grows by columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.errors import InputError
+from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_into, symmetric
+from morembs.linalg.statics import ConstrainedStatics
+from morembs.parametric.bound import Cells, ParametricBound, ratio
+from morembs.parametric.coordinates import CUT, LoadCoordinates, padded
+from morembs.parametric.model import ParametricModel
+from morembs.parametric.terms import AffineProblem
+
+Floats = NDArray[np.float64]
+
+
+class GlobalSpace:
+    """M_a-orthonormal columns V (Nc, n) of ``problem``, whose nominal values are the anchor, the rigid motions first.
+
+    Peak memory: V, the coordinates' basis and the terms of a few columns, where the budget wants them.
+    """
+
+    def __init__(self, problem: AffineProblem, cut: float = CUT) -> None:
+        self.problem, budget = problem, problem.budget
+        statics, Nc = problem.statics, problem.K.shape[0]
+        self.supports = statics.supports
+        count = len(self.supports)
+        held = sp.csc_array((np.ones(count), (self.supports, np.arange(count))), shape=(Nc, count))
+        self.held = ConstrainedStatics(statics, held, "the supports") if count else None
+        self.coordinates = LoadCoordinates(
+            self.held.flexibility if self.held is not None else statics.apply, problem.K, budget, cut
+        )
+        self.V: list[Floats] = []
+        self._K: list[list[Floats]] = [[] for _ in problem.K_terms]
+        self._M: list[list[Floats]] = [[] for _ in problem.M_terms]
+        self._K_parts: list[list[Floats]] = [[] for _ in problem.K_terms]
+        self._M_parts: list[list[Floats]] = [[] for _ in problem.M_terms]
+        self._K_rest: list[list[Floats]] = [[] for _ in problem.K_terms]
+        self._M_rest: list[list[Floats]] = [[] for _ in problem.M_terms]
+        self.floor = float(problem.elastic_modes(count=1).eigenvalues[0])
+        loads = problem.B.toarray() * problem.motion_scale
+        sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
+        self._B, self._B_rest = self.coordinates.of(loads, sizes + (sizes == 0))
+        self._add_rigid()
+
+    @property
+    def size(self) -> int:
+        """Number of columns n."""
+        return sum(block.shape[1] for block in self.V)
+
+    def _add_rigid(self) -> None:
+        problem = self.problem
+        r = problem.rigid.shape[1]
+        if len(problem.morphs) and r not in (0, 6):
+            raise InputError(
+                f"a morph was given for a body with {r} rigid-body motions; expected six (free) or none (held)"
+            )
+        self._append(np.array(problem.rigid, order="F"))
+
+    def add_rigid_at_others(self) -> None:
+        """Add what rigid motions at other values of the morphs are beside those at the anchor."""
+        for j in range(len(self.problem.morphs) if self.problem.rigid.shape[1] else 0):
+            self.add(np.array(self.problem.rigid_terms[:, :, 1 + j], order="F"))
+
+    def add(self, X: Floats) -> int:
+        """Number of columns that ``X`` (Nc, k), overwritten, adds."""
+        problem = self.problem
+        X = complement(self.V, X, problem.M, problem.budget)
+        if not X.shape[1]:
+            return 0
+        Y = sl.eigh(symmetric(X.T @ (problem.K @ X)))[1]
+        multiply_into(X, Y, X, problem.budget)
+        self._append(fix_signs(X, problem.budget))
+        return int(X.shape[1])
+
+    def _append(self, X: Floats) -> None:
+        problem, budget = self.problem, self.problem.budget
+        self.V.append(budget.store(X))
+        energy = np.sqrt(np.einsum("ij,ij->j", X, problem.K @ X).clip(0) + self.floor)
+        every = (
+            (problem.K_terms, self._K, self._K_parts, self._K_rest, energy),
+            (problem.M_terms, self._M, self._M_parts, self._M_rest, 1 / energy),
+        )
+        one, high = np.ones_like(problem.box.high), problem.box.high
+        sizes = [ratio(law, high, one) for law in (problem.law_K, problem.law_M)]
+        for size, (terms, reduced, parts, rests, scale) in zip(sizes, every, strict=True):
+            for q, A in enumerate(terms):
+                AX = np.asfortranarray(A @ X)
+                reduced[q].append(np.vstack([dot(V, AX, budget) for V in self.V]))
+                # A term counts with its coefficient; polynomials are of order one.
+                C, rest = self.coordinates.of(AX, scale / size[q])
+                parts[q].append(C)
+                rests[q].append(rest)
+                budget.release_if_tight()
+
+    def reduced(self) -> ParametricModel:
+        """The reduced model of all columns."""
+        problem, V = self.problem, self.columns()
+        r = problem.rigid.shape[1]
+        if r == 6:
+            R = problem.rigid_terms
+            parts = [dot(V, problem.M @ np.asfortranarray(R[:, :, i]), problem.budget) for i in range(R.shape[2])]
+            rigid = np.stack(parts, axis=2)
+        else:
+            rigid = np.zeros((self.size, r, 1 + len(problem.morphs)))
+            rigid[:, :, 0] = np.eye(self.size, r)
+        return ParametricModel(
+            box=problem.box, law_K=problem.law_K, law_M=problem.law_M, K=_symmetric_stack(self._K, self.size),
+            M=_symmetric_stack(self._M, self.size), B=np.asarray((problem.B.T @ V).T), rigid=rigid,
+            damping=problem.damping, scale=problem.motion_scale,
+        )  # fmt: skip
+
+    def columns(self) -> Floats:
+        """V (Nc, n)."""
+        return hstack(*self.V, budget=self.problem.budget)
+
+    def bound(
+        self, cells: Cells, F: Floats, *, sigma: float, highest: float, soft: Floats, eps: float = 0.0
+    ) -> ParametricBound:
+        """The bound for all columns; ``F`` (n, k) coordinates of the columns that are deflated."""
+        q, problem = self.coordinates.size, self.problem
+        K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
+        rest_K, rest_M = (np.stack([np.concatenate(term) for term in rests]) for rests in (self._K_rest, self._M_rest))
+        theta = problem.law_M(problem.box.nominal)
+        return ParametricBound(
+            law_K=problem.law_K, law_M=problem.law_M, anchor=problem.box.nominal, soft=soft, cells=cells,
+            residual_B=padded([self._B], q), residual_K=K, residual_M=M,
+            residual_F=np.tensordot(theta, M, 1) @ F, rest_B=self._B_rest, rest_K=rest_K, rest_M=rest_M,
+            rest_F=np.abs(theta) @ rest_M @ np.abs(F), motion_F=F, sigma=sigma, highest=highest, eps=eps,
+        )  # fmt: skip
+
+
+def _symmetric_stack(terms: list[list[Floats]], n: int) -> Floats:
+    """(Q, n, n) of the upper block triangles."""
+    whole = np.zeros((len(terms), n, n))
+    for q, blocks in enumerate(terms):
+        at = 0
+        for block in blocks:
+            rows, k = block.shape
+            whole[q, :rows, at : at + k] = block
+            whole[q, at : at + k, :rows] = block.T
+            at += k
+        whole[q] = symmetric(whole[q])
+    return whole

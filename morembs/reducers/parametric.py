@@ -1,0 +1,96 @@
+"""One body for all values of parameters: a global basis whose error is bounded over their box and a band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from morembs.errors import InputError
+from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
+from morembs.parametric.model import ParametricModel
+from morembs.parametric.terms import AffineProblem
+from morembs.problem import Problem
+from morembs.progress import SILENT, Progress
+from morembs.reducers.base import Basis, ReducedModel, Reducer
+from morembs.responses.band import checked_band
+from morembs.responses.certified import checked_floor
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParametricReducer(Reducer):
+    """One basis for all values of the parameters of a problem, grown where the bound of its error is largest.
+
+    Args:
+        band_hz: [low, high], the band that is bounded.
+        tolerance: error of the transfer matrix relative to its envelope, over the band at all values of training.
+        training: Sobol points of the box, beside its corners where there are few.
+        order_limit: most reduced coordinates.
+        accept_bound: take the basis also where its bound is above the tolerance.
+        damping_floor: ratio of critical damping that is assumed for the tolerance, as in ``certify``.
+
+    >>> ParametricReducer(band_hz=[0.0, 3000.0], tolerance=1e-3).method
+    'parametric'
+    """
+
+    method: ClassVar[str] = "parametric"
+    band_hz: list[float]
+    tolerance: float = 1e-3
+    training: int = 256
+    order_limit: int = 200
+    accept_bound: bool = False
+    damping_floor: float | None = None
+
+    def __post_init__(self) -> None:
+        checked_band(self.band_hz)
+        if not 0 < self.tolerance < 1:
+            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
+        if self.training < 1:
+            raise InputError(f"training = {self.training} was given; expected a number of values, 1 or more")
+        if self.order_limit < 1:
+            raise InputError(f"order_limit = {self.order_limit} was given; expected a number, 1 or more")
+        if self.damping_floor is not None:
+            checked_floor(self.damping_floor)
+
+    @property
+    def computes_modes(self) -> bool:
+        return True
+
+    @property
+    def certified_band(self) -> Sequence[float]:
+        return self.band_hz
+
+    def search(self, problem: Problem, progress: Progress = SILENT) -> ParametricBasis:
+        """The basis with its model and bound, computed once for ``problem``.
+
+        Raises:
+            InputError: a problem without parameters, or a tolerance that is not reached.
+        """
+        if not isinstance(problem, AffineProblem):
+            raise InputError(
+                f'method "{self.method}" was given a model without parameters; add one [[parameter]] or more, or take '
+                'method = "auto"'
+            )
+        wanted = Wanted(
+            band_hz=(float(self.band_hz[0]), float(self.band_hz[1])), tolerance=self.tolerance, training=self.training,
+            order_limit=self.order_limit, floor=self.damping_floor, accept_bound=self.accept_bound,
+        )  # fmt: skip
+        return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted, progress).run())
+
+    def variation(
+        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
+    ) -> ParametricModel | None:
+        basis = self.search(problem, progress)
+        return replace(basis.model, box_bound=basis.box_bound, floor=basis.floor)
+
+    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+        basis = self.search(problem, progress)
+        rigid, n = problem.rigid.shape[1], basis.V.shape[1]
+        K = basis.model.matrices(basis.model.box.nominal)[0]
+        notes = {
+            "bound_kind": basis.kind, "box_bound": basis.box_bound, "box_bound_is": "a maximum over samples",
+            "factorisations": basis.factorisations, "counts": basis.counts, "damping_floor": basis.floor,
+        }  # fmt: skip
+        return Basis(V=basis.V, kinds=basis.kinds, K=K, rigid=np.eye(n, rigid), notes=notes)
