@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
     from morembs.body.body import Part
+    from morembs.parametric.update import Measured, Updated
     from morembs.problem import Problem
     from morembs.reducers.base import ReducedModel
 
@@ -151,6 +152,14 @@ class ParametricBody:
             InputError: as ``at``.
         """
         return self.at(**values).model.sensitivity()
+
+    def update(
+        self, measured: Measured, *, fixed: Sequence[str] = (), prior: Mapping[str, float] | None = None
+    ) -> Updated:
+        """The parameters whose frequencies come nearest to measured ones: see ``morembs.parametric.update.update``."""
+        from morembs.parametric.update import update
+
+        return update(self.model, measured, fixed=fixed, prior=prior)
 
     def response(self, frequencies_hz: Floats, **values: float) -> tuple[Complexes, Floats]:
         """Elastic part of H (nf, m, m), and bounds (nf,) of its error: see ``BodyAt.bound``.

@@ -99,7 +99,7 @@ def export(
     each_file(files, as_json, write)
 
 
-def values_of(text: str | None) -> dict[str, float]:
+def values_of(text: str | None, option: str = "--at") -> dict[str, float]:
     """Values by name of NAME=VALUE,NAME=VALUE.
 
     Raises:
@@ -107,13 +107,13 @@ def values_of(text: str | None) -> dict[str, float]:
     """
     values: dict[str, float] = {}
     parts = [part.replace(" ", "") for part in (text or "").split(",") if part.strip()]
-    for name, value in pairs(parts, "--at").items():
+    for name, value in pairs(parts, option).items():
         try:
             values[name] = float(value)
         except ValueError:
             values[name] = math.nan
         if not math.isfinite(values[name]):
-            raise InputError(f"--at {name}={value} was given; expected NAME=NUMBER,NAME=NUMBER")
+            raise InputError(f"{option} {name}={value} was given; expected NAME=NUMBER,NAME=NUMBER")
     return values
 
 

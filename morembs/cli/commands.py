@@ -32,6 +32,7 @@ from morembs.cli.terminal import (
     leave_with_input,
     messages,
 )
+from morembs.cli.update import app as updating
 from morembs.errors import InputError, MorembsError
 from morembs.progress import Progress
 from morembs.version import VERSION
@@ -192,6 +193,7 @@ def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[in
 app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(evaluation)
+app.add_typer(updating)
 app.add_typer(models)
 
 
