@@ -88,8 +88,8 @@ def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floa
     lost = np.setdiff1d(ids, kept)
     if len(lost):
         raise InputError(
-            f"the table {path} has the node {lost[0]:g}, and the body file keeps {len(kept)} nodes without it; make the "
-            'body with [output] nodes = "all", or leave it out'
+            f"the table {path} has the node {lost[0]:g}, and the body file keeps {len(kept)} nodes without it; make "
+            'the body with [output] nodes = "all", or leave it out'
         )
     motions = np.full((len(modes), len(ids), 3), np.nan)
     for mode, node, *motion in zip(*columns.values(), strict=True):
