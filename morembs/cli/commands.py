@@ -18,6 +18,7 @@ from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
 from morembs.cli.messages import console, echo, print_json, printing, warn
 from morembs.cli.models import app as models
+from morembs.cli.modes import app as modes
 from morembs.cli.terminal import (
     EPILOG,
     AsJson,
@@ -191,6 +192,7 @@ def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[in
 app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(models)
+app.add_typer(modes)
 
 
 @app.command(epilog=EPILOG)

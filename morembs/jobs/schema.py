@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from morembs.floating.preload import Preload
+from morembs.floating.spinning import Rotation
 from morembs.interface import COUPLINGS
 from morembs.problem.damping import Damping, modal_steps
 from morembs.reducers import REDUCERS
@@ -312,6 +313,30 @@ class PreloadTable(Table):
         return self
 
 
+class SpinTable(Table):
+    """``[spin]``: matrices of a frame that turns with the body, for all speeds."""
+
+    speed: Annotated[list[float], Field(min_length=1)] = Field(description="speeds such as [0, 100, 400] (rad/time)")
+    axis: Three = Field(description="the direction of the axis, [x, y, z]")
+    point: Three = Field(default_factory=lambda: [0.0, 0.0, 0.0], description="a point of the axis, [x, y, z]")
+    held: list[str] = Field(default_factory=list, description="names of the interfaces at rest in the frame that turns")
+    stress: bool = Field(default=True, description="true or false: the centrifugal stress stiffens")
+    modes: int = Field(default=12, ge=1, le=1000, description="a count of complex modes")
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        Rotation(axis=self.axis, point=self.point)
+        return self
+
+
+class ModesTable(Table):
+    """``[modes]``: what ``morembs modes`` computes of the full model."""
+
+    kind: Literal["real", "complex"] = Field(default="real", description='"real" or "complex"')
+    count: int = Field(default=20, ge=1, le=1000, description="a count of modes")
+    held: list[str] = Field(default_factory=list, description="names of the interfaces at rest, for complex modes")
+
+
 class StressTable(Table):
     """``[stress]``: stress shapes of every body."""
 
@@ -348,6 +373,8 @@ class JobTables(Table):
     envelope: EnvelopeTable | None = Field(default=None, description="a table [envelope]")
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
     preload: PreloadTable | None = Field(default=None, description="a table [preload]")
+    spin: SpinTable | None = Field(default=None, description="a table [spin]")
+    modes: ModesTable = Field(default_factory=ModesTable, description="a table [modes]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
 
@@ -363,6 +390,18 @@ class JobTables(Table):
             raise ValueError("[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one")
         if self.substructure and self.preload is not None:
             raise ValueError("[preload] was given for an assembly of bodies, which have no elements; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _spins_once(self) -> Self:
+        for key in ("frame", "envelope", "stiffening"):
+            if self.spin is not None and key in self.model_fields_set:
+                raise ValueError(
+                    f"[{key}] was given beside [spin]: a floating frame that spins in a simulator would count the "
+                    "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])"
+                )
+        if self.spin is not None and self.preload is not None:
+            raise ValueError("[preload] was given beside [spin], which has its own static stress; leave one out")
         return self
 
     @model_validator(mode="after")
