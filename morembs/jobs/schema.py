@@ -400,6 +400,8 @@ class JobTables(Table):
                     f"[{key}] was given beside [spin]: a floating frame that spins in a simulator would count the "
                     "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])"
                 )
+        if self.spin is not None and self.state_space is not None:
+            raise ValueError("[state_space] was given beside [spin], but would be of the body at rest; leave one out")
         if self.spin is not None and self.preload is not None:
             raise ValueError("[preload] was given beside [spin], which has its own static stress; leave one out")
         return self

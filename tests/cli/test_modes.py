@@ -91,6 +91,8 @@ def test_the_body_file_keeps_its_spin(blade):
     tip = np.abs(stored.coordinates[:, 0] - 1.0) < 1e-9
     stretch = spin.elongation.reshape(-1, 3)[tip, 0].mean()
     assert stretch == pytest.approx(7850 / 3 / 2.1e11, rel=5e-3)
+    told = run("export", blade / "part.h5", "--to", "matrix-market", "-o", blade / "part.mtx")
+    assert "the matrices are those at rest" in told
     # From the file as from the job.
     (whirl,) = campbell(body, [60.0], 4)
     run("campbell", blade / "part.h5", "-o", blade / "again.csv", "--points", 7, "--count", 4)
@@ -126,6 +128,8 @@ def test_real_modes_are_those_of_the_free_body(tmp_path):
     [
         (SPIN.replace("[0, 0, 1]", "[0, 0, 0]"), "axis = [0, 0, 0] was given; expected a direction"),
         (SPIN + '\n[frame]\nkind = "mean-axes"', "[frame] was given beside [spin]"),
+        (SPIN + '\n[state_space]\npath = "a.npz"\ninputs = ["root:force"]\noutputs = ["root:displacement"]',
+         "[state_space] was given beside [spin]"),
         (SPIN.replace("root", "rot"), "held names the interface 'rot'; did you mean 'root'?"),
         (SPIN + "\n[damping]\nmodal = 0.02", "complex modes take rayleigh damping"),
         (SPIN + "\n[damping]\nrayleigh = { alpha = 2.0 }", "alpha = 2 damps the elastic motion of a free body"),
