@@ -13,6 +13,9 @@ from .exporters import export_body
 from .exporters.state_space import StateSpace, state_space
 from .floating.frame import FloatingFrame, floating_frame
 from .floating.ranking import ranked_terms
+from .floating.spin import campbell
+from .floating.spinning import Rotation, spinning
+from .floating.spinning_modes import spinning_modes
 from .floating.stiffening import Envelope
 from .floating.stiffening_terms import geometric_stiffening
 from .importers import read_mesh
@@ -83,6 +86,7 @@ __all__ = [
     "Nodes",
     "Problem",
     "ReducedModel",
+    "Rotation",
     "StateSpace",
     "StaticModesSwitching",
     "Substructure",
@@ -92,6 +96,7 @@ __all__ = [
     "available_solvers",
     "band_frequencies",
     "batch",
+    "campbell",
     "certified_reference",
     "certify",
     "direct_response",
@@ -119,6 +124,8 @@ __all__ = [
     "reduced_response",
     "select_nodes",
     "select_solver",
+    "spinning",
+    "spinning_modes",
     "state_space",
     "stress_recovery",
     "to_pymor",

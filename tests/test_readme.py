@@ -201,7 +201,7 @@ RUN = {
     "formats.md": {"": 3, "toml": 2, "python": 1},
     "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {"python": 1, "python divided": 1, "python body": 1, "python evaluator": 1},
-    "job.md": {"toml": 3, "python": 1},
+    "job.md": {"toml": 4, "python": 1},
     "multibody.md": {"python": 4},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "simulators.md": {"python": 3},

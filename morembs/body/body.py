@@ -17,6 +17,7 @@ from morembs.body.vtkhdf_series import Grid, View
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import RankedTerm
+from morembs.floating.spin import ReducedSpin
 from morembs.interface import Interface
 from morembs.model import FEModel, Nodes
 from morembs.model.elements import FACES, TYPES
@@ -88,7 +89,8 @@ class ElasticBody(Viewed):
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
     rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
     ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads,
-    ``parametric`` what gives the body at other values of parameters.
+    ``parametric`` what gives the body at other values of parameters, ``spin`` the matrices of a frame that turns with
+    the body.
 
     >>> body.reduced.order, body.floating.kind
     (18, 'mean-axes')
@@ -106,12 +108,18 @@ class ElasticBody(Viewed):
     recovery: Recovery | None = None
     switching: StaticModeTables | None = None
     parametric: ParametricParts | None = None
+    spin: ReducedSpin | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """Name of the reduction."""
         return self.reduced.name
+
+    @property
+    def matrices(self) -> tuple[Floats, Floats, Floats]:
+        """M, K, D (n, n), at rest where the body may spin."""
+        return self.reduced.M, self.reduced.K, self.reduced.D
 
     def _facts(self) -> dict[str, object]:
         certificate, floating = self.certificate, self.floating

@@ -12,6 +12,7 @@ from morembs.body.stress_shapes import stress_recovery
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.floating.ranking import ranked_terms
+from morembs.floating.spin import ReducedSpin
 from morembs.floating.stiffening import Envelope
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.model.selection import select_nodes
@@ -70,22 +71,23 @@ def build_body(
     problem: Problem, reduced: ReducedModel, part: Part, options: BodyOptions, *,
     certificate: Certificate | None = None, operator: StressOperator | None = None,
     switching: StaticModeTables | None = None, variation: ParametricModel | None = None,
-    progress: Progress = SILENT,
+    spin: ReducedSpin | None = None, progress: Progress = SILENT,
 ) -> ElasticBody:  # fmt: skip
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
+    A body with ``spin`` has no floating frame, in which a simulator would count what spin does again.
 
     Raises:
         InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
     """
-    reason = why_not_floating(reduced)
+    reason = "a body with [spin] has no floating frame" if spin is not None else why_not_floating(reduced)
     asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
     floating = None if reason else _frame(problem, reduced, options, progress)
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
-        switching=switching,
+        floating=floating, switching=switching, spin=spin,
         parametric=None if variation is None else parametric_parts(problem, reduced, part, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
         recovery=None if options.stress is None or operator is None else stress_recovery(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -155,6 +156,9 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: 
         "certificate": body.certificate, "floating": body.floating, "ranking": body.ranking or None,
         "recovery": body.recovery and recovery_parts(body.recovery, body.part.transformation),
         "switching": body.switching, "parametric": body.parametric,
+        "spin": None if body.spin is None else replace(
+            body.spin, elongation=body.part.transformation @ body.spin.elongation
+        ),
     })  # fmt: skip
     out.doing(f"mode shapes of {body.name} for ParaView")
     modes = vtkhdf.shown_modes(reduced)

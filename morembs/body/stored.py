@@ -14,6 +14,7 @@ from morembs.body.view import Viewed, refuse_no_modes
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
+from morembs.floating.spin import ReducedSpin
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.table import read_rows
 from morembs.storage.table_check import refuse_not_finite
@@ -71,7 +72,8 @@ class StoredBody(Viewed):
     """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
     transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
     ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric,
-    ``ranking`` says which of its terms matter; ``has_recovery`` says whether the file has stress shapes,
+    ``ranking`` says which of its terms matter; ``spin`` has the matrices of a frame that turns;
+    ``has_recovery`` says whether the file has stress shapes,
     ``has_switching`` whether it has static modes of candidate loads.
     """
 
@@ -93,6 +95,7 @@ class StoredBody(Viewed):
     full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
+    spin: ReducedSpin | None = None
     has_recovery: bool = False
     has_switching: bool = False
     has_parameters: bool = False
@@ -113,6 +116,11 @@ class StoredBody(Viewed):
         kinds = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
         measure, kind = (str(known[key]) for key in ("measure", "bound_kind"))
         return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
+
+    @property
+    def matrices(self) -> tuple[Floats, Floats, Floats]:
+        """M, K, D (n, n), at rest where the body may spin."""
+        return self.mass_matrix, self.stiffness_matrix, self.damping_matrix
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.

@@ -14,6 +14,7 @@ import numpy as np
 from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.floating.ranking import RankedTerm
+from morembs.floating.spin import ReducedSpin
 from morembs.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
@@ -305,6 +306,21 @@ PARAMETRIC = Table((
     Row("floor", "real", "", "damping ratio that the bound assumes"),
 ), build=_parametric, parts=_parametric_parts)  # fmt: skip
 
+SPIN = Table((
+    Row("C", "real", "n n", "Coriolis matrix per rad/s: add 2 W C to damping_matrix; skew", doc="Coriolis matrix per "
+        "rad/s, skew: 2 W C is added to `damping_matrix` at the speed W"),
+    Row("S", "real", "n n", "spin softening per (rad/s)2: take W2 S from stiffness_matrix", doc="spin softening: W² S "
+        "is taken from `stiffness_matrix`"),
+    Row("Kg", "real", "n n", "stiffness of the centrifugal stress per (rad/s)2: add W2 Kg to stiffness_matrix",
+        doc="stiffness of the centrifugal stress: W² Kg is added to `stiffness_matrix`"),
+    Row("held", "real", "h n", "motions of the interfaces that are at rest in the frame that turns"),
+    Row("elongation", "real", "3N", "static displacement of the nodes per (rad/s)2", "m s2"),
+    Row("axis", "real", "3", "unit axis", doc="unit axis of the spin"),
+    Row("point", "real", "3", "a point of the axis", "m"),
+    Row("speeds", "real", "speeds", "with modes compared to those of the full model", "rad/s", doc="speeds at which "
+        "modes were compared with those of the full model; the recipe has the deviations"),
+), build=ReducedSpin)  # fmt: skip
+
 BODY = Table((
     Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
     Row("stiffness_matrix", "real", "n n", "reduced matrix, symmetric", doc="K, symmetric"),
@@ -326,6 +342,7 @@ BODY = Table((
         doc="how wrong the body is, if that was asked for: see below"),
     Row("floating_frame", FRAME, when="free bodies with symmetric matrices", field="floating"),
     Row("ranking", RANKING, when="where the job has an envelope"),
+    Row("spin", SPIN, when="where the job has [spin]"),
     Row("switching", SWITCHING, when="if", read=False, doc="static modes of candidate loads, if the method was "
         "`static-modes-switching`: see [switching](switching.md#in-the-body-file)"),
     Row("parametric", PARAMETRIC, when="if", read=False, doc="the body at other values of its parameters, if the "

@@ -19,6 +19,7 @@ from morembs.cli.bodies import app as bodies
 from morembs.cli.evaluate import app as evaluation
 from morembs.cli.messages import console, echo, print_json, printing, warn
 from morembs.cli.models import app as models
+from morembs.cli.modes import app as modes
 from morembs.cli.terminal import (
     EPILOG,
     AsJson,
@@ -195,6 +196,7 @@ app.add_typer(bodies)
 app.add_typer(evaluation)
 app.add_typer(updating)
 app.add_typer(models)
+app.add_typer(modes)
 
 
 @app.command(epilog=EPILOG)

@@ -118,6 +118,8 @@ def export_body(
         bodies, chosen = there.bodies, there.body
     if frame is not None:
         chosen, notes = _in_frame(chosen, frame)
+    if chosen.spin is not None:
+        notes += ("the matrices are those at rest: what spin adds (spin/C, spin/S, spin/Kg) stays in the body file",)
     target = default_path(place, exporter, chosen.name, several=several, frame=frame) if path is None else Path(path)
     if target.resolve() in {other.resolve() for other in taken}:
         raise InputError(f"{target} was just written, from another file or the same; give each file once, or --out")

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
-from morembs.floating.link_stiffness import Links
+from morembs.floating.static_state import NOISE, coupling_stiffness, static_state
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Interface
-from morembs.linalg.statics import ConstrainedStatics, support_dofs
+from morembs.linalg.statics import support_dofs
 from morembs.model import FEModel, rigid_motion
 from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
@@ -37,10 +37,6 @@ Ints = NDArray[np.int64]
 PIECE = 20_000
 # Condition (lengths scaled) above which six dofs do not hold the body.
 LOOSE = 1e7
-# Most nodes of an average interface whose frame may turn under load: its term is a full block on them.
-PATCH = 1000
-# A term below this part of the others is round-off.
-NOISE = 1e-12
 # The eigensolver for the critical load: its steps, its accuracy, and the factor that is far enough away.
 STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
 
@@ -135,9 +131,8 @@ def preloaded(problem: Problem, preload: Preload, progress: Progress = SILENT) -
     """
     _refuse(problem)
     preload.check(problem.interfaces)
-    links = Links(problem)
     progress.update("preload: static solution")
-    u, turning, notes = _solution(problem, preload, links)
+    u, turning, notes = _solution(problem, preload)
     return _stiffened(problem, u, turning, preload.follows or preload.held, notes, progress)
 
 
@@ -168,10 +163,9 @@ def _refuse(problem: Problem) -> None:
         )
 
 
-def _solution(problem: Problem, preload: Preload, links: Links) -> tuple[Floats, dict[str, Floats], dict[str, object]]:
+def _solution(problem: Problem, preload: Preload) -> tuple[Floats, Mapping[str, Floats], dict[str, object]]:
     """Displacements (N,), what turns the couplings, and how the load is balanced."""
     model, coupling = problem.model, problem.coupling
-    T, R = coupling.T, coupling.R
     a = np.tile(np.asarray(preload.acceleration, dtype=float), (len(model.nodes), 1))
     if preload.axis is not None:
         n = np.asarray(preload.axis, dtype=float) / np.linalg.norm(preload.axis)
@@ -180,26 +174,18 @@ def _solution(problem: Problem, preload: Preload, links: Links) -> tuple[Floats,
     wrench = np.zeros(coupling.frames.shape[1])
     for name, given in preload.wrench.items():
         wrench[coupling.frame_columns[name]] = given
-    F = coupling.frames @ wrench - T.T @ (model.M @ a.ravel())
+    state = static_state(problem, a.ravel(), wrench, preload.held, "the held interfaces of the preload")
     notes: dict[str, object] = {}
     if preload.held:
-        columns = np.concatenate([np.arange(len(wrench))[coupling.frame_columns[name]] for name in preload.held])
-        frames = coupling.frames[:, columns]
-        constrained = ConstrainedStatics(problem.statics, frames, "the held interfaces of the preload")
-        u, lam = constrained.solve(F[:, None])
-        wrench[columns] -= lam[:, 0]
-        notes["preload_reactions"] = {name: wrench[coupling.frame_columns[name]].tolist() for name in preload.held}
-        inertial = a.ravel()
+        notes["preload_reactions"] = {
+            name: state.wrench[coupling.frame_columns[name]].tolist() for name in preload.held
+        }
     else:
-        u = problem.elastic.flexibility(F[:, None])
-        inertial = a.ravel() + T @ (problem.rigid @ (problem.rigid.T @ F))
         # Moment about the centre of mass.
-        force, moment = np.split(R.T @ F, 2)
+        force, moment = np.split(coupling.R.T @ state.load, 2)
         moment = moment - np.cross(problem.mass_properties[1] - coupling.pole, force)
         notes["preload_balanced_by_inertia"] = [*force.tolist(), *moment.tolist()]
-    U = np.asarray(T @ u)
-    turning = links.turning(U, (links.M @ inertial)[:, None], wrench[:, None])
-    return U[:, 0], {name: A[0] for name, A in turning.items()}, notes
+    return coupling.T @ state.u, state.turning, notes
 
 
 def _stiffened(
@@ -211,7 +197,7 @@ def _stiffened(
         raise InputError("preload: geometric stiffness needs the elements of the model")
     progress.update("preload: geometric stiffness")
     kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None], problem.budget)[0]
-    L, left_out = _couplings(problem, turning)
+    L, left_out = coupling_stiffness(problem, turning)
     if left_out:
         notes["preload_left_out"] = left_out
     # Rotations in units of displacement.
@@ -232,28 +218,6 @@ def _stiffened(
     notes["preload_critical_factor"] = f"above {FAR:g}" if factor is None else factor
     K = _sum(model.K, kg, extra, problem.budget)
     return Preloaded(model=replace(model, K=K), displacements=u, critical_factor=factor, notes=notes)
-
-
-def _couplings(problem: Problem, turning: Mapping[str, Floats]) -> tuple[sp.csr_array, str]:
-    """L (N, N) = sum theta' A theta over the interfaces, and what is missing in it, in words."""
-    model, left_out = problem.model, []
-    L = sp.csr_array((model.size, model.size))
-    largest = max((float(np.abs(A).max()) for A in turning.values()), default=0.0)
-    for interface in problem.interfaces:
-        A = turning.get(interface.name)
-        if A is None or np.abs(A).max() <= NOISE * largest:
-            continue
-        theta, dofs = interface.kind.rotation(model, interface)
-        if len(dofs) > 3 * PATCH:
-            left_out.append(interface.name)
-            continue
-        block = theta.T @ A @ theta
-        at = (np.repeat(dofs, len(dofs)), np.tile(dofs, len(dofs)))
-        L = L + sp.csr_array(sp.coo_array((block.ravel(), at), shape=L.shape))
-    words = "" if not left_out else (
-        f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than {PATCH} nodes"
-    )  # fmt: skip
-    return sp.csr_array(L), words
 
 
 def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:

@@ -14,6 +14,7 @@ from morembs.body.file import read_body
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
+from morembs.floating.spinning import Rotation
 from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
@@ -152,6 +153,18 @@ def preload_of(job: Job) -> Preload | None:
         acceleration=[acceleration * value for value in given.acceleration], held=tuple(given.held),
         follows=tuple(given.follows),
     )  # fmt: skip
+
+
+def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
+    """The axis of [spin] and the speeds in rad/s, None without."""
+    given, units = job.tables.spin, units_of(job)
+    if given is None:
+        return None
+    rotation = Rotation(
+        axis=given.axis, point=[units.length * value for value in given.point], held=tuple(given.held),
+        stress=given.stress,
+    )  # fmt: skip
+    return rotation, [speed / units.time for speed in given.speed]
 
 
 def solver_of(job: Job) -> LinearSolver:

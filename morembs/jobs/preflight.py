@@ -11,12 +11,14 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.warnings import examined, examined_mesh
 from morembs.errors import BudgetError, InputError, enough_megabytes, nearest
 from morembs.floating.frame import check_frame
+from morembs.floating.spinning_modes import refuse_damping
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Coupling, Interface
 from morembs.jobs.inputs import (
     body_options,
     preload_of,
     refuse_reductions_that_do_not_fit,
+    rotation_of,
     units_of,
     wants_modes,
 )  # fmt: skip
@@ -89,6 +91,7 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
         InputError: whatever ``reduce`` would refuse after the factorisation, as far as it can be told before.
     """
     _refuse_preload(job, facts.model, facts.interfaces, rigid)
+    _refuse_spin(job, facts, rigid)
     refuse_reductions_that_do_not_fit(job, facts)
     _refuse_delivery(job, body_options(job), facts.model, facts.coupling, rigid)
     _refuse_state_space(job, facts, rigid)
@@ -105,6 +108,17 @@ def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], r
         raise InputError(f"preload: {reason}")
     if rigid != 6:
         raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
+
+
+def _refuse_spin(job: Job, facts: Facts, rigid: int) -> None:
+    given = rotation_of(job)
+    if given is None:
+        return
+    given[0].check(facts.model, [interface.name for interface in facts.interfaces])
+    refuse_damping(facts.damping, rigid)
+    for name, reducer in job.reducers.items():
+        if reducer.two_sided:
+            raise InputError(f"[spin]: the body {name!r} comes from a two-sided reduction; spin needs a one-sided one")
 
 
 def _refuse_state_space(job: Job, facts: Facts, rigid: int) -> None:

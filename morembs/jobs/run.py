@@ -17,8 +17,10 @@ from morembs.budget import Budget
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
+from morembs.floating.spin import ReducedSpin
+from morembs.floating.spinning import Spin, spinning
+from morembs.floating.spinning_modes import modes_over_speed, with_spin
 from morembs.jobs.compare import FrequencyResponse, certified_response, frequency_response, recommended
-from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
     body_options,
@@ -26,21 +28,20 @@ from morembs.jobs.inputs import (
     damping_of,
     interfaces_of,
     materials_of,
-    matrices_of,
-    mesh_of,
     preload_of,
     prepare_output,
     reducers_of,
+    rotation_of,
     solver_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
-from morembs.jobs.preflight import model_warnings, preflight, require_room
+from morembs.jobs.model import model_of
+from morembs.jobs.preflight import model_warnings, preflight
 from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
 from morembs.memory import PeakMemory, resident_bytes
 from morembs.model import FEModel, Mesh
-from morembs.model.assembly import assemble
 from morembs.model.material import Material
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
@@ -123,7 +124,7 @@ def _run(
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
     with files_read() as inputs:
-        model, varied = _read(job, solver, materials, budget, start, watch)
+        model, varied = model_of(job, solver, materials, budget, start, watch)
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -143,7 +144,15 @@ def _run(
                 model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
             )
     with problem:
-        bodies = _reduce(job, problem, body_options(job), watch)
+        rotation = rotation_of(job)
+        spin = None
+        if rotation is not None:
+            with watch.stage("spin"):
+                spin = spinning(problem, rotation[0], progress)
+            for warning in spin.warnings:
+                warn(warning)
+            warnings += spin.warnings
+        bodies = _reduce(job, problem, body_options(job), spin, watch)
         delivered = delivered_warnings(bodies)
         warnings += delivered
         response = certified_response(problem, bodies)
@@ -159,7 +168,7 @@ def _run(
         provenance = _provenance(job, inputs, factor, watch)
         write_body(
             job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
-            warnings=(*of_model, *delivered), progress=progress,
+            warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered), progress=progress,
         )  # fmt: skip
         _write_state_space(job, bodies)
     if job.picture is not None:
@@ -202,30 +211,9 @@ def _coupled(
     return AffineProblem(varied, interfaces, damping=damping, model=model, **options)
 
 
-def _read(
-    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch
-) -> tuple[FEModel, VariedModel | None]:
-    """The model of the job, from its model file or assembled from its mesh, and what its parameters make of it."""
-    asked, progress = job.tables.model, watch.progress
-    if asked.mesh is None:
-        with watch.stage("read"):
-            model = matrices_of(job, budget)
-        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        return model, None
-    with watch.stage("read"):
-        mesh = mesh_of(job)
-    require_room_of_mesh(job, mesh, materials, solver, start)
-    with watch.stage("assemble"):
-        if job.tables.parameter:
-            from morembs.jobs.parameters import varied_of
-
-            varied = varied_of(job, mesh, materials, budget, progress)
-            return varied.model(varied.box.nominal, budget), varied
-        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
-        return model, None
-
-
-def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -> tuple[ElasticBody, ...]:
+def _reduce(
+    job: Job, problem: Problem, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
+) -> tuple[ElasticBody, ...]:
     """One body for each reduction, and the free-free frequencies of the full model to compare with."""
     size = problem.K.shape[0]
     count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
@@ -245,6 +233,12 @@ def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -
                 if type(error) not in (InputError, SolverError):
                     raise
                 raise type(error)(f"[[reduce]] {name!r}: {error}") from error
+    spins: list[ReducedSpin | None] = [None] * len(reduced)
+    if spin is not None and job.tables.spin is not None:
+        _, speeds = rotation_of(job) or (None, [])
+        with watch.stage("spin modes"):
+            full = modes_over_speed(problem, spin, speeds, job.tables.spin.modes, watch.progress)
+            reduced, spins = map(list, zip(*(with_spin(problem, body, spin, full) for body in reduced), strict=True))
     certificates: Sequence[Certificate | None] = [None] * len(reduced)
     band = _certified_band(job)
     if band is not None:
@@ -255,25 +249,27 @@ def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             certificates = certify(problem, reduced, band, progress=watch.progress, **options)
-    return _delivered(job, problem, reduced, certificates, wanted, watch)
+    return _delivered(job, problem, reduced, certificates, spins, wanted, watch)
 
 
 def _delivered(
     job: Job, problem: Problem, reduced: Sequence[ReducedModel], certificates: Sequence[Certificate | None],
-    wanted: BodyOptions, watch: Stopwatch,
+    spins: Sequence[ReducedSpin | None], wanted: BodyOptions, watch: Stopwatch,
 ) -> tuple[ElasticBody, ...]:  # fmt: skip
     """The bodies with all that goes into their file."""
     part, progress = make_part(problem, job.tables.output.nodes), watch.progress
     with watch.stage("deliver"):
         operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
         bodies = []
-        for body, certificate, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
+        for body, certificate, spin, reducer in zip(
+            reduced, certificates, spins, reducers_of(job).values(), strict=True
+        ):
             switching = reducer.switching(problem, body, progress=progress)
             variation = reducer.variation(problem, body, progress=progress)
             bodies.append(
                 build_body(
                     problem, body, part, wanted, certificate=certificate, operator=operator, switching=switching,
-                    variation=variation, progress=progress,
+                    variation=variation, spin=spin, progress=progress,
                 )
             )  # fmt: skip
         return tuple(bodies)

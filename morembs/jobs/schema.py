@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from morembs.errors import nearest
 from morembs.floating.preload import Preload
+from morembs.floating.spinning import Rotation
 from morembs.interface import COUPLINGS
 from morembs.parametric.parameter import NAME as PARAMETER
 from morembs.parametric.parameter import PROPERTIES
@@ -349,6 +350,30 @@ class PreloadTable(Table):
         return self
 
 
+class SpinTable(Table):
+    """``[spin]``: matrices of a frame that turns with the body, for all speeds."""
+
+    speed: Annotated[list[float], Field(min_length=1)] = Field(description="speeds such as [0, 100, 400] (rad/time)")
+    axis: Three = Field(description="the direction of the axis, [x, y, z]")
+    point: Three = Field(default_factory=lambda: [0.0, 0.0, 0.0], description="a point of the axis, [x, y, z]")
+    held: list[str] = Field(default_factory=list, description="names of the interfaces at rest in the frame that turns")
+    stress: bool = Field(default=True, description="true or false: the centrifugal stress stiffens")
+    modes: int = Field(default=12, ge=1, le=1000, description="a count of complex modes")
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        Rotation(axis=self.axis, point=self.point)
+        return self
+
+
+class ModesTable(Table):
+    """``[modes]``: what ``morembs modes`` computes of the full model."""
+
+    kind: Literal["real", "complex"] = Field(default="real", description='"real" or "complex"')
+    count: int = Field(default=20, ge=1, le=1000, description="a count of modes")
+    held: list[str] = Field(default_factory=list, description="names of the interfaces at rest, for complex modes")
+
+
 class StressTable(Table):
     """``[stress]``: stress shapes of every body."""
 
@@ -386,6 +411,8 @@ class JobTables(Table):
     envelope: EnvelopeTable | None = Field(default=None, description="a table [envelope]")
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
     preload: PreloadTable | None = Field(default=None, description="a table [preload]")
+    spin: SpinTable | None = Field(default=None, description="a table [spin]")
+    modes: ModesTable = Field(default_factory=ModesTable, description="a table [modes]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
 
@@ -416,6 +443,22 @@ class JobTables(Table):
             raise ValueError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
         if self.preload is not None:
             raise ValueError("[preload] was given beside [[parameter]], which change its stress; leave one of them out")
+        if self.spin is not None:
+            raise ValueError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
+        return self
+
+    @model_validator(mode="after")
+    def _spins_once(self) -> Self:
+        for key in ("frame", "envelope", "stiffening"):
+            if self.spin is not None and key in self.model_fields_set:
+                raise ValueError(
+                    f"[{key}] was given beside [spin]: a floating frame that spins in a simulator would count the "
+                    "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])"
+                )
+        if self.spin is not None and self.state_space is not None:
+            raise ValueError("[state_space] was given beside [spin], but would be of the body at rest; leave one out")
+        if self.spin is not None and self.preload is not None:
+            raise ValueError("[preload] was given beside [spin], which has its own static stress; leave one out")
         return self
 
     @model_validator(mode="after")

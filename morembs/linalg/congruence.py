@@ -16,8 +16,8 @@ Ints = NDArray[np.int64]
 _ENTRIES = 1 << 20
 
 
-def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array:
-    """T' A T (m, m) of a symmetric ``A`` (n, n), where T = [I 0; 0 R] but for the order of its rows.
+def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget, *, skew: bool = False) -> sp.csr_array:
+    """T' A T (m, m) of a symmetric, or ``skew``, ``A`` (n, n), where T = [I 0; 0 R] but for the order of its rows.
 
     Rows of A that T keeps are copied, with the zeros they store: the unknowns of a node keep equal patterns.
     Peak memory: the result, where the budget wants it, and pieces of some 50 MB.
@@ -30,7 +30,8 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget) -> sp.csr_array
     # Coupling of the kept rows with the masters, and of the masters with each other.
     side, dropped = _coupling(A, kept, slaves, R)
     middle = sp.csr_array(R.T @ A[slaves][:, slaves] @ R)
-    below = sp.csr_array(sp.hstack([side.T, 0.5 * (middle + middle.T)]))
+    sign = -1.0 if skew else 1.0
+    below = sp.csr_array(sp.hstack([sign * side.T, 0.5 * (middle + sign * middle.T)]))
     nnz = int(np.diff(A.indptr).astype(np.int64)[kept].sum()) - dropped + side.nnz + below.nnz
     index = np.int32 if max(nnz, f + m) < np.iinfo(np.int32).max else np.int64
     data, indices = budget.empty(nnz, A.dtype), budget.empty(nnz, index)

@@ -1,0 +1,44 @@
+"""The model of a job: read from its model file, or assembled from its mesh, within the budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from morembs.budget import Budget
+from morembs.jobs.forecast import least_memory, require_room_of_mesh
+from morembs.jobs.inputs import matrices_of, mesh_of
+from morembs.jobs.job import Job
+from morembs.jobs.preflight import require_room
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.model import FEModel
+from morembs.model.assembly import assemble
+from morembs.model.material import Material
+from morembs.progress import Stopwatch
+
+if TYPE_CHECKING:
+    from morembs.parametric.terms import VariedModel
+
+
+def model_of(
+    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch
+) -> tuple[FEModel, VariedModel | None]:
+    """The model of the job, from its model file or assembled from its mesh, and what its parameters make of it."""
+    asked, progress = job.tables.model, watch.progress
+    if asked.mesh is None:
+        with watch.stage("read"):
+            model = matrices_of(job, budget)
+        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
+        return model, None
+    with watch.stage("read"):
+        mesh = mesh_of(job)
+    require_room_of_mesh(job, mesh, materials, solver, start)
+    with watch.stage("assemble"):
+        if job.tables.parameter:
+            # Not at the top: most jobs have no parameters.
+            from morembs.jobs.parameters import varied_of
+
+            varied = varied_of(job, mesh, materials, budget, progress)
+            return varied.model(varied.box.nominal, budget), varied
+        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+        return model, None

@@ -1,0 +1,158 @@
+"""modes and campbell: tables of full models and of one body over its speed."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs.body.file import read_body
+from morembs.cli import app
+from morembs.floating.spin import campbell
+from tests.support.commands import refused
+from tests.support.meshes import box
+
+JOB = """
+[model]
+mesh = "blade.vtk"
+units = "mm-t-s"
+[[material]]
+young = 2.1e5
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "root"
+nodes = "box:-1,-20,-20,1,20,20"
+point = [0, 0, 0]
+{tables}
+[[reduce]]
+method = "craig-bampton"
+modes = 4
+[output]
+path = "part.h5"
+[check]
+full_modes = 0
+"""
+SPIN = '[spin]\nspeed = [0, 20, 42, 60]\naxis = [0, 0, 1]\nheld = ["root"]\nmodes = 4'
+
+
+def job(folder, tables=SPIN):
+    mesh = box("hex20", (12, 1, 1), (1000, 30, 10), lambda x: x - [0, 15, 5])
+    meshio.Mesh(np.array(mesh.nodes.xyz), [("hexahedron20", mesh.blocks[0].nodes)]).write(folder / "blade.vtk")
+    path = folder / "job.toml"
+    path.write_text(JOB.format(tables=tables))
+    return path
+
+
+def run(*words):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def blade(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("blade")
+    path = job(folder)
+    run("campbell", path, "-o", folder / "campbell.csv", "--png", "--points", 7, "--count", 4)
+    return folder
+
+
+def test_campbell_writes_modes_of_one_body_that_agree_with_the_full_model(blade):
+    with open(blade / "campbell.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 28
+    shown = json.loads(run("modes", blade / "job.toml", "--complex", "--count", 4, "--json"))[0]
+    assert shown["complete"]["60"].startswith("complete below")
+    full = {(row["speed"], row["number"]): row["damped_hz"] for row in shown["modes"]}
+    assert len(full) == 16
+    some = {(float(row["speed_rad_s"]), int(row["mode"])): float(row["damped_hz"]) for row in rows}
+    common = full.keys() & some.keys()
+    assert len(common) == 12  # 0, 20 and 60
+    assert [some[key] for key in common] == pytest.approx([full[key] for key in common], rel=1e-6)
+    # Southwell, in the units of the job.
+    flap = [2 * np.pi * some[speed, 1] for speed in (0.0, 60.0)]
+    assert (flap[1] ** 2 - flap[0] ** 2) / 60**2 == pytest.approx(1.193, rel=1e-2)
+    assert (blade / "campbell.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_body_file_keeps_its_spin(blade):
+    stored = read_body(blade / "part.h5", whole=True)
+    (body,) = stored.bodies.values()
+    assert body.floating is None
+    spin = body.spin
+    assert np.array_equal(spin.C, -spin.C.T)
+    assert np.array_equal(spin.speeds, [0, 20, 42, 60])
+    assert max(body.recipe["spin_mode_deviation"].values()) < 1e-6
+    tip = np.abs(stored.coordinates[:, 0] - 1.0) < 1e-9
+    stretch = spin.elongation.reshape(-1, 3)[tip, 0].mean()
+    assert stretch == pytest.approx(7850 / 3 / 2.1e11, rel=5e-3)
+    told = run("export", blade / "part.h5", "--to", "matrix-market", "-o", blade / "part.mtx")
+    assert "the matrices are those at rest" in told
+    # From the file as from the job.
+    (whirl,) = campbell(body, [60.0], 4)
+    run("campbell", blade / "part.h5", "-o", blade / "again.csv", "--points", 7, "--count", 4)
+    assert (blade / "again.csv").read_bytes() == (blade / "campbell.csv").read_bytes()
+    with open(blade / "again.csv") as file:
+        last = [float(row["damped_hz"]) for row in csv.DictReader(file)][-4:]
+    assert whirl.eigenvalues.imag / (2 * np.pi) == pytest.approx(last)
+
+
+def test_modes_of_a_damped_model_that_is_held(tmp_path):
+    path = job(tmp_path, '[modes]\nkind = "complex"\ncount = 3\nheld = ["root"]\n[damping]\nrayleigh = { beta = 1e-5 }')
+    text = run("modes", path, "-o", tmp_path / "modes.csv")
+    assert "no count of modes: damping" in text
+    with open(tmp_path / "modes.csv") as file:
+        rows = list(csv.DictReader(file))
+    # Stiffness damping: ratio = beta w / 2.
+    for row in rows:
+        undamped = 2 * np.pi * float(row["damped_hz"]) / np.sqrt(1 - float(row["ratio"]) ** 2)
+        assert float(row["ratio"]) == pytest.approx(1e-5 * undamped / 2, rel=1e-6)
+        assert row["inertial_hz"] == ""
+
+
+def test_real_modes_are_those_of_the_free_body(tmp_path):
+    path = job(tmp_path, "")
+    shown = json.loads(run("modes", path, "--count", 2, "--json"))[0]
+    # Free-free beam, 10 mm high: 22.3733 sqrt(EI / m L^4).
+    exact = 22.3733 * np.sqrt(2.1e11 * 0.01**2 / 12 / 7850) / (2 * np.pi)
+    assert shown["modes"][0]["damped_hz"] == pytest.approx(exact, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        (SPIN.replace("[0, 0, 1]", "[0, 0, 0]"), "axis = [0, 0, 0] was given; expected a direction"),
+        (SPIN + '\n[frame]\nkind = "mean-axes"', "[frame] was given beside [spin]"),
+        (SPIN + '\n[state_space]\npath = "a.npz"\ninputs = ["root:force"]\noutputs = ["root:displacement"]',
+         "[state_space] was given beside [spin]"),
+        (SPIN.replace("root", "rot"), "held names the interface 'rot'; did you mean 'root'?"),
+        (SPIN + "\n[damping]\nmodal = 0.02", "complex modes take rayleigh damping"),
+        (SPIN + "\n[damping]\nrayleigh = { alpha = 2.0 }", "alpha = 2 damps the elastic motion of a free body"),
+        (SPIN.replace("[0, 20, 42, 60]", "[]"), "speed = [] was given; expected speeds"),
+    ],
+)
+def test_what_cannot_spin_is_refused_before_any_work(tmp_path, tables, message):
+    assert message in refused(job(tmp_path, tables))
+
+
+def test_the_table_of_the_documentation_is_taken(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "job.md").read_text()
+    (block,) = re.findall(r"^```toml\n(\[spin\].*?)^```", text, re.MULTILINE | re.DOTALL)
+    assert "reduction" in run("check", job(tmp_path, block.replace("bearing", "root")))
+
+
+def test_campbell_says_what_it_needs(tmp_path):
+    path = job(tmp_path, "")
+    for words, message in (
+        ([path, "-o", tmp_path / "a.csv"], "has no table [spin]"),
+        ([path, "-o", tmp_path / "a.txt"], "expected a name that ends in .csv"),
+    ):
+        result = CliRunner().invoke(app, ["campbell", *map(str, words)])
+        assert result.exit_code == 2
+        assert message in result.stderr
+    assert not (tmp_path / "part.h5").exists()
