@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from morembs.batches.children import Children
+from morembs.batches.cluster_file import Place, place_of
 from morembs.batches.coordinator import Coordinator
 from morembs.batches.manifest import Manifest
 from morembs.batches.plan import Part, parts_of
@@ -66,7 +67,7 @@ def batch(
     ...
     morembs.errors.InputError: ...
     """
-    here = _count_here(workers, cluster, client)
+    place = _place(workers, cluster, client)
     if retries < 0:
         raise InputError(f"--retries {retries} was given; expected a count, 0 for none")
     parts = parts_of(jobs, changes)
@@ -76,48 +77,42 @@ def batch(
         idle = Coordinator(parts, options, None, listener or Nobody(), retries)
         idle.due(fresh)
         return idle.records()
-    place = Path(manifest) if manifest is not None else _nearest_manifest(parts)
     outputs = [path for part in parts if part.job is not None for path in part.outputs]
-    with Manifest(place) as remembered:
+    with Manifest(Path(manifest) if manifest is not None else _nearest_manifest(parts)) as remembered:
         coordinator = Coordinator(parts, options, remembered, listener or Nobody(), retries)
         discard(outputs)
         due = coordinator.due(fresh)
         if due:
             try:
-                with closing(_workers(here, cluster, client, due, listener or Nobody())) as crew:
+                with closing(_workers(place, due, listener or Nobody())) as crew:
                     coordinator.run(crew, due, fresh, check_only)
             finally:
                 discard(outputs)
         return coordinator.records()
 
 
-def _count_here(workers: int | None, cluster: str | Path | None, client: Client | None) -> int | None:
-    """How many run at once at most where they run on this machine; None: as many as there are processors."""
+def _place(workers: int | None, cluster: str | Path | None, client: Client | None) -> Place | Client | None:
+    """Where the jobs run; None: here, as many at once as there are processors."""
     if workers is not None and workers < 1:
         raise InputError(f"--jobs {workers} was given; expected a positive count of jobs to run at once")
-    if cluster is None and client is None:
-        return workers
-    if workers is not None or (cluster is not None and client is not None):
+    if sum(given is not None for given in (workers, cluster, client)) > 1:
         raise InputError("jobs run here (--jobs N, local:N), on a cluster (--cluster), or by a client; choose one")
-    name, _, count = str(cluster).partition(":")
-    if name != "local":
-        return None
-    if not count.isdecimal() or int(count) < 1:
-        raise InputError(f"--cluster {cluster} was given; expected local:N with a positive count N")
-    return int(count)
+    if workers is not None:
+        return Place(kind="local", workers=workers)
+    return client if cluster is None else place_of(cluster)
 
 
-def _workers(
-    here: int | None, cluster: str | Path | None, client: Client | None, due: Sequence[Part], listener: Listener
-) -> Workers:
-    if client is not None or (cluster is not None and here is None):
-        # Not at the top: most do without dask.
-        from morembs.batches.cluster import workers_of
-
-        folders = [path.resolve().parent for part in due for path in part.outputs]
-        return workers_of(client or cluster, folders, listener.told)
+def _workers(place: Place | Client | None, due: Sequence[Part], listener: Listener) -> Workers:
+    if place is not None and not (isinstance(place, Place) and place.kind == "local"):
+        try:
+            # Not at the top: most do without dask.
+            from morembs.batches.cluster import workers_of
+        except ImportError as error:
+            raise InputError("--cluster needs dask: pip install 'morembs[cluster]'; local:N works without") from error
+        return workers_of(place, [path.resolve().parent for part in due for path in part.outputs], listener.told)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    room = Worker(bytes=_SHARE * available_bytes(), cores=_MANY if here else cores, slots=here or cores)
+    count = place.workers if isinstance(place, Place) else None
+    room = Worker(bytes=_SHARE * available_bytes(), cores=_MANY if count else cores, slots=count or cores)
     return Children(room, cores)
 
 

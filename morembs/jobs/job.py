@@ -133,7 +133,7 @@ def _change(data: dict[str, Any], key: str, text: Text) -> None:
         table[last] = readings(text)[0]
 
 
-def parse_memory(text: str) -> int:
+def parse_memory(text: str, table: str = "[solver]") -> int:
     """Bytes of a text such as ``"4 GiB"`` or ``"500 MB"``.
 
     Raises:
@@ -142,9 +142,9 @@ def parse_memory(text: str) -> int:
     match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
     size = float(match[1]) * BYTES[match[2]] if match and match[2] in BYTES else 0.0
     if match and not match[2]:
-        raise InputError(f'[solver]: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(f'{table}: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
     if not 1 <= size < MOST_BYTES:
-        raise InputError(f'[solver]: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
     return int(size)
 
 
