@@ -94,7 +94,7 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     return tuple(
         Part(
             number=at + 1, name=names[at], path=path, job=None if at in faults else jobs[at], fault=faults.get(at, ""),
-            takes=tuple(number + 1 for number in order.parts.get(at, ())),
+            takes=() if at in faults else tuple(number + 1 for number in order.parts.get(at, ())),
         )
         for at, path in enumerate(paths.values())
     )  # fmt: skip
