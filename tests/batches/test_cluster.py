@@ -259,3 +259,12 @@ def test_scripts_for_queues(tmp_path: Path, kind: str, lines: list[str]) -> None
     for line in (*lines, "module load python/3.12"):
         assert line in script.splitlines() or any(line in each for each in script.splitlines()), script
     assert "--resources MB=30923,cores=4" in script and "--memory-limit 0" in script
+
+
+def test_files_to_copy_from_the_documents_are_sound(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "scale.md").read_text()
+    blocks = {kind: text.split(f"```{kind}\n")[1].split("```")[0] for kind in ("toml", "sh")}
+    (tmp_path / "cluster.toml").write_text(blocks["toml"])
+    place = place_of(tmp_path / "cluster.toml")
+    assert (place.kind, place.workers, place.seconds) == ("slurm", 40, 4 * 3600.0)
+    assert subprocess.run(["bash", "-n"], input=blocks["sh"], text=True).returncode == 0
