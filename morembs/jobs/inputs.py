@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -189,7 +188,7 @@ def budget_of(job: Job, solver: LinearSolver) -> Budget:
 
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
-    inputs = _inputs(job)
+    inputs = inputs_of(job)
     for name, path in job.results.items():
         for other, taken in inputs.items():
             if path.resolve() == taken.resolve():
@@ -198,26 +197,8 @@ def prepare_output(job: Job) -> None:
         inputs[name] = path
 
 
-def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
-    """Key of each job that must not be run with the others -> why: its results and a file of another are one file."""
-    used: dict[Path, list[tuple[int, str, bool]]] = {}
-    for key, job in jobs.items():
-        for name, path in _inputs(job).items():
-            used.setdefault(path.resolve(), []).append((key, name, False))
-        for name, path in job.results.items():
-            used.setdefault(path.resolve(), []).append((key, name, True))
-    reasons: dict[int, str] = {}
-    for path, uses in used.items():
-        for key, name, written in uses:
-            others = [(other, what) for other, what, _ in uses if other != key]
-            if written and others:
-                other, what = others[0]
-                reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
-                reasons.setdefault(key, reason)
-    return reasons
-
-
-def _inputs(job: Job) -> dict[str, Path]:
+def inputs_of(job: Job) -> dict[str, Path]:
+    """The files that the job reads by the words for each: itself, and what its model comes from."""
     moves = {f"the morph of {t.name}": job.resolve(t.mesh or t.displacement or "") for t in job.tables.parameter
              if t.mesh or t.displacement}  # fmt: skip
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
