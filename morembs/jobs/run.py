@@ -127,7 +127,10 @@ def _run(
         warn(warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
-        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
+        workers = job.tables.solver.workers
+        problem = Problem(
+            model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress, workers=workers
+        )
         costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
@@ -138,7 +141,8 @@ def _run(
             stressed = preloaded(problem, preload, progress)
             model, preload_notes = stressed.model, dict(stressed.notes)
             problem = Problem(
-                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
+                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress,
+                workers=workers,
             )
     with problem:
         bodies = _reduce(job, problem, body_options(job), watch)

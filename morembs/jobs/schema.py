@@ -190,6 +190,7 @@ class SolverTable(Table):
     threads: int | None = Field(default=None, ge=1, le=4096, description="a count of threads from 1 to 4096")
     scratch: str | None = Field(default=None, min_length=1, description="the path of a folder for temporary files")
     out_of_core: bool = Field(default=False, description="true to keep the factor and all arrays on disk, or false")
+    workers: int = Field(default=1, ge=1, le=1024, description="a count of processes from 1 to 1024")
 
 
 class ReduceTable(Table):
