@@ -131,7 +131,7 @@ class Crew(Closing):
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
             raise InputError(f"workers = {workers!r} was given; expected 1 or more")
         self.shared, self.workers, self.scratch = shared, workers, scratch
-        self.threads = threads if threads is not None else _threads_for(workers)
+        self.threads = threads if threads is not None else threads_for(workers)
         self.peak_memory_bytes = 0
         self._folder: ScratchFolder | None = None
         self._crew: list[_Worker] = []
@@ -276,7 +276,7 @@ class Crew(Closing):
             remove_abandoned(self.scratch)
 
 
-def _threads_for(workers: int) -> int:
+def threads_for(workers: int) -> int:
     """Threads of the BLAS here, or what ``workers`` processes can have of the processors."""
     here = max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
     return max(1, min(here, processors() // workers))
