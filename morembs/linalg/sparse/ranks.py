@@ -161,10 +161,11 @@ class Ranks:
 
     def _arguments(self) -> list[str]:
         # What mpirun and the ranks share lies in the private folder, which goes however they end.
-        settings = {"orte_tmpdir_base": self.folder, "btl_vader_backing_directory": self.folder}
-        if self.count > processors():
-            settings["mpi_yield_when_idle"] = Path("1")
-        given = [word for name, value in settings.items() for word in ("--mca", name, str(value))]
+        folder = str(self.folder)
+        settings = {"orte_tmpdir_base": folder, "btl_vader_backing_directory": folder}
+        # Ranks that wait for each other leave the processors to others, and none is bound to one that is busy.
+        settings |= {"mpi_yield_when_idle": "1", "hwloc_base_binding_policy": "none"}
+        given = [word for name, value in settings.items() for word in ("--mca", name, value)]
         return ["mpirun", "-n", str(self.count), *given, sys.executable, "-m", _PROGRAM, str(self.folder)]
 
     def _environment(self) -> dict[str, str]:
@@ -200,8 +201,8 @@ class Ranks:
         if hello["header"] != hello["library"]:
             told = f"version {hello['library']}" if hello["library"] else "none"
             raise InputError(
-                f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {told}; install both of "
-                "one version"
+                f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {told}; install "
+                "both of one version"
             )
 
 
