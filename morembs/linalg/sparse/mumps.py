@@ -191,9 +191,10 @@ class MumpsAnalysis(Analysis):
         # Coordinates of the triangle, and its values where they change type; the rest is what MUMPS will allocate.
         matrix = (8 + (0 if instance.dtype == np.float64 else size)) * self.lower_nnz
         disk = size * entries if number == 26 else 0
+        needed = self.solver.megabytes(instance, number) * _MEGABYTE + matrix
         return Forecast(
             backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),
-            memory=self.solver.megabytes(instance, number) * _MEGABYTE + matrix, kept=0 if disk else size * entries, disk=disk,
+            memory=needed, kept=0 if disk else size * entries, disk=disk,
             precision=self.solver.precision,
         )  # fmt: skip
 

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 AUTO = "auto"
 # One name for each solver.
 _OWN: tuple[type[LinearSolver], ...] = (
-    Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU, RankedMumps,
+    Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, RankedMumps, SuperLU,
 )  # fmt: skip
 SOLVERS: Registry[type[LinearSolver]] = Registry(
     "morembs.solvers", {solver_class.name: solver_class for solver_class in _OWN}, subclass_fault(LinearSolver, "name")
