@@ -116,10 +116,11 @@ class Rank:
             self._instances[number], self._held[number] = (library, self._new(library, command["sym"])), {}
         library, data = self._instances[number]
         if job != NEW:
-            data.icntl[:], data.cntl[:] = command["icntl"], command["cntl"]
-            data.ooc_tmpdir, data.ooc_prefix = command["ooc_tmpdir"].encode(), command["ooc_prefix"].encode()
-            if self.mpi.rank == 0:
-                self._give(number, data, command)
+            if job != END:
+                data.icntl[:], data.cntl[:] = command["icntl"], command["cntl"]
+                data.ooc_tmpdir, data.ooc_prefix = command["ooc_tmpdir"].encode(), command["ooc_prefix"].encode()
+                if self.mpi.rank == 0:
+                    self._give(number, data, command)
             # All ranks come back with the same INFOG, whichever of them failed.
             library.call(data, job)
         answer = {name: list(getattr(data, name)) for name in TOLD}
