@@ -22,6 +22,9 @@ from tests.support.commands import refused
 from tests.support.matrices import brick, shifted
 
 ROOT = Path(__file__).parents[2]
+KRYLOV = 'method = "krylov"\nshifts_hz = [0.0, 1000.0, 4000.0]\nmoments = [1, 2, 1]'
+# Round-off of a factor turns the last directions of a Krylov space, not fixed-interface modes.
+MODES = 'method = "craig-bampton"\nmodes = 6'
 JOB = """
 [model]
 mesh = "{mesh}"
@@ -40,9 +43,7 @@ nodes = "set:SMALLEND"
 threads = 1
 {solver}
 [[reduce]]
-method = "krylov"
-shifts_hz = [0.0, 1000.0, 4000.0]
-moments = [1, 2, 1]
+{method}
 [check]
 full_modes = 3
 [output]
@@ -50,10 +51,10 @@ path = "part.h5"
 """
 
 
-def reduced(folder: Path, solver: str) -> dict[str, np.ndarray]:
+def reduced(folder: Path, solver: str, method: str = KRYLOV) -> dict[str, np.ndarray]:
     """Datasets of the body, all but what tells of the run."""
     folder.mkdir()
-    job = written(folder, solver)
+    job = written(folder, solver, method)
     result = CliRunner().invoke(app, ["reduce", str(job)])
     assert result.exit_code == 0, result.stderr
     values: dict[str, np.ndarray] = {}
@@ -62,9 +63,9 @@ def reduced(folder: Path, solver: str) -> dict[str, np.ndarray]:
     return {name: value for name, value in values.items() if not name.startswith("provenance")}
 
 
-def written(folder: Path, solver: str) -> Path:
+def written(folder: Path, solver: str, method: str = KRYLOV) -> Path:
     job = folder / "job.toml"
-    job.write_text(JOB.format(mesh=ROOT / "data/small_meshes/conrod.msh", solver=solver))
+    job.write_text(JOB.format(mesh=ROOT / "data/small_meshes/conrod.msh", solver=solver, method=method))
     return job
 
 
@@ -108,7 +109,8 @@ def test_results_come_in_the_order_of_tasks_and_the_first_failure_counts(tmp_pat
 
 
 def test_ranks_give_the_body_of_one_process(tmp_path, mpi):
-    alone, spread = reduced(tmp_path / "a", 'name = "mumps"'), reduced(tmp_path / "b", "ranks = 2")
+    alone = reduced(tmp_path / "a", 'name = "mumps"', MODES)
+    spread = reduced(tmp_path / "b", "ranks = 2", MODES)
     name = next(name for name in alone if name.endswith("full_frequencies_hz"))
     assert np.abs(spread[name] - alone[name]).max() <= 1e-10 * alone[name].max()
     for name in (name for name in alone if name.endswith(("stiffness_matrix", "mass_matrix"))):
