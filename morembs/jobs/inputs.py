@@ -21,6 +21,7 @@ from morembs.importers.model_file import read_model
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable, SubstructureTable
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
@@ -172,11 +173,14 @@ def solver_of(job: Job) -> LinearSolver:
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
-    solver = select_solver(given.name, memory=job.memory, scratch=scratch)
+    name = given.name if given.ranks is None else RankedMumps.name
+    solver = select_solver(name, memory=job.memory, scratch=scratch)
+    if given.ranks is not None:
+        solver = replace(solver, ranks=given.ranks)  # type: ignore[call-arg]
     if not given.out_of_core:
         return solver
     able = {name: kind for name, kind in SOLVERS.items() if any(field.name == "out_of_core" for field in fields(kind))}
-    if given.name not in able:
+    if name not in able:
         raise InputError(f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}")
     return replace(solver, out_of_core=True)  # type: ignore[call-arg]
 

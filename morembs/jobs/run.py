@@ -130,7 +130,10 @@ def _run(
         warn(warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
-        problem = _coupled(job, model, varied, interfaces, solver=solver, budget=budget, progress=progress)
+        workers = job.tables.solver.workers
+        problem = _coupled(
+            job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
+        )
         costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
@@ -141,7 +144,8 @@ def _run(
             stressed = preloaded(problem, preload, progress)
             model, preload_notes = stressed.model, dict(stressed.notes)
             problem = Problem(
-                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
+                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress,
+                workers=workers,
             )
     with problem:
         rotation = rotation_of(job)

@@ -54,7 +54,8 @@ SOFTER = (
 class Problem(Closing):
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
-    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``.
+    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``. Up to ``workers``
+    processes factorise A(s) at different s at once, as far as the budget has room for all of their factors.
     ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
     analytic, never from an eigensolver.
 
@@ -70,6 +71,7 @@ class Problem(Closing):
     def __init__(
         self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
         damping: Damping | None = None, budget: Budget | None = None, progress: Progress = SILENT,
+        workers: int = 1,
     ) -> None:  # fmt: skip
         self.model = model
         self.interfaces = tuple(interfaces)
@@ -81,7 +83,7 @@ class Problem(Closing):
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
             )
-        self.progress = progress
+        self.progress, self.workers = progress, workers
         self.coupling: Coupling = couple(model, self.interfaces)
         T = self.coupling.T
         square = T.shape[0] == T.shape[1]
