@@ -21,7 +21,6 @@ from morembs.problem.damping import Damping
 from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
-    from morembs.body.body import Part
     from morembs.parametric.update import Measured, Updated
     from morembs.problem import Problem
     from morembs.reducers.base import ReducedModel
@@ -85,13 +84,18 @@ def _bound(laws: list[Law], values: dict[str, Any]) -> Any:
     return ParametricBound(law_K=laws[0], law_M=laws[1], cells=Cells(**values.pop("cells")), **values)
 
 
-def parametric_parts(problem: Problem, reduced: ReducedModel, part: Part, model: ParametricModel) -> ParametricParts:
-    """What the file keeps of the ``model`` of all values, whose body of nominal ones is ``reduced``."""
+def parametric_parts(
+    problem: Problem, reduced: ReducedModel, kept: NDArray[np.int64], model: ParametricModel
+) -> ParametricParts:
+    """What the file keeps of the ``model`` of all values, whose body of nominal ones is ``reduced``; ``kept`` are labels
+    of nodes."""
     from morembs.parametric.terms import AffineProblem
 
     if not isinstance(problem, AffineProblem):
         raise InputError("a problem without parameters was given; expected an AffineProblem")
-    rows = np.searchsorted(part.node_ids, part.nodes.ids, sorter=(order := np.argsort(part.node_ids, kind="stable")))
+    labels = problem.model.nodes.ids
+    order = np.argsort(labels, kind="stable")
+    rows = np.searchsorted(labels, kept, sorter=order)
     morph = problem.varied.morph
     displacement = {
         problem.box.names[number]: d[order[rows]] for number, d in zip(morph.which, morph.displacements, strict=True)

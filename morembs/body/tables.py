@@ -73,6 +73,10 @@ def _switching(**values: Any) -> StaticModeTables:
     return StaticModeTables(**values)
 
 
+FORMAT = "morembs-body"
+FORMAT_VERSION = 2
+# Columns of a basis that are in memory at a time.
+BLOCK_BYTES = 16 * 2**20
 # 2: limits hold at every frequency of a band; files without a version have errors at samples.
 CERTIFICATE_VERSION = 2
 _OLD = "files of earlier versions lack it"
