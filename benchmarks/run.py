@@ -24,6 +24,7 @@ import frames
 import jobs
 import krylov
 import parts
+import products
 import solvers
 import startup
 import switching
@@ -31,7 +32,7 @@ from measure import HERE, Settings, required
 
 CASES = {
     **solvers.CASES, **krylov.CASES, **frames.CASES, **jobs.CASES, **switching.CASES, **budgets.CASES,
-    **startup.CASES, **certify.CASES, **fmus.CASES,
+    **startup.CASES, **certify.CASES, **fmus.CASES, "products": products.products,
 }  # fmt: skip
 # These take an hour or more, and are run only if they are named.
 LONG = ("million", "forecast")
