@@ -264,6 +264,13 @@ def modes(spec: Spec) -> Row:
     return measure_modes(spec, steel(spec["shape"], spec["dofs"]))
 
 
+def products(spec: Spec) -> Row:
+    """See products.py."""
+    from products import measure_products
+
+    return measure_products(spec, steel)
+
+
 def interpolation(spec: Spec) -> Row:
     """See interpolation.py."""
     from interpolation import measure
@@ -327,7 +334,7 @@ def part(spec: Spec) -> Row:
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "job": write_job, "interpolation": interpolation, "frames": frames,
+    "products": products, "job": write_job, "interpolation": interpolation, "frames": frames,
     "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
     "mechanism": mechanism,
 }  # fmt: skip

@@ -21,14 +21,7 @@ from pathlib import Path
 
 import figures
 import parts
-from measure import Settings, required
-
-# Module -> its cases. It is imported when one of them is run: a child begins with the peak memory of this process, and
-# the cases that come first have small children.
-MODULES = {
-    "startup": ("startup",), "solvers": ("small", "medium", "large", "factor", "modes"), "krylov": ("krylov",),
-    "frames": ("frames",), "jobs": ("million", "forecast"), "switching": ("switching",), "budgets": ("budgets",),
-    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"),
+    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"), "products": ("products",),
 }  # fmt: skip
 CASES = {case: module for module, cases in MODULES.items() for case in cases}
 # These are run only if they are named; what a round of them takes on two cores.
