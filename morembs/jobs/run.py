@@ -17,7 +17,13 @@ from morembs.budget import Budget
 from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
-from morembs.jobs.compare import FrequencyResponse, certified_response, frequency_response, recommended
+from morembs.jobs.compare import (
+    FrequencyResponse,
+    certified_response,
+    frequency_response,
+    know_frequencies,
+    recommended,
+)
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
@@ -141,9 +147,9 @@ def _run(
                 model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
             )
     with problem:
-        bodies = _reduce(job, problem, body_options(job), watch)
+        bodies, notes = _reduce(job, problem, body_options(job), watch)
         delivered = delivered_warnings(bodies)
-        warnings += delivered
+        warnings += (*delivered, *notes)
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
             response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_INTERFACE_DOFS
@@ -204,18 +210,15 @@ def _read(
         return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
 
 
-def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -> tuple[ElasticBody, ...]:
-    """One body for each reduction, and the free-free frequencies of the full model to compare with."""
-    size = problem.K.shape[0]
-    count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
+def _reduce(
+    job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch
+) -> tuple[tuple[ElasticBody, ...], tuple[str, ...]]:
+    """One body for each reduction, compared with free-free frequencies of the full model, and notes on that."""
     with watch.stage("factorise"):
         if wants_modes(job):
             problem.require_room_for_modes()
         _ = problem.statics
-    if count:
-        with watch.stage("solve modes"):
-            problem.elastic_modes(count=count)
-    reduced = []
+    reduced: list[ReducedModel] = []
     for name, reducer in reducers_of(job).items():
         with watch.stage(f"reduce {name}"):
             try:
@@ -234,7 +237,10 @@ def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             certificates = certify(problem, reduced, band, progress=watch.progress, **options)
-    return _delivered(job, problem, reduced, certificates, wanted, watch)
+    with watch.stage("compare"):
+        check = job.tables.check
+        notes = know_frequencies(problem, reduced, check.full_modes, insist="full_modes" in check.model_fields_set)
+    return _delivered(job, problem, reduced, certificates, wanted, watch), notes
 
 
 def _delivered(

@@ -34,8 +34,8 @@ MOST_SPARSE = 2000
 ATTEMPTS = 4
 # More modes up to a limit than would fill so many slices are found slice by slice.
 SLICES = 10 / 3
-# Widest block of the Krylov space when the factor lies on disk.
-WIDEST = 32
+# Widest block of the Krylov space when the factor lies on disk, and columns of its kind that exist at once.
+WIDEST, COPIES = 64, 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,12 +63,15 @@ class Modes:
 def lowest_modes(
     body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
+    count_below: Callable[[float], int | None] | None = None, start: Callable[[int], Floats | None] | None = None,
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
     Args:
         by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
         per_slice: modes of a slice, where there are so many that they are found slice by slice.
+        count_below: number of modes below an eigenvalue by other means than a factorisation; None where they fail.
+        start: gives up to so many columns (N, k), which are close to the lowest modes; None for random ones.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -81,7 +84,9 @@ def lowest_modes(
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
-            count, shifted = _up_to(body, M, below)
+            count = None if count_below is None else count_below(below)
+            if count is None:
+                count, shifted = _up_to(body, M, below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
@@ -106,7 +111,7 @@ def lowest_modes(
             body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice,
         )  # fmt: skip
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
-    return _sparse(body, M, count, below, progress, what, shifted)
+    return _sparse(body, M, count, below, progress, what, shifted, start)
 
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, Shifted | None]:
@@ -189,12 +194,14 @@ def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 def _sparse(
     body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str,
-    shifted: Shifted | None = None,
+    shifted: Shifted | None = None, guess: Callable[[int], Floats | None] | None = None,
 ) -> Modes:  # fmt: skip
     """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
     rng = np.random.default_rng(2)
     block = _block(body, count)
-    start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
+    start = None if guess is None else guess(block)
+    if start is None or start.shape[1] < block:
+        start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
     capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
     lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start
@@ -219,7 +226,7 @@ def _counted(
     progress: Progress, what: str,
 ) -> Modes:  # fmt: skip
     """Modes by block Lanczos at shift zero, counted afterwards."""
-    wanted = min(count + 2, M.shape[0] - body.count)
+    wanted = min(count if below is not None else count + 2, M.shape[0] - body.count)
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
@@ -248,8 +255,7 @@ def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
         return int(np.clip(count // 4, 8, 12))
-    width = body.statics.budget.columns(len(body.statics.Z), copies=8, widest=WIDEST)
-    return int(np.clip(count, 8, max(8, width)))
+    return int(np.clip(body.statics.columns(COPIES, WIDEST), 8, max(8, count + 2)))
 
 
 def _gap_after(values: Floats, count: int) -> float | None:
