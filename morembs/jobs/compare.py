@@ -44,9 +44,7 @@ class FrequencyResponse:
     length: float
 
 
-def know_frequencies(
-    problem: Problem, bodies: Sequence[ReducedModel], count: int, *, insist: bool
-) -> tuple[str, ...]:
+def know_frequencies(problem: Problem, bodies: Sequence[ReducedModel], count: int, *, insist: bool) -> tuple[str, ...]:
     """Have ``problem`` know its lowest ``count`` free-free frequencies, for a comparison with those of ``bodies``.
 
     They are taken from the fixed-interface modes where these tell them sharply enough. Others are solved for unless the

@@ -34,8 +34,9 @@ MOST_SPARSE = 2000
 ATTEMPTS = 4
 # More modes up to a limit than would fill so many slices are found slice by slice.
 SLICES = 10 / 3
-# Widest block of the Krylov space when the factor lies on disk, and columns of its kind that exist at once.
-WIDEST, COPIES = 64, 8
+# Columns of a Krylov block when the factor lies on disk: so many, where a pass takes as long as their arithmetic, or as
+# many as modes, but no more than the widest; and blocks that exist at once.
+WIDE, WIDEST, COPIES = 32, 64, 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,7 +256,7 @@ def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
         return int(np.clip(count // 4, 8, 12))
-    return int(np.clip(body.statics.columns(COPIES, WIDEST), 8, max(8, count + 2)))
+    return int(np.clip(body.statics.columns(COPIES, WIDEST), 8, max(WIDE, count + 2)))
 
 
 def _gap_after(values: Floats, count: int) -> float | None:
