@@ -20,7 +20,7 @@ from morembs.summary import summarised
 Floats = NDArray[np.float64]
 POINTWISE = MEASURES.index("pointwise")
 # A frequency of the full model may be unknown by this part of it, or of what it differs by from those of the bodies.
-SHARP, SHARE = 1e-6, 0.05
+SHARP, SHARE = 1e-6, 0.1
 
 
 @summarised
@@ -73,7 +73,7 @@ def _sharp(limits: Floats | None, bodies: Sequence[ReducedModel]) -> Floats:
     """The first frequencies (k,) in Hz that ``limits`` (2, n) tell well enough to compare ``bodies`` with."""
     if limits is None:
         return np.zeros(0)
-    hz, off = limits.mean(axis=0), 0.5 * (limits[1] - limits[0])
+    hz, off = limits[1], limits[1] - limits[0]
     least = np.full(len(hz), np.inf)
     for body in bodies:
         own = np.sqrt(np.maximum(body.modes()[0][body.rigid_count :], 0.0))[: len(hz)] / (2 * np.pi)

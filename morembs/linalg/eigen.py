@@ -64,7 +64,7 @@ class Modes:
 def lowest_modes(
     body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
-    count_below: Callable[[float], int | None] | None = None, start: Callable[[int], Floats | None] | None = None,
+    count_below: Callable[[float], int | None] | None = None,
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
@@ -72,7 +72,6 @@ def lowest_modes(
         by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
         per_slice: modes of a slice, where there are so many that they are found slice by slice.
         count_below: number of modes below an eigenvalue by other means than a factorisation; None where they fail.
-        start: gives up to so many columns (N, k), which are close to the lowest modes; None for random ones.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -112,7 +111,7 @@ def lowest_modes(
             body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice,
         )  # fmt: skip
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
-    return _sparse(body, M, count, below, progress, what, shifted, start)
+    return _sparse(body, M, count, below, progress, what, shifted)
 
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, Shifted | None]:
@@ -195,14 +194,12 @@ def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 def _sparse(
     body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str,
-    shifted: Shifted | None = None, guess: Callable[[int], Floats | None] | None = None,
+    shifted: Shifted | None = None,
 ) -> Modes:  # fmt: skip
     """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
     rng = np.random.default_rng(2)
     block = _block(body, count)
-    start = None if guess is None else guess(block)
-    if start is None or start.shape[1] < block:
-        start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
+    start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
     capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
     lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start

@@ -261,11 +261,6 @@ class Problem(Closing):
         condensed = self.condensed()
         return None if condensed is None else condensed.count_below(below)
 
-    def _nearly_free(self, count: int) -> Floats | None:
-        """Elastic modes (Nc, <= count) nearly, from the fixed-interface modes where solutions are dear."""
-        condensed = self.condensed() if self.statics.factor.stats.out_of_core else None
-        return None if condensed is None else condensed.vectors(count)
-
     def close(self) -> None:
         """Release the factorisations, and the solutions that reducers share."""
         self._shared.clear()
@@ -335,10 +330,9 @@ class Problem(Closing):
         )
         if known is not None and enough:
             return known
-        of_fixed = self._fixed is not None and body.mean_axes
         modes = lowest_modes(
             body, self.M, count=count, below=below, progress=self.progress, what=what,
-            count_below=self._free_below if of_fixed else None, start=self._nearly_free if of_fixed else None,
+            count_below=self._free_below if body.mean_axes else None,
         )  # fmt: skip
         off = AS_A_RULE * self.uncertainty(modes)
         lost = np.flatnonzero(off > LOST * modes.eigenvalues)
