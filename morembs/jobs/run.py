@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
@@ -237,8 +238,8 @@ def _reduce(
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             certificates = certify(problem, reduced, band, progress=watch.progress, **options)
-    with watch.stage("compare"):
-        check = job.tables.check
+    check, notes = job.tables.check, tuple[str, ...]()
+    with watch.stage("compare") if check.full_modes else nullcontext():
         notes = know_frequencies(problem, reduced, check.full_modes, insist="full_modes" in check.model_fields_set)
     return _delivered(job, problem, reduced, certificates, wanted, watch), notes
 

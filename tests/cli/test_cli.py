@@ -295,7 +295,7 @@ def test_long_work_goes_on_being_told() -> None:
     pass_time(36)
     assert lines == ["[5 s] factorise", "[20 s] factorise", "[35 s] factorise"]
     del lines[:]
-    progress.stage("compare")
+    progress.stage("solve modes")
     for step in range(700):
         clock.now += 0.0625
         progress.update(f"{step} converged")
