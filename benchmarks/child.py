@@ -248,12 +248,12 @@ def backward_error(A: Lower, norm: float, X: Floats, B: Floats) -> float:
 
 
 def write_job(spec: Spec) -> Row:
-    """Write mesh and job of a shape; no modes of the full model are asked for."""
+    """Write mesh and job of a shape, with ``more`` tables."""
     from models import job
 
     path = job(spec["shape"], spec["dofs"], Path(spec["to"]), memory=spec.get("memory"), scratch=spec.get("scratch"))
     with path.open("a", encoding="utf-8") as file:
-        file.write("\n[check]\nfull_modes = 0\n")
+        file.write("\n" + spec.get("more", ""))
     return {"job": str(path)}
 
 

@@ -124,3 +124,6 @@ KINDS: dict[str, tuple[str, bool, Callable[[Any, int], Callable[[Any], Any]]]] =
     "M, SciPy scalar": ("", False, _by_scalar),
     "M, MKL CSR": ("sparse_dot_mkl", True, lambda problem, threads: _mkl(problem.M, threads)),
 }
+
+
+CASES = {"products": products}
