@@ -28,6 +28,7 @@ from morembs.reducers.switching_tables import StaticModeTables
 from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
+    from morembs.body.parametric import ParametricParts
     from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]
@@ -86,7 +87,8 @@ class ElasticBody(Viewed):
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
     ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
     rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
-    ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads.
+    ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads,
+    ``parametric`` what gives the body at other values of parameters.
 
     >>> body.reduced.order, body.floating.kind
     (18, 'mean-axes')
@@ -103,6 +105,7 @@ class ElasticBody(Viewed):
     ranking: tuple[RankedTerm, ...] = ()
     recovery: Recovery | None = None
     switching: StaticModeTables | None = None
+    parametric: ParametricParts | None = None
     recipe: Mapping[str, object] = field(default_factory=dict)
 
     @property

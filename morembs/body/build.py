@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from morembs.body.body import ElasticBody, Part, elastic_body
+from morembs.body.parametric import parametric_parts
 from morembs.body.stress_shapes import stress_recovery
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -23,6 +24,7 @@ from morembs.reducers.switching_tables import StaticModeTables
 
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
+    from morembs.parametric.model import ParametricModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +69,11 @@ class BodyOptions:
 def build_body(
     problem: Problem, reduced: ReducedModel, part: Part, options: BodyOptions, *,
     certificate: Certificate | None = None, operator: StressOperator | None = None,
-    switching: StaticModeTables | None = None, progress: Progress = SILENT,
+    switching: StaticModeTables | None = None, variation: ParametricModel | None = None,
+    progress: Progress = SILENT,
 ) -> ElasticBody:  # fmt: skip
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
-    ``switching`` what its reducer made of candidate loads.
+    ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
 
     Raises:
         InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
@@ -83,6 +86,7 @@ def build_body(
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         switching=switching,
+        parametric=None if variation is None else parametric_parts(problem, reduced, part, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
         recovery=None if options.stress is None or operator is None else stress_recovery(
             problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator,

@@ -24,6 +24,7 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
+    from morembs.body.parametric import ParametricBody
     from morembs.body.vtkhdf_series import View
     from morembs.reducers.switching_tables import StaticModeTables
     from morembs.storage.writer import Writer
@@ -34,7 +35,7 @@ FORMAT_VERSION = 2
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20
 # What is compared with its checksums when it is read.
-_LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|basis/)")
+_LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|parametric|basis/)")
 
 
 def check_names(names: Sequence[str], what: str = "body") -> None:
@@ -153,7 +154,7 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: 
         "rigid_count": reduced.rigid_count, "recipe": body.recipe,
         "certificate": body.certificate, "floating": body.floating, "ranking": body.ranking or None,
         "recovery": body.recovery and recovery_parts(body.recovery, body.part.transformation),
-        "switching": body.switching,
+        "switching": body.switching, "parametric": body.parametric,
     })  # fmt: skip
     out.doing(f"mode shapes of {body.name} for ParaView")
     modes = vtkhdf.shown_modes(reduced)
@@ -189,6 +190,15 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
             group = file[f"bodies/{name}/switching"]
             return cast("StaticModeTables", read_rows(group, tables.SWITCHING, "the switching data lack"))
 
+    def parametric(name: str) -> ParametricBody:
+        # Not at the top: most who read a file do not evaluate it.
+        from morembs.body.parametric import ParametricBody
+
+        with opened() as file:
+            checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/parametric/"))
+            parts = read_rows(file[f"bodies/{name}/parametric"], tables.PARAMETRIC, "the parametric data lack")
+        return ParametricBody(place, stored, stored.bodies[name], parts)
+
     def view(body: StoredBody, modes: int) -> View:
         # Not at the top: most who read a file do not look at shapes.
         from morembs.body.vtkhdf_series import View, read_grid, stored_modes
@@ -205,7 +215,9 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
         checksums.Checksums(place, file).verify(lambda name: whole or not _LATER.match(name))
         if "provenance" in file:
             checksums.Checksums(place, file["provenance"]).verify()
-        stored = stored_bodies(file, read_basis=read_basis, read_switching=switching, read_view=view)
+        stored = stored_bodies(
+            file, read_basis=read_basis, read_switching=switching, read_view=view, read_parametric=parametric
+        )
     return stored
 
 

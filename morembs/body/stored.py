@@ -20,6 +20,7 @@ from morembs.storage.table_check import refuse_not_finite
 from morembs.summary import error_words, hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
+    from morembs.body.parametric import ParametricBody
     from morembs.body.vtkhdf_series import View
     from morembs.interface import CouplingKind
     from morembs.reducers.base import ReducedModel
@@ -88,11 +89,13 @@ class StoredBody(Viewed):
     read_basis: Callable[[str, slice], Floats]
     read_switching: Callable[[str], StaticModeTables]
     read_view: Callable[[StoredBody, int], View]
+    read_parametric: Callable[[str], ParametricBody]
     full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
     has_recovery: bool = False
     has_switching: bool = False
+    has_parameters: bool = False
 
     def _facts(self) -> dict[str, object]:
         return {
@@ -158,6 +161,17 @@ class StoredBody(Viewed):
             if isinstance(values, np.ndarray):
                 refuse_not_finite(f"body {self.name!r}", f"switching/{name}", values)
         return switching
+
+    @property
+    def parametric(self) -> ParametricBody:
+        """The body at other values of its parameters, read from the file at each call.
+
+        Raises:
+            InputError: it has no parameters, or the file is gone or damaged.
+        """
+        if not self.has_parameters:
+            raise InputError(f'body {self.name!r} has no parameters; make it with method = "parametric"')
+        return self.read_parametric(self.name)
 
 
 @summarised
@@ -243,5 +257,6 @@ def _body(name: str, group: Any, kinds: Sequence[str], readers: Mapping[str, Any
     values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
     return StoredBody(
         name=name, has_recovery="recovery" in group, has_switching="switching" in group,
+        has_parameters="parametric" in group,
         certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None, **values, **readers,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from morembs.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:
+    from morembs.body.parametric import ParametricParts
     from morembs.certificate.certify import Certificate
     from morembs.reducers.switching_tables import StaticModeTables
 
@@ -51,6 +52,17 @@ def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
     limits = {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in certificate.limits.items()}
     more = {name: getattr(certificate, name) for name in ("bound_kind", "absolute_error")}
     return vars(certificate) | more | {"limits": limits, "version": CERTIFICATE_VERSION}
+
+
+def _parametric(**values: Any) -> ParametricParts:
+    # Not at the top: files are shown without what evaluates them.
+    from morembs.body.parametric import ParametricParts
+
+    return ParametricParts.of_rows(**values)
+
+
+def _parametric_parts(parts: ParametricParts) -> Mapping[str, object]:
+    return parts.rows()
 
 
 def _switching(**values: Any) -> StaticModeTables:
@@ -226,6 +238,73 @@ SWITCHING = Table((
     Row("notes", "json", "", "what was found on the way, as JSON"),
 ), build=_switching)  # fmt: skip
 
+# Sizes: P parameters, Q and J terms of stiffness and mass, 1 + morphs of them affine in morphs, q coordinates of
+# residuals, c cells of the box, k deflated columns.
+CELLS = Table((
+    Row("low", "real", "c P", "least values of the cell"),
+    Row("high", "real", "c P", "largest values of the cell"),
+    Row("alpha", "any", "c", "part of the stiffness at the anchor that is left at least"),
+    Row("least", "any", "c", "eigenvalue below which only deflated motions are", "1/s2"),
+    Row("proven", "flag", "c", "1 where counts of eigenvalues prove both"),
+))  # fmt: skip
+
+BOUND = Table((
+    Row("anchor", "real", "P", "values whose supported stiffness measures loads"),
+    Row("soft", "real", "P", "values of the softest and heaviest body"),
+    Row("cells", CELLS, doc="parts of the box, and what holds on each"),
+    Row("residual_B", "later", "q m", "coordinates of the loads in the dual norm"),
+    Row("residual_K", "later", "Q q n", "coordinates of the terms of the stiffness times the basis"),
+    Row("residual_M", "later", "J q n", "coordinates of the terms of the mass times the basis"),
+    Row("residual_F", "later", "q k", "coordinates of the mass times the deflated motions"),
+    Row("rest_B", "later", "m", "norms of what the coordinates leave out"),
+    Row("rest_K", "later", "Q n", "the same of the terms of the stiffness"),
+    Row("rest_M", "later", "J n", "the same of the terms of the mass"),
+    Row("rest_F", "later", "k", "the same of the deflated motions"),
+    Row("motion_F", "later", "n k", "the deflated motions in reduced coordinates"),
+    Row("sigma", "real", "", "weight of the deflated motions", "1/s2"),
+    Row("highest", "real", "", "upper end of the band", "rad/s"),
+    Row("eps", "real", "", "relative error of the stiffness of a morph, in every quadratic form"),
+))  # fmt: skip
+
+FRAME_TERMS = Table((
+    Row("pole", "real", "3", "about which the integrals are", "m"),
+    Row("mass", "real", "J", "of each term"),
+    Row("first", "real", "J f 3", "int x dm, x0 and the displacement of each morph"),
+    Row("second", "real", "J f 3 f 3", "int x x' dm of each two of them"),
+    Row("Ct", "real", "J n 3", "int phi dm, phi the columns of the basis"),
+    Row("x_phi", "later", "J f 3 3 n", "[j, i, a, b, l]: int x_a phi_b,l dm"),
+    Row("phi_phi", "later", "J 3 3 n n", "[j, a, b, k, l]: int phi_a,k phi_b,l dm"),
+    Row("markers/*", "real", "6 n", "displacement and small rotation of the interface per coordinate"),
+    Row("points/*", "real", "f 3", "place of the interface, and its displacement by each morph", "m"),
+))  # fmt: skip
+
+PARAMETRIC = Table((
+    Row("names", "text", "P", "names of the parameters"),
+    Row("kinds", "text", "P", "what each changes",
+        doc="what each changes: `young`, `density`, `morph`, `alpha` or `beta`"),
+    Row("units", "text", "P", "units of the values", read=False, doc="SI units of the values"),
+    Row("low", "real", "P", "least values"),
+    Row("high", "real", "P", "largest values"),
+    Row("nominal", "real", "P", "values of /bodies/NAME itself"),
+    Row("law/K", "whole", "Q P", "factors of the coefficient of each term of K: 0: 1; 1: p; 2: p^2; 3 + k: Lagrange "
+        "polynomial of point k of p", field="law_K"),
+    Row("law/M", "whole", "J P", "the same of each term of M", field="law_M"),
+    Row("law/points_K/*", "real", "any", "points of a parameter with Lagrange polynomials in K"),
+    Row("law/points_M/*", "real", "any", "the same in M"),
+    Row("K", "later", "Q n n", "terms of the stiffness"),
+    Row("M", "later", "J n n", "terms of the mass"),
+    Row("rigid", "real", "n any f", "unit translations and rotations, constant and per morph"),
+    Row("scale", "real", "m", "turns rotations into lengths", "m"),
+    Row("damping", "json", "", "damping at nominal values, as JSON", doc="damping at nominal values as JSON: `alpha`, "
+        "`beta`, `modal`, `modal_table`, `structural`"),
+    Row("displacement/*", "real", "N 3", "displacement of the nodes per unit of a morph", "m"),
+    Row("frame", FRAME_TERMS, doc="integrals over the terms of the mass, for floating frames", when="free bodies"),
+    Row("bound", BOUND, doc="what the bound of the error needs", when="where there is one"),
+    Row("box_bound", "any", "", "largest relative bound over the band at all sampled values",
+        doc="largest bound over the band at all sampled values, relative to the response: a maximum over samples"),
+    Row("floor", "real", "", "damping ratio that the bound assumes"),
+), build=_parametric, parts=_parametric_parts)  # fmt: skip
+
 BODY = Table((
     Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
     Row("stiffness_matrix", "real", "n n", "reduced matrix, symmetric", doc="K, symmetric"),
@@ -249,6 +328,8 @@ BODY = Table((
     Row("ranking", RANKING, when="where the job has an envelope"),
     Row("switching", SWITCHING, when="if", read=False, doc="static modes of candidate loads, if the method was "
         "`static-modes-switching`: see [switching](switching.md#in-the-body-file)"),
+    Row("parametric", PARAMETRIC, when="if", read=False, doc="the body at other values of its parameters, if the "
+        "method was `parametric`: see [parametric bodies](parametric.md)"),
     Row("recovery", RECOVERY, doc="stress shapes, if they were asked for: see below", when="if", read=False),
     Row("basis", "later", "3N n", "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
         doc="Phi: displacements of the nodes, see below", columns=True, read=False),

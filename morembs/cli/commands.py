@@ -16,6 +16,7 @@ import typer
 
 from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
+from morembs.cli.evaluate import app as evaluation
 from morembs.cli.messages import console, echo, print_json, printing, warn
 from morembs.cli.models import app as models
 from morembs.cli.terminal import (
@@ -190,6 +191,7 @@ def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[in
 
 app.add_typer(batches)
 app.add_typer(bodies)
+app.add_typer(evaluation)
 app.add_typer(models)
 
 

@@ -69,6 +69,11 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     progress.stage("check elements")
     require_room_of_mesh(job, mesh, materials, solver, start)
     graph = check_mesh(mesh, materials, progress)
+    if job.tables.parameter:
+        # Not at the top: most jobs have no parameters.
+        from morembs.jobs.parameters import parameters_of
+
+        parameters_of(job, mesh)
     progress.stage("check interfaces")
     size = 3 * len(mesh.nodes)
     model = outlined(job, mesh, materials)

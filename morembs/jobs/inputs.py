@@ -205,9 +205,11 @@ def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
 
 
 def _inputs(job: Job) -> dict[str, Path]:
+    moves = {f"the morph of {t.name}": job.resolve(t.mesh or t.displacement or "") for t in job.tables.parameter
+             if t.mesh or t.displacement}  # fmt: skip
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
     files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
-    return {"the job file": job.path, **files}
+    return {"the job file": job.path, **files, **moves}
 
 
 def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,8 @@ from morembs.summary import summarised
 
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
+    from morembs.interface import Interface
+    from morembs.parametric.terms import VariedModel
 
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
@@ -121,13 +123,13 @@ def _run(
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
     with files_read() as inputs:
-        model = _read(job, solver, materials, budget, start, watch)
+        model, varied = _read(job, solver, materials, budget, start, watch)
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
-        problem = Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget, progress=progress)
+        problem = _coupled(job, model, varied, interfaces, solver=solver, budget=budget, progress=progress)
         costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
@@ -187,21 +189,40 @@ def _write_state_space(job: Job, bodies: Sequence[ElasticBody]) -> None:
     write_state_space(job.state_space, system if asked.step is None else system.discrete(asked.step))
 
 
+def _coupled(
+    job: Job, model: FEModel, varied: VariedModel | None, interfaces: Sequence[Interface], **options: Any
+) -> Problem:
+    """The problem of the job, of nominal values where it has parameters."""
+    damping = damping_of(job)
+    if varied is None:
+        return Problem(model, interfaces, damping=damping, **options)
+    # Not at the top: most jobs have no parameters.
+    from morembs.parametric.terms import AffineProblem
+
+    return AffineProblem(varied, interfaces, damping=damping, model=model, **options)
+
+
 def _read(
     job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch
-) -> FEModel:
-    """The model of the job, from its model file or assembled from its mesh."""
+) -> tuple[FEModel, VariedModel | None]:
+    """The model of the job, from its model file or assembled from its mesh, and what its parameters make of it."""
     asked, progress = job.tables.model, watch.progress
     if asked.mesh is None:
         with watch.stage("read"):
             model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        return model
+        return model, None
     with watch.stage("read"):
         mesh = mesh_of(job)
     require_room_of_mesh(job, mesh, materials, solver, start)
     with watch.stage("assemble"):
-        return assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+        if job.tables.parameter:
+            from morembs.jobs.parameters import varied_of
+
+            varied = varied_of(job, mesh, materials, budget, progress)
+            return varied.model(varied.box.nominal, budget), varied
+        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+        return model, None
 
 
 def _reduce(job: Job, problem: Problem, wanted: BodyOptions, watch: Stopwatch) -> tuple[ElasticBody, ...]:
@@ -248,10 +269,11 @@ def _delivered(
         bodies = []
         for body, certificate, reducer in zip(reduced, certificates, reducers_of(job).values(), strict=True):
             switching = reducer.switching(problem, body, progress=progress)
+            variation = reducer.variation(problem, body, progress=progress)
             bodies.append(
                 build_body(
                     problem, body, part, wanted, certificate=certificate, operator=operator, switching=switching,
-                    progress=progress,
+                    variation=variation, progress=progress,
                 )
             )  # fmt: skip
         return tuple(bodies)

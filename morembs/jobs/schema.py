@@ -6,14 +6,19 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from morembs.errors import nearest
 from morembs.floating.preload import Preload
 from morembs.interface import COUPLINGS
+from morembs.parametric.parameter import NAME as PARAMETER
+from morembs.parametric.parameter import PROPERTIES
 from morembs.problem.damping import Damping, modal_steps
 from morembs.reducers import REDUCERS
 from morembs.responses.band import checked_band
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+# Properties that parameters do not have yet.
+LATER = ("speed", "preload", "spring")
 # Names become groups of the HDF5 file.
 SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
 
@@ -118,6 +123,38 @@ class MaterialTable(Table):
             )
         if self.axes is not None and not all(lists):
             raise ValueError("axes was given for an isotropic material; leave it out")
+        return self
+
+
+class ParameterTable(Table):
+    """``[[parameter]]``: what of the model varies, and between which values."""
+
+    name: str = Field(max_length=100, pattern=PARAMETER, description="a name of letters, digits and _")
+    property: str = Field(description="one of " + ", ".join(repr(name) for name in PROPERTIES))
+    set: str | list[str] = Field(
+        default="all",
+        description='an element set, a list of them, "all", or the elements in a region such as "box:0,0,0,1,1,1"',
+    )
+    range: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(description="[LOW, HIGH]")
+    nominal: float | None = Field(default=None, description="a number in the range")
+    displacement: str | None = Field(
+        default=None, min_length=1, description='the path of a table id,dx,dy,dz such as "longer.csv"'
+    )
+    mesh: str | None = Field(default=None, min_length=1, description="the path of the mesh at the value 1")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.property not in PROPERTIES:
+            if self.property in LATER:
+                raise ValueError(f"property = {self.property!r} is not supported yet; it is planned")
+            raise ValueError(f"property = {self.property!r} was given; {nearest(self.property, PROPERTIES)}")
+        moves = [key for key in ("displacement", "mesh") if getattr(self, key) is not None]
+        if self.property == "morph" and len(moves) != 1:
+            raise ValueError(f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given")
+        if self.property != "morph" and moves:
+            raise ValueError(f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph")
+        if self.property not in ("young", "density") and "set" in self.model_fields_set:
+            raise ValueError(f"set was given beside property = {self.property!r}; it belongs to young and density")
         return self
 
 
@@ -336,6 +373,7 @@ class JobTables(Table):
     substructure: list[SubstructureTable] = Field(default_factory=list, description="tables [[substructure]]")
     couple: list[CoupleTable] = Field(default_factory=list, description="tables [[couple]]")
     material: list[MaterialTable] = Field(default_factory=list, description="at least one table [[material]]")
+    parameter: list[ParameterTable] = Field(default_factory=list, description="tables [[parameter]]")
     interface: list[InterfaceTable] = Field(default_factory=list, description="tables [[interface]]")
     damping: DampingTable = Field(default_factory=DampingTable, description="a table [damping]")
     solver: SolverTable = Field(default_factory=SolverTable, description="a table [solver]")
@@ -363,6 +401,21 @@ class JobTables(Table):
             raise ValueError("[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one")
         if self.substructure and self.preload is not None:
             raise ValueError("[preload] was given for an assembly of bodies, which have no elements; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _parameters(self) -> Self:
+        varied = any(table.method == "parametric" for table in self.reduce)
+        if varied and not self.parameter:
+            raise ValueError('method = "parametric" needs parameters; add at least one table [[parameter]]')
+        if not self.parameter:
+            return self
+        if not varied:
+            raise ValueError('[[parameter]] was given; add a [[reduce]] with method = "parametric", or leave it out')
+        if self.model.mesh is None:
+            raise ValueError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
+        if self.preload is not None:
+            raise ValueError("[preload] was given beside [[parameter]], which change its stress; leave one of them out")
         return self
 
     @model_validator(mode="after")

@@ -7,7 +7,8 @@ those of the coefficients. NumPy and SciPy only.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,8 @@ class ParametricModel:
     of unit translations and rotations, affine in the morphs.
 
     ``damping`` is that of nominal values, ``scale`` (m,) turns rotations into lengths; ``bound`` says how wrong the
-    responses are, None where that is not known.
+    responses are, None where that is not known, for a damping ratio of ``floor`` beside the damping; ``box_bound`` is
+    the largest relative bound of all sampled values.
     """
 
     box: Box
@@ -51,6 +53,8 @@ class ParametricModel:
     damping: Damping
     scale: Floats
     bound: Any = None
+    box_bound: float = np.inf
+    floor: float = 0.0
 
     @property
     def order(self) -> int:
@@ -151,17 +155,26 @@ class ModelAt:
         a = (1 + 1j * self.damping.structural) * values + s * self.damping.of_modes(values) + s * s
         return self.Y[:, r:], a
 
-    def bound(self, frequencies_hz: Floats) -> tuple[Floats, str]:
-        """Bounds (nf,) of |H - H_r|_F in m/N, rotations times a length, infinite where there is none; and "bound" where
-        they are proven, "estimate" or "none"."""
-        omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
-        if self.model.bound is None:
-            return np.full(len(omega), np.inf), "none"
-        there = self.model.bound.at(
-            self.p, K=self.K, M=self.M, B=self.model.B * self.model.scale, rigid=self.model.rigid_at(self.p),
-            damping=self.damping,
+    @cached_property
+    def bound_at(self) -> Any:
+        """The bound of the model at this value, None where it has none; its damping has the ``floor``."""
+        model = self.model
+        if model.bound is None:
+            return None
+        return model.bound.at(
+            self.p, K=self.K, M=self.M, B=model.B * model.scale, rigid=model.rigid_at(self.p),
+            damping=replace(self.damping, structural=self.damping.structural + 2 * model.floor),
         )  # fmt: skip
-        return np.asarray(there.error(omega)), str(there.kind)
+
+    @property
+    def bound_kind(self) -> str:
+        """ "bound" where it is proven in exact arithmetic, "estimate" or "none"."""
+        return "none" if self.bound_at is None else str(self.bound_at.kind)
+
+    def bound(self, frequencies_hz: Floats) -> Floats:
+        """Bounds (nf,) of |H - H_r|_F in m/N, rotations times a length, infinite where there is none."""
+        omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        return np.full(len(omega), np.inf) if self.bound_at is None else np.asarray(self.bound_at.error(omega))
 
     def sensitivity(self) -> Sensitivity:
         """Derivatives with respect to each parameter, exact for the reduced model."""
@@ -235,8 +248,9 @@ class Sensitivity:
         return result
 
 
-def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None) -> ParametricModel:
-    """The reduced model of all values on the basis ``V`` (Nc, n), which spans the rigid motions of each.
+def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None, **more: Any) -> ParametricModel:
+    """The reduced model of all values on the basis ``V`` (Nc, n), which spans the rigid motions of each; ``more``
+    are fields of ``ParametricModel``.
 
     Raises:
         SolverError: it does not span them.
@@ -249,6 +263,7 @@ def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None) -> Pa
     return ParametricModel(
         box=problem.box, law_K=problem.law_K, law_M=problem.law_M, K=K, M=M, B=np.asarray((problem.B.T @ V).T),
         rigid=_rigid(problem, V), damping=problem.damping, scale=problem.motion_scale, bound=bound,
+        **more,
     )  # fmt: skip
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from morembs.body import make_part
+from morembs.body.build import BodyOptions, build_body
+from morembs.body.file import write_body
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
 from morembs.model.material import isotropic
 from morembs.model.selection import select_nodes
+from morembs.parametric.model import parametric_model
 from morembs.parametric.parameter import Parameter
+from morembs.progress import SILENT
+from morembs.reducers.base import Basis, Reducer
 from morembs.units import parse_units
 
 BRACKET = Path(__file__).parents[2] / "data" / "small_meshes" / "bracket.inp"
@@ -44,14 +52,14 @@ def interfaces(model):
     return [make_interface(model, name=name, nodes=select_nodes(model, f"set:{name}")) for name in ("FOOT", "TIP")]
 
 
-def some_basis(problem, modes=8):
+def some_basis(problem, modes=8, corners=6):
     """Rigid motions of all values, modes and static responses at nominal values and some corners, M-orthonormal."""
     columns = [problem.rigid_terms.reshape(problem.K.shape[0], -1)]
     high = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1], [0, 1, 0], [0, 1, 1]], dtype=bool)
     varied = [n for n, kind in enumerate(problem.box.kinds) if kind in ("young", "morph")]
-    corners = np.tile(problem.box.nominal, (len(high), 1))
-    corners[:, varied] = np.where(high[:, : len(varied)], problem.box.high[varied], problem.box.low[varied])
-    for p in (problem.box.nominal, *corners):
+    values = np.tile(problem.box.nominal, (len(high), 1))
+    values[:, varied] = np.where(high[:, : len(varied)], problem.box.high[varied], problem.box.low[varied])
+    for p in (problem.box.nominal, *values[:corners]):
         with problem.at(p) as there:
             columns += [there.elastic_modes(count=modes).vectors, there.elastic.flexibility(there.B.toarray())]
     X = np.hstack(columns)
@@ -63,3 +71,28 @@ def some_basis(problem, modes=8):
         keep = values > 1e-12 * values[-1]
         X = X @ (Q[:, keep] / np.sqrt(values[keep]))
     return np.hstack([Z, X])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SomeBasis(Reducer):
+    """``some_basis`` as a reduction, which nobody has searched for."""
+
+    method: ClassVar[str] = "some-basis"
+    modes: int = 4
+
+    def _basis(self, problem, progress):
+        V = some_basis(problem, self.modes, corners=2)
+        K = V.T @ (problem.K @ V)
+        return Basis(V=V, kinds=("rigid",) * 6 + ("krylov",) * (V.shape[1] - 6), K=K, rigid=np.eye(V.shape[1], 6))
+
+    def variation(self, problem, reduced, *, progress=SILENT):
+        return parametric_model(problem, reduced.V)
+
+
+def parametric_file(path, problem, options=None, nodes="all"):
+    """The body file of ``SomeBasis``."""
+    reducer = SomeBasis()
+    reduced = reducer.reduce(problem)
+    variation = reducer.variation(problem, reduced)
+    body = build_body(problem, reduced, make_part(problem, nodes), options or BodyOptions(), variation=variation)
+    return write_body(path, [body])

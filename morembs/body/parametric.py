@@ -1,0 +1,275 @@
+"""A body file with parameters, evaluated: bodies at other values, with their frames, derivatives and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body.stored import ByName, StoredBodies, StoredBody
+from morembs.errors import InputError
+from morembs.floating.parametric import FrameTerms, frame_terms
+from morembs.parametric.law import Law
+from morembs.parametric.model import ModelAt, ParametricModel, Sensitivity
+from morembs.parametric.parameter import Box
+from morembs.problem.damping import Damping
+from morembs.storage.table_check import refuse_not_finite
+
+if TYPE_CHECKING:
+    from morembs.body.body import Part
+    from morembs.problem import Problem
+    from morembs.reducers.base import ReducedModel
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+# Fields of the damping of a body.
+DAMPING = ("alpha", "beta", "modal", "modal_table", "structural")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParametricParts:
+    """What a body file keeps of parameters: the reduced ``model`` of all values, ``frame`` terms, and ``displacement``
+    (N, 3) of the kept nodes per unit of each morph, by name."""
+
+    model: ParametricModel
+    frame: FrameTerms | None
+    displacement: Mapping[str, Floats]
+
+    def rows(self) -> dict[str, Any]:
+        """Fields by the rows of the file."""
+        model, box = self.model, self.model.box
+
+        def points(law: Law) -> dict[str, Floats]:
+            return {name: at for name, at in zip(box.names, law.points, strict=True) if len(at)}
+
+        given = {key: value for key, value in asdict(model.damping).items() if key in DAMPING}
+        return {
+            "names": box.names, "kinds": box.kinds, "units": box.units, "low": box.low, "high": box.high,
+            "nominal": box.nominal, "points_K": points(model.law_K), "points_M": points(model.law_M), "K": model.K,
+            "M": model.M, "rigid": model.rigid, "scale": model.scale, "damping": given, "frame": self.frame,
+            "displacement": self.displacement, "bound": model.bound, "box_bound": model.box_bound,
+            "floor": model.floor, "law_K": model.law_K.factors, "law_M": model.law_M.factors,
+        }  # fmt: skip
+
+    @classmethod
+    def of_rows(
+        cls, *, names: tuple[str, ...], kinds: tuple[str, ...], low: Floats, high: Floats, nominal: Floats,
+        law_K: Any, law_M: Any, points_K: Mapping[str, Floats], points_M: Mapping[str, Floats], damping: dict[str, Any],
+        displacement: Mapping[str, Floats], box_bound: float, frame: dict[str, Any] | None = None,
+        bound: dict[str, Any] | None = None, **matrices: Any,
+    ) -> ParametricParts:  # fmt: skip
+        """Of the fields that a file has."""
+        box = Box(names=names, kinds=kinds, low=low, high=high, nominal=nominal)
+        laws = [
+            Law(factors=factors, points=tuple(points.get(name, np.zeros(0)) for name in names))
+            for factors, points in ((law_K, points_K), (law_M, points_M))
+        ]
+        model = ParametricModel(
+            box=box, law_K=laws[0], law_M=laws[1], damping=Damping(**damping), box_bound=box_bound,
+            B=np.zeros((0, 0)), bound=None if bound is None else _bound(laws, bound), **matrices,
+        )  # fmt: skip
+        for name in ("K", "M"):
+            refuse_not_finite("the body file", f"parametric/{name}", getattr(model, name))
+        return cls(model=model, frame=None if frame is None else FrameTerms(**frame), displacement=displacement)
+
+
+def _bound(laws: list[Law], values: dict[str, Any]) -> Any:
+    from morembs.parametric.bound import Cells, ParametricBound
+
+    return ParametricBound(law_K=laws[0], law_M=laws[1], cells=Cells(**values.pop("cells")), **values)
+
+
+def parametric_parts(problem: Problem, reduced: ReducedModel, part: Part, model: ParametricModel) -> ParametricParts:
+    """What the file keeps of the ``model`` of all values, whose body of nominal ones is ``reduced``."""
+    from morembs.parametric.terms import AffineProblem
+
+    if not isinstance(problem, AffineProblem):
+        raise InputError("a problem without parameters was given; expected an AffineProblem")
+    rows = np.searchsorted(part.node_ids, part.nodes.ids, sorter=(order := np.argsort(part.node_ids, kind="stable")))
+    morph = problem.varied.morph
+    displacement = {
+        problem.box.names[number]: d[order[rows]] for number, d in zip(morph.which, morph.displacements, strict=True)
+    }
+    frame = frame_terms(problem, reduced.V) if problem.rigid.shape[1] else None
+    return ParametricParts(model=model, frame=frame, displacement=displacement)
+
+
+class ParametricBody:
+    """A body of a file with parameters.
+
+    >>> body = morembs.read_body("bracket.h5").bodies["parametric"].parametric
+    >>> at = body.at(E_arm=2.0e11, t=1.5)
+    >>> at.frequencies_hz[:2]
+    """
+
+    def __init__(self, path: Path, source: StoredBodies, body: StoredBody, parts: ParametricParts) -> None:
+        self.path, self.source, self.stored, self.parts = path, source, body, parts
+        self.model = replace(parts.model, B=body.input_matrix)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.box.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return self.model.box.units
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Least and largest values (P,) of the parameters."""
+        return self.model.box.low, self.model.box.high
+
+    @property
+    def nominal(self) -> Floats:
+        """Nominal values (P,)."""
+        return self.model.box.nominal
+
+    @property
+    def box_bound(self) -> float:
+        """Largest relative bound of the error over the band of all values that were sampled: no more than that."""
+        return self.model.box_bound
+
+    def at(self, **values: float) -> BodyAt:
+        """The body at named values; the others are nominal.
+
+        Raises:
+            InputError: an unknown name, or a value outside its range.
+        """
+        return BodyAt(self, self.model.at(self.model.box.point(values)))
+
+    def sensitivity(self, **values: float) -> Sensitivity:
+        """Derivatives of the matrices, frequencies and responses at named values, exact for the reduced body.
+
+        Raises:
+            InputError: as ``at``.
+        """
+        return self.at(**values).model.sensitivity()
+
+    def response(self, frequencies_hz: Floats, **values: float) -> tuple[Complexes, Floats]:
+        """Elastic part of H (nf, m, m), and bounds (nf,) of its error: see ``BodyAt.bound``.
+
+        Raises:
+            InputError: as ``at``.
+        """
+        at = self.at(**values)
+        return at.response(frequencies_hz), at.bound(frequencies_hz)
+
+    def frequencies_hz(self, table: Floats, count: int = 6) -> Floats:
+        """The first elastic eigenfrequencies (k, ``count``) at each row of ``table`` (k, P), in the order of ``names``.
+
+        Raises:
+            InputError: a value outside its range, or more frequencies than the body has.
+        """
+        return self.model.frequencies_hz(table, count)
+
+
+class BodyAt:
+    """A body at one value of its parameters: matrices (n, n) and what a body file has."""
+
+    def __init__(self, parent: ParametricBody, model: ModelAt) -> None:
+        self.parent, self.model = parent, model
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of all parameters by name."""
+        return dict(zip(self.parent.names, self.model.p.tolist(), strict=True))
+
+    @property
+    def M(self) -> Floats:
+        """Mass (n, n)."""
+        return self.model.M
+
+    @property
+    def K(self) -> Floats:
+        """Stiffness (n, n)."""
+        return self.model.K
+
+    @property
+    def D(self) -> Floats:
+        """Damping (n, n)."""
+        return self.model.D
+
+    @property
+    def B(self) -> Floats:
+        """Loads (n, m), the same at all values."""
+        return self.model.B
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Elastic eigenfrequencies (e,)."""
+        return self.model.frequencies_hz
+
+    def response(self, frequencies_hz: Floats) -> Complexes:
+        """Elastic part of H (nf, m, m) at frequencies in Hz."""
+        return self.model.response(frequencies_hz)
+
+    def bound(self, frequencies_hz: Floats) -> Floats:
+        """Bounds (nf,) of the Frobenius norm of the error of H in m/N, rotations times the radius of gyration; infinite
+        where there is none. ``bound_kind`` says whether they are proven."""
+        return self.model.bound(frequencies_hz)
+
+    @property
+    def bound_kind(self) -> str:
+        """"bound" where ``bound`` is proven in exact arithmetic, "estimate" or "none"."""
+        return self.model.bound_kind
+
+    @cached_property
+    def bodies(self) -> StoredBodies:
+        """What the body file of these values holds, of which exporters take the ``body``."""
+        source, body, terms = self.parent.source, self.parent.stored, self.parent.parts.frame
+        changed: dict[str, Any] = {}
+        floating, interfaces = None, source.interfaces
+        if terms is not None and body.floating is not None:
+            known = body.floating
+            floating = terms.frame(
+                self.model, kind=known.kind, interfaces=known.interfaces, origin=known.origin.tolist()
+            )
+            about = floating.integrals.center
+            changed = {
+                "mass": floating.integrals.mass, "center_of_mass": floating.origin + about,
+                "inertia": floating.integrals.about(about).inertia,
+            }  # fmt: skip
+            places = {name: replace(i, point=terms.point(name, self.model)) for name, i in interfaces.items()}
+            interfaces = ByName("interface", places)
+        rigid = np.zeros(self.model.rigid.shape[1])
+        here = replace(
+            body, mass_matrix=self.M, stiffness_matrix=self.K, damping_matrix=self.D,
+            frequencies_hz=np.concatenate([rigid, self.frequencies_hz]), full_frequencies_hz=None, certificate=None,
+            floating=floating, ranking=(), has_recovery=False, has_switching=False, has_parameters=False,
+            recipe={**body.recipe, "at": self.values},
+        )  # fmt: skip
+        return replace(
+            source, coordinates=self._coordinates(), interfaces=interfaces, bodies=ByName("body", {body.name: here}),
+            **changed,
+        )  # fmt: skip
+
+    @property
+    def body(self) -> StoredBody:
+        """The body of these values."""
+        return self.bodies.bodies[self.parent.stored.name]
+
+    def _coordinates(self) -> Floats:
+        """Places (N, 3) of the kept nodes."""
+        box, coordinates = self.model.model.box, self.parent.source.coordinates
+        for number in box.morphs:
+            t = self.model.p[number] - box.nominal[number]
+            coordinates = coordinates + t * self.parent.parts.displacement[box.names[number]]
+        return coordinates
+
+    def write(self, path: str | Path) -> Path:
+        """Write an ordinary body file of these values, which every exporter and simulator takes.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        # Not at the top: what evaluates does not write as a rule.
+        from morembs.body.restored import write_stored
+
+        return write_stored(path, self.bodies, self.body, self.parent.path)
