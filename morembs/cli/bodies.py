@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -46,6 +47,12 @@ def export(
         str | None, typer.Option(help="Another floating frame: mean-axes, tangent:NAME, chord:NAME,NAME ...")
     ] = None,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the target, KEY=VALUE.")] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, in SI units.")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--table", metavar="FILE.csv", help="Values of parameters, a row for each body.")
+    ] = None,
     listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -65,11 +72,22 @@ def export(
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
         if out is not None and len(files) > 1:
             raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
+        if table is not None:
+            # Not at the top: few bodies have parameters.
+            from morembs.cli.evaluate import export_family
+
+            if at is not None or len(files) > 1:
+                raise InputError("--table was given with --at or several files; expected one file and a table")
+            export_family(files[0], table, to, out, body, pairs(option or []), frame, as_json)
+            return
 
     taken: list[Path] = []
 
     def write(file: Path, documents: Documents) -> None:
-        done = export_body(file, to, path=out, body=body, options=pairs(option or []), frame=frame, taken=taken)
+        done = export_body(
+            file, to, path=out, body=body, options=pairs(option or []), frame=frame, taken=taken,
+            at=None if at is None else values_of(at),
+        )  # fmt: skip
         taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:
@@ -79,6 +97,24 @@ def export(
             typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
 
     each_file(files, as_json, write)
+
+
+def values_of(text: str | None) -> dict[str, float]:
+    """Values by name of NAME=VALUE,NAME=VALUE.
+
+    Raises:
+        InputError: another form, a name twice, or no number.
+    """
+    values: dict[str, float] = {}
+    parts = [part.replace(" ", "") for part in (text or "").split(",") if part.strip()]
+    for name, value in pairs(parts, "--at").items():
+        try:
+            values[name] = float(value)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
+            raise InputError(f"--at {name}={value} was given; expected NAME=NUMBER,NAME=NUMBER")
+    return values
 
 
 def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Documents], None]) -> None:

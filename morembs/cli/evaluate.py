@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from morembs.cli.bodies import BodyFile, BodyName
+from morembs.cli.bodies import BodyFile, BodyName, values_of
 from morembs.cli.messages import print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages
 from morembs.errors import InputError
@@ -86,27 +87,6 @@ def parametric_of(file: Path, body: str | None) -> ParametricBody:
     return (varied or list(bodies.values()))[0].parametric
 
 
-def values_of(text: str | None) -> dict[str, float]:
-    """Values by name of NAME=VALUE,NAME=VALUE.
-
-    Raises:
-        InputError: another form, a name twice, or no number.
-    """
-    values: dict[str, float] = {}
-    for part in (text or "").split(","):
-        if not part.strip():
-            continue
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        try:
-            number = float(value)
-        except ValueError:
-            number = np.nan
-        if not equals or name in values or not np.isfinite(number):
-            raise InputError(f"--at {text!r} was given; expected NAME=NUMBER,NAME=NUMBER, each name once")
-        values[name] = number
-    return values
-
-
 def read_values(path: Path, parametric: ParametricBody) -> Floats:
     """Values (k, P) of a table, whose header has names of parameters; others are nominal.
 
@@ -131,6 +111,45 @@ def read_values(path: Path, parametric: ParametricBody) -> Floats:
         except InputError as error:
             raise InputError(f"the table {path}, row {number + 1}: {error}") from error
     return result
+
+
+def export_family(
+    file: Path, table: Path, to: str, out: Path | None, body: str | None, options: Mapping[str, object],
+    frame: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Write the body at each row of ``table`` for another program: numbered files beside ``out`` and ``index.csv``.
+
+    Raises:
+        InputError: as ``export_body`` and ``read_values``.
+    """
+    from morembs.exporters import EXPORTERS, export_body, make_exporter
+    from morembs.storage.safefile import replacing
+
+    make_exporter(to, options)
+    suffix = EXPORTERS[to].suffix
+    first = file.with_suffix(suffix) if out is None else out
+    parametric = parametric_of(file, body)
+    values = read_values(table, parametric)
+    digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
+    for number, p in enumerate(values, 1):
+        path = first.with_name(f"{first.name.removesuffix(first.suffix)}_{number:0{digits}d}{first.suffix or suffix}")
+        at = dict(zip(parametric.names, p.tolist(), strict=True))
+        done = export_body(
+            file, to, path=path, body=parametric.stored.name, options=options, frame=frame, at=at, taken=taken
+        )
+        taken.extend(done.paths)
+        rows.append([path.name, *(repr(x) for x in p.tolist())])
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([["file", *parametric.names], *rows])
+    index = first.with_name("index.csv")
+    with replacing(index) as written:
+        written.write(text.getvalue().encode())
+    paths = [str(path) for path in (*taken, index)]
+    with printing(paths):
+        if as_json:
+            print_json([{"file": str(file), "to": to, "written": paths}])
+        else:
+            typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix}, and {index}")
 
 
 def _evaluate_one(at: BodyAt, out: Path | None, count: int, sensitivity: bool, as_json: bool) -> None:

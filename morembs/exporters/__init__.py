@@ -83,7 +83,8 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
 
 def export_body(
     source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
-    options: Mapping[str, object] | None = None, frame: str | None = None, taken: Collection[Path] = (),
+    options: Mapping[str, object] | None = None, frame: str | None = None, at: Mapping[str, float] | None = None,
+    taken: Collection[Path] = (),
 ) -> Exported:  # fmt: skip
     """Write one body of a body file in the format of another program.
 
@@ -94,6 +95,7 @@ def export_body(
         options: fields of the exporter.
         frame: another floating frame, "mean-axes" or with its interfaces "tangent:LEFT", "chord:LEFT,RIGHT"; the name
             of the output tells it.
+        at: values of the parameters of a body that has some, by name; others are nominal.
         taken: files that must stay as they are, such as those of other bodies.
 
     Raises:
@@ -109,10 +111,13 @@ def export_body(
     place = Path(source)
     bodies = read_body(place)
     chosen = choose_body(bodies, body, place)
+    several = len(bodies.bodies) > 1
     notes: tuple[str, ...] = ()
+    if at is not None:
+        there = chosen.parametric.at(**at)
+        bodies, chosen = there.bodies, there.body
     if frame is not None:
         chosen, notes = _in_frame(chosen, frame)
-    several = len(bodies.bodies) > 1
     target = default_path(place, exporter, chosen.name, several=several, frame=frame) if path is None else Path(path)
     if target.resolve() in {other.resolve() for other in taken}:
         raise InputError(f"{target} was just written, from another file or the same; give each file once, or --out")

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from morembs.errors import InputError
 from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
+from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
-from morembs.reducers.base import Basis, Reducer
+from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.responses.band import checked_band
 from morembs.responses.certified import checked_floor
 
@@ -77,6 +78,12 @@ class ParametricReducer(Reducer):
             order_limit=self.order_limit, floor=self.damping_floor, accept_bound=self.accept_bound,
         )  # fmt: skip
         return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted, progress).run())
+
+    def variation(
+        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
+    ) -> ParametricModel | None:
+        basis = self.search(problem, progress)
+        return replace(basis.model, box_bound=basis.box_bound, floor=basis.floor)
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         basis = self.search(problem, progress)

@@ -1,0 +1,124 @@
+"""``morembs evaluate`` and the export of bodies at values of their parameters."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import morembs
+from morembs.cli import app
+from morembs.parametric.terms import AffineProblem, varied_model
+from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    mesh = bracket()
+    varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
+    with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
+        return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="skin")
+
+
+@pytest.fixture
+def table(tmp_path):
+    file = tmp_path / "p.csv"
+    file.write_text("E_arm,t\n1.6e11,-2\n2.0e11,1.5\n2.6e11,2.5\n")
+    return file
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == code, result.stderr
+    return result.stdout if code == 0 else result.stderr
+
+
+def test_a_body_at_values_is_written(path, tmp_path):
+    out = tmp_path / "at.h5"
+    text = run("evaluate", path, "--at", "E_arm=2.0e11, t=1.5", "-o", out)
+    body = morembs.read_body(path).bodies["some-basis"].parametric
+    expected = body.at(E_arm=2.0e11, t=1.5).frequencies_hz
+    assert f"{expected[0]:,.7g}" in text
+    assert "E_arm = 2e+11 Pa" in text
+    np.testing.assert_allclose(morembs.read_body(out).bodies["some-basis"].frequencies_hz[6:], expected, rtol=1e-12)
+
+
+def test_derivatives_of_frequencies_are_shown(path):
+    (document,) = json.loads(run("evaluate", path, "--at", "t=1.0", "--sensitivity", "--frequencies", "4", "--json"))
+    s = morembs.read_body(path).bodies["some-basis"].parametric.sensitivity(t=1.0)
+    assert document["frequency_slopes"]["t"] == pytest.approx(s.frequencies_hz["t"][:4].tolist())
+    assert document["clustered"] == [False] * 4
+    assert document["bound_kind"] == "none"
+
+
+def test_tables_give_frequencies_and_matrices(path, table, tmp_path):
+    body = morembs.read_body(path).bodies["some-basis"].parametric
+    rows = list(csv.DictReader(run("evaluate", path, "--table", table, "--frequencies", "3").splitlines()))
+    assert [float(row["t"]) for row in rows] == [-2.0, 1.5, 2.5]
+    assert [float(row["rho"]) for row in rows] == [7850.0] * 3
+    for row in rows:
+        expected = body.at(E_arm=float(row["E_arm"]), t=float(row["t"])).frequencies_hz[:3]
+        assert [float(row[f"frequency_{k}_hz"]) for k in (1, 2, 3)] == pytest.approx(expected.tolist(), rel=1e-8)
+    out = tmp_path / "t.h5"
+    run("evaluate", path, "--table", table, "--out", out, "--matrices")
+    with h5py.File(out) as file:
+        assert np.array_equal(file["K"][1], body.at(E_arm=2.0e11, t=1.5).K)
+        assert file["frequencies_hz"].shape == (3, 6)
+
+
+def test_a_body_at_values_is_exported(path, tmp_path):
+    out = tmp_path / "at.npz"
+    run("export", path, "--at", "t=1.5", "--to", "exudyn", "-o", out)
+    whole = tmp_path / "whole.h5"
+    run("evaluate", path, "--at", "t=1.5", "-o", whole)
+    other = tmp_path / "other.npz"
+    run("export", whole, "--to", "exudyn", "-o", other)
+    assert out.read_bytes() == other.read_bytes()
+
+
+def test_a_family_is_exported_with_an_index(path, table, tmp_path):
+    run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm.SID_FEM")
+    rows = list(csv.DictReader((tmp_path / "index.csv").read_text().splitlines()))
+    assert [row["file"] for row in rows] == ["arm_1.SID_FEM", "arm_2.SID_FEM", "arm_3.SID_FEM"]
+    assert float(rows[2]["E_arm"]) == 2.6e11
+    assert all((tmp_path / row["file"]).stat().st_size for row in rows)
+    assert (tmp_path / "arm_1.SID_FEM").read_bytes() != (tmp_path / "arm_2.SID_FEM").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--at", "E_arm=3e11"], "E_arm = 3e+11 lies outside [1.5e+11, 2.7e+11]; the bound does not hold there"),
+        (["--at", "E_amr=2e11"], "did you mean 'E_arm'"),
+        (["--at", "E_arm=soft"], "expected NAME=NUMBER"),
+        (["--at", "t=1,t=2"], "each key once"),
+        ([], "--at NAME=VALUE,... for one body, or --table"),
+        (["--table", "absent.csv"], "cannot be read"),
+        (["--at", "t=1", "--table", "absent.csv"], "evaluate needs values"),
+        (["--at", "t=1", "--matrices"], "it needs --table"),
+    ],
+)
+def test_wrong_values_are_refused(path, arguments, message):
+    error = run("evaluate", path, *arguments, code=2)
+    assert error.startswith("error: ")
+    assert message in error.replace("\n", " ")
+
+
+def test_wrong_rows_of_tables_are_named(path, tmp_path):
+    table = tmp_path / "p.csv"
+    for text, message in (
+        ("E_arm,t\n2e11,0\n2e11,5\n", "row 2: t = 5 lies outside [-3, 3]"),
+        ("E_arm,t\n2e11\n", "row 1"),
+        ("E_arm,E_arm\n2e11,2e11\n", "a name twice"),
+        ("E_arm\n", "no rows"),
+    ):
+        table.write_text(text)
+        assert message in run("evaluate", path, "--table", table, code=2)
+
+
+def test_a_body_without_parameters_says_so(path, tmp_path):
+    out = tmp_path / "at.h5"
+    run("evaluate", path, "--at", "t=1", "-o", out)
+    assert 'has no parameters; make it with method = "parametric"' in run("evaluate", out, "--at", "t=1", code=2)
