@@ -309,8 +309,8 @@ class GreedySearch:
         )  # fmt: skip
         return InputError(
             f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is "
-            f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz{geometry}; raise the tolerance or the order_limit, narrow the "
-            "ranges or the band, or take accept_bound = true"
+            f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz{geometry}; raise the tolerance or the order_limit, "
+            "narrow the ranges or the band, or take accept_bound = true"
         )
 
 
