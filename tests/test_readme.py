@@ -197,6 +197,7 @@ RUN = {
     "gmp.md": {"python": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 3, "python": 1},
     "multibody.md": {"python": 4},
+    "parametric.md": {"toml": 1, "python": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},

@@ -76,7 +76,7 @@ class ParametricBasis:
     floor: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Wanted:
     """What a basis is to keep: relative error ``tolerance`` of the response over ``band_hz``, at ``training`` Sobol
     points and the corners, with ``order_limit`` columns at most."""
