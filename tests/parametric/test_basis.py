@@ -153,5 +153,6 @@ def test_low_ritz_pairs_are_beside_exact_rigid_motion(problem, basis):
     np.testing.assert_allclose(Z.T @ M @ Z, np.eye(6), atol=1e-10)
     assert np.abs(Z.T @ M @ Y).max() < 1e-10
     with problem.at(p, assembled=True) as there:
-        true = there.elastic_modes(count=2).eigenvalues
-    np.testing.assert_allclose(values[:2], true, rtol=1e-4)
+        # The only one in the band.
+        true = there.elastic_modes(count=1).eigenvalues
+    np.testing.assert_allclose(values[:1], true, rtol=1e-5)
