@@ -86,8 +86,8 @@ def _bound(laws: list[Law], values: dict[str, Any]) -> Any:
 def parametric_parts(
     problem: Problem, reduced: ReducedModel, kept: NDArray[np.int64], model: ParametricModel
 ) -> ParametricParts:
-    """What the file keeps of the ``model`` of all values, whose body of nominal ones is ``reduced``; ``kept`` are labels
-    of nodes."""
+    """What the file keeps of the ``model`` of all values, whose body of nominal ones is ``reduced``; ``kept`` are
+    labels of nodes."""
     from morembs.parametric.terms import AffineProblem
 
     if not isinstance(problem, AffineProblem):
