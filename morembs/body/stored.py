@@ -163,7 +163,7 @@ class StoredBody(Viewed):
 
     @property
     def parametric(self) -> Any:
-        """The body at other values of its parameters, a ``morembs.body.parametric.ParametricBody``, read from the file at each call.
+        """The body at other values of its parameters, a ``ParametricBody``, read from the file at each call.
 
         Raises:
             InputError: it has no parameters, or the file is gone or damaged.
