@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from morembs.body.body import ElasticBody, Part, elastic_body
-from morembs.body.parametric import parametric_parts
+from morembs.body.parametric_parts import parametric_parts
 from morembs.body.stress_shapes import stress_recovery
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating

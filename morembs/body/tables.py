@@ -19,7 +19,7 @@ from morembs.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:
-    from morembs.body.parametric import ParametricParts
+    from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
     from morembs.reducers.switching_tables import StaticModeTables
 
@@ -57,7 +57,7 @@ def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
 
 def _parametric(**values: Any) -> ParametricParts:
     # Not at the top: files are shown without what evaluates them.
-    from morembs.body.parametric import ParametricParts
+    from morembs.body.parametric_parts import ParametricParts
 
     return ParametricParts.of_rows(**values)
 

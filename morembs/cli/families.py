@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def parametric_of(file: Path, body: str | None) -> ParametricBody:
+def parametric_of(file: Path, body: str | None) -> Any:
     """The body with parameters of a file.
 
     Raises:
