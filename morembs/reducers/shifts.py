@@ -272,8 +272,8 @@ def _grown(shared: tuple[Dynamics, Mapping[object, Floats]], task: tuple[complex
     s, counts = task
     point = ExpansionPoint(dynamics, s)
     chains = point.grow({key: Wanted(loads[key], count) for key, count in counts.items()})
-    made = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
-    return Grown(at=point.at, moves=point.moves, chains=made)
+    parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
+    return Grown(at=point.at, moves=point.moves, chains=parts)
 
 
 def frequency(s: complex) -> float:

@@ -92,7 +92,7 @@ def strays(folder: Path) -> list[str]:
 
 def test_the_same_bodies_come_out_here_and_there(shared: Cluster, tmp_path: Path) -> None:
     """Bit for bit; faults are told as here, and what is up to date needs no workers."""
-    made = []
+    written = []
     for place in ("local:1", "local:2", shared.address):
         folder = jobs(tmp_path / place.replace(":", "_").replace("/", "_"), 2)
         (folder / "wrong").mkdir()
@@ -104,10 +104,10 @@ def test_the_same_bodies_come_out_here_and_there(shared: Cluster, tmp_path: Path
         lines = done.stderr.splitlines()
         first = min(number for number, line in enumerate(lines) if "done in" in line)
         assert all(number < first for number, line in enumerate(lines) if "failed" in line)
-        made.append(sums(folder))
-        assert {event["facts"]["body_sha256"] for event in events(folder, "ended")} == set(made[-1].values())  # type: ignore[index]
+        written.append(sums(folder))
+        assert {event["facts"]["body_sha256"] for event in events(folder, "ended")} == set(written[-1].values())  # type: ignore[index]
         assert strays(folder) == []
-    assert made[0] == made[1] == made[2] and len(made[0]) == 2
+    assert written[0] == written[1] == written[2] and len(written[0]) == 2
     shutil.rmtree(folder / "wrong")
     (folder / "lost.toml").unlink()
     again = CliRunner().invoke(app, ["batch", str(folder), "--cluster", "tcp://127.0.0.1:1"])
