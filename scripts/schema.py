@@ -33,7 +33,8 @@ SHOWN = {
     "recovery": [("", tables.RECOVERY)],
     "switching": [("", tables.SWITCHING)],
     "parametric": [
-        ("", tables.PARAMETRIC), ("frame/", tables.FRAME_TERMS), ("bound/", tables.BOUND), ("bound/cells/", tables.CELLS),
+        ("", tables.PARAMETRIC), ("frame/", tables.FRAME_TERMS), ("bound/", tables.BOUND),
+        ("bound/cells/", tables.CELLS),
     ],
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],

@@ -306,8 +306,8 @@ PARAMETRIC = Table((
     Row("frame", FRAME_TERMS, doc="integrals over the terms of the mass, for floating frames", when="free bodies"),
     Row("bound", BOUND, doc="what the bound of the error needs", when="where there is one"),
     Row("box_bound", "any", "", "largest relative bound over the band at all sampled values",
-        doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum over "
-        "samples"),
+        doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum "
+        "over samples"),
     Row("floor", "real", "", "damping ratio that box_bound gives to models without damping"),
 ), build=_parametric, parts=_parametric_parts)  # fmt: skip
 
