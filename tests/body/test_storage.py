@@ -84,7 +84,8 @@ class Made:
         )  # fmt: skip
         self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
         self.name, self.recipe, self.full_frequencies_hz, self.certificate = "made", {}, None, None
-        self.floating, self.ranking, self.recovery, self.switching, self.spin = None, (), None, None, None
+        self.floating, self.ranking, self.recovery, self.switching = None, (), None, None
+        self.spin = self.parametric = None
         self.frequencies_hz = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
         self.fail_at, self.error, self.asked = fail_at, error, 0
 

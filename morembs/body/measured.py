@@ -1,0 +1,79 @@
+"""Tables of measured frequencies and shapes, for updates of bodies with parameters."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.body.parametric import ParametricBody
+from morembs.errors import InputError
+from morembs.parametric.update import SIGMA, Measured
+
+Floats = NDArray[np.float64]
+
+
+def read_measured(path: Path, parametric: ParametricBody, shapes: Path | None = None) -> Measured:
+    """Measured frequencies, and shapes where there are any.
+
+    Raises:
+        InputError: a table that cannot be read, columns that are missing, or nodes that the body file does not keep.
+    """
+    columns = _columns(path, ("mode", "frequency_hz"), ("sigma_hz",))
+    modes, frequencies = columns["mode"], columns["frequency_hz"]
+    if (modes != np.round(modes)).any():
+        raise InputError(f"the table {path} has modes {modes.tolist()}; expected integers from 1")
+    sigma = columns.get("sigma_hz", SIGMA * frequencies)
+    motions, basis = _shapes(shapes, modes, parametric) if shapes is not None else (None, None)
+    return Measured(
+        modes=modes.astype(np.int64), frequencies_hz=frequencies, sigma_hz=sigma, shapes=motions, basis=basis
+    )
+
+
+def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floats, Floats]:
+    """Shapes (k, d) in the order of ``modes``, and the basis (d, n) there."""
+    columns = _columns(path, ("mode", "id", "ux", "uy", "uz"))
+    ids = np.unique(columns["id"])
+    kept = parametric.source.node_ids
+    lost = np.setdiff1d(ids, kept)
+    if len(lost):
+        raise InputError(
+            f"the table {path} has the node {lost[0]:g}, and the body file keeps {len(kept)} nodes without it; make "
+            'the body with [output] nodes = "all", or leave it out'
+        )
+    motions = np.full((len(modes), len(ids), 3), np.nan)
+    for mode, node, *motion in zip(*columns.values(), strict=True):
+        if mode not in modes:
+            raise InputError(f"the table {path} has a shape of mode {mode:g}, of which no frequency was measured")
+        motions[np.flatnonzero(modes == mode)[0], np.searchsorted(ids, node)] = motion
+    if np.isnan(motions).any():
+        raise InputError(f"the table {path} lacks nodes in some of its shapes; expected every mode at the same nodes")
+    rows = 3 * np.flatnonzero(np.isin(kept, ids))[:, None] + np.arange(3)
+    order = np.argsort(np.argsort(kept[np.isin(kept, ids)]))
+    return motions[:, order].reshape(len(modes), -1), parametric.stored.basis()[rows.ravel()]
+
+
+def _columns(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
+    """Columns (k,) of a CSV file, in the order of ``names``."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file, skipinitialspace=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
+    header = [str(name).strip() for name in (rows[0] if rows else {})]
+    if not rows or set(names) - set(header):
+        raise InputError(
+            f"the table {path} has the columns {', '.join(header) or 'none'} in {len(rows)} rows; expected "
+            f"{','.join(names)} and numbers below"
+        )
+    result = {}
+    for name in (*names, *(each for each in optional if each in header)):
+        try:
+            result[name] = np.array([float(row[name]) for row in rows])
+        except (TypeError, ValueError, KeyError) as error:
+            raise InputError(f"the table {path} has no number in some row of {name} ({error})") from error
+        if not np.isfinite(result[name]).all():
+            raise InputError(f"the table {path} has no finite number in some row of {name}")
+    return result
