@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from morembs.body.body import ElasticBody, Part, elastic_body
-from morembs.body.parametric_parts import parametric_parts
 from morembs.body.stress_shapes import stress_recovery
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -24,6 +23,7 @@ from morembs.reducers.base import ReducedModel
 from morembs.reducers.switching_tables import StaticModeTables
 
 if TYPE_CHECKING:
+    from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
     from morembs.parametric.model import ParametricModel
 
@@ -88,13 +88,22 @@ def build_body(
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         floating=floating, switching=switching, spin=spin,
-        parametric=None if variation is None else parametric_parts(problem, reduced, part.nodes.ids, variation),
+        parametric=None if variation is None else _parametric(problem, reduced, part, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
         recovery=None if options.stress is None or operator is None else stress_recovery(
             problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator,
             progress=progress,
         ),
     )  # fmt: skip
+
+
+def _parametric(
+    problem: Problem, reduced: ReducedModel, part: Part, variation: ParametricModel
+) -> ParametricParts:
+    # Not at the top: most bodies have no parameters.
+    from morembs.body.parametric_parts import parametric_parts
+
+    return parametric_parts(problem, reduced, part.nodes.ids, variation)
 
 
 def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progress: Progress) -> FloatingFrame:

@@ -7,9 +7,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from morembs.cli.bodies import BodyFile, BodyName, values_of
 from morembs.cli.families import parametric_of, read_values
@@ -18,10 +16,12 @@ from morembs.cli.terminal import EPILOG, AsJson, messages
 from morembs.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from morembs.body.parametric import BodyAt, ParametricBody
 
 app = typer.Typer()
-Floats = NDArray[np.float64]
 At = Annotated[
     str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values in SI units; others are nominal.")
 ]
@@ -116,7 +116,10 @@ def _evaluate_table(
             typer.echo(f"written: {out}, {len(values)} values with {hz.shape[1]} frequencies each")
 
 
-def _csv(names: tuple[str, ...], values: Floats, hz: Floats) -> str:
+def _csv(names: tuple[str, ...], values: NDArray[np.float64], hz: NDArray[np.float64]) -> str:
+    # Not at the top: help needs no numbers.
+    import numpy as np
+
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow([*names, *(f"frequency_{k + 1}_hz" for k in range(hz.shape[1]))])
@@ -124,13 +127,17 @@ def _csv(names: tuple[str, ...], values: Floats, hz: Floats) -> str:
     return text.getvalue()
 
 
-def _write_table(out: Path, parametric: ParametricBody, values: Floats, hz: Floats, matrices: bool) -> None:
+def _write_table(
+    out: Path, parametric: ParametricBody, values: NDArray[np.float64], hz: NDArray[np.float64], matrices: bool
+) -> None:
     if out.suffix == ".csv":
         from morembs.storage.safefile import replacing
 
         with replacing(out) as file:
             file.write(_csv(parametric.names, values, hz).encode())
         return
+    import numpy as np
+
     from morembs.storage.writer import writing
 
     with writing(out) as file:

@@ -8,17 +8,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from morembs.cli.messages import print_json, printing
 from morembs.errors import InputError
 
 if TYPE_CHECKING:
-    from morembs.body.parametric import ParametricBody
+    import numpy as np
+    from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+    from morembs.body.parametric import ParametricBody
 
 
 def parametric_of(file: Path, body: str | None) -> Any:
@@ -39,7 +38,7 @@ def parametric_of(file: Path, body: str | None) -> Any:
     return (varied or list(bodies.values()))[0].parametric
 
 
-def read_values(path: Path, parametric: ParametricBody) -> Floats:
+def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
     """Values (k, P) of a table, whose header has names of parameters; others are nominal.
 
     Raises:
@@ -53,6 +52,9 @@ def read_values(path: Path, parametric: ParametricBody) -> Floats:
     header = [name.strip() for name in rows[0]] if rows else []
     if len(rows) < 2 or len(set(header)) < len(header):
         raise InputError(f"the table {path} has no rows below its header, or a name twice; expected NAME,NAME and rows")
+    # Not at the top: help needs no numbers.
+    import numpy as np
+
     result = np.empty((len(rows) - 1, len(parametric.names)))
     for number, row in enumerate(rows[1:]):
         try:

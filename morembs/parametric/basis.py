@@ -15,7 +15,6 @@ from itertools import product
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
@@ -100,6 +99,9 @@ class Worst:
 
 def training_points(box: Box, count: int, seed: int = 1) -> Floats:
     """The nominal values, the corners of boxes that have few, and ``count`` Sobol points (k, P)."""
+    # Not at the top: it loads much that other methods do without.
+    from scipy.stats import qmc
+
     sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
     inside = box.low + sobol * (box.high - box.low)
     corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
