@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from morembs.cli.messages import console, print_json, printing, warn
@@ -90,6 +89,9 @@ def campbell(
             source = _body(file, body, changes or (), progress)
         if source.spin is None:
             raise InputError(f"{file}: body {source.name!r} has no spin matrices; add a table [spin] to its job")
+        # Not at the top: help needs no numbers.
+        import numpy as np
+
         speeds = np.linspace(source.spin.speeds.min(), source.spin.speeds.max(), points)
         rows = [row for whirl in over_speed(source, speeds.tolist(), count) for row in whirl_rows(whirl)]
         write_csv(out, rows)

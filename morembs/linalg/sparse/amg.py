@@ -230,17 +230,17 @@ class _AmgFactor(Factorization):
         super().__init__(stats)
         self._A, self._hierarchy = A, hierarchy
         self._norm = float(abs(A).sum(axis=1).max())
-        self._columns = _BLOCK
+        self._width = _BLOCK
         if budget is not None:
-            self._columns = min(_BLOCK, max(1, (budget - stats.memory_bytes) // (_WORK * self.n)))
+            self._width = min(_BLOCK, max(1, (budget - stats.memory_bytes) // (_WORK * self.n)))
         self.steps = 0
         self.levels = [level.A.shape[0] for level in hierarchy.levels]
         log.debug("multigrid with levels of %s rows", self.levels)
 
     def _solve(self, B: Values) -> Values:
         """Raises SolverError where the iteration does not converge."""
-        for first in range(0, B.shape[1], self._columns):
-            part = B[:, first : first + self._columns]
+        for first in range(0, B.shape[1], self._width):
+            part = B[:, first : first + self._width]
             solution = conjugate_gradients(
                 self._A.__matmul__, self._hierarchy.precondition, part, norm=self._norm, accuracy=_ACCURACY,
                 max_steps=_MOST_STEPS,
