@@ -115,7 +115,8 @@ class Mechanism:
         Seen from the ground, or from another angle, with which it then turns as well.
 
         Raises:
-            InputError: a motion that does not start at zero and at rest, or as seen from an angle that is driven itself.
+            InputError: a motion that does not start at zero and at rest, or as seen from an angle that
+                is driven itself.
         """
         if not abs(motion(0.0)) < 1e-12:
             raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero")

@@ -177,7 +177,7 @@ def test_motions_and_damping_that_cannot_be_used_are_refused():
 
 def test_motions_that_do_not_start_at_rest_are_refused():
     mechanism = Mechanism()
-    with pytest.raises(InputError, match="starts with 0.5 m/s"):
+    with pytest.raises(InputError, match=r"starts with 0\.5 m/s"):
         mechanism.point((0, 0), motion=lambda t: (0.5 * t, 0.0))
     with pytest.raises(InputError, match="starts with 3 rad/s"):
         mechanism.driven(0.0, lambda t: np.sin(3 * t))
