@@ -91,12 +91,13 @@ class Mechanism:
         moved by that much from its position.
 
         Raises:
-            InputError: another word, or a motion that does not start at zero.
+            InputError: another word, or a motion that does not start at zero and at rest.
         """
         where = _pair("position of a point", position)
         if motion is not None:
             if np.abs(first := _pair("motion of a point at t = 0", motion(0.0))).max() > 1e-12:
                 raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero")
+            _at_rest("point", "m/s", motion)
             fixed = "xy"
         if fixed not in ("", "x", "y", "xy"):
             raise InputError(f"fixed = {fixed!r} was given; expected '', 'x', 'y' or 'xy'")
@@ -114,10 +115,12 @@ class Mechanism:
         Seen from the ground, or from another angle, with which it then turns as well.
 
         Raises:
-            InputError: a motion that does not start at zero, or as seen from an angle that is driven itself.
+            InputError: a motion that does not start at zero and at rest, or as seen from an angle that
+                is driven itself.
         """
         if not abs(motion(0.0)) < 1e-12:
             raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero")
+        _at_rest("joint", "rad/s", motion)
         if seen_from is None:
             return Angle(float(value), self._number(float(value), True), motion)
         if seen_from.motion is not None or seen_from.number < 0:
@@ -191,6 +194,18 @@ class Mechanism:
         for place, motion in self.drives[member]:
             local[place] += motion(t)
         return local
+
+
+def _at_rest(what: str, unit: str, motion: Callable[[float], ArrayLike]) -> None:
+    # s, forward: a motion need not be known before the start. An acceleration cancels.
+    h = 1e-6
+    near, far = (np.asarray(motion(t), dtype=float) for t in (h, 2 * h))
+    speed = float(np.abs(4 * near - far).max() / (2 * h))
+    if not speed < 1e-6:
+        raise InputError(
+            f"the motion of a {what} starts with {speed:.6g} {unit}; expected zero, as a mechanism starts at rest: let "
+            "it begin smoothly"
+        )
 
 
 def _part(motion: Callable[[float], ArrayLike], k: int) -> Callable[[float], float]:

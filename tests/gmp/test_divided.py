@@ -173,3 +173,12 @@ def test_motions_and_damping_that_cannot_be_used_are_refused():
     solid = SimpleNamespace(**{key: getattr(beam, key) for key in OF_A_COMPONENT})
     with pytest.raises(InputError, match="member 0 does not say"):
         simulate(falling(lambda m, a, b: m.add(FullMember(solid), a, b), damping=1e-3)[0], end=0.1, step=0.01)
+
+
+def test_motions_that_do_not_start_at_rest_are_refused():
+    mechanism = Mechanism()
+    with pytest.raises(InputError, match=r"starts with 0\.5 m/s"):
+        mechanism.point((0, 0), motion=lambda t: (0.5 * t, 0.0))
+    with pytest.raises(InputError, match="starts with 3 rad/s"):
+        mechanism.driven(0.0, lambda t: np.sin(3 * t))
+    mechanism.point((0, 0), motion=lambda t: (5 * t**3, 1 - np.cos(40 * t)))

@@ -22,6 +22,7 @@ from morembs.multibody import (
     contact_table,
     equilibrium,
     ground,
+    linearised,
     simulate,
 )
 
@@ -196,3 +197,22 @@ def test_bad_numbers_are_named():
         PowerLaw(-1)
     with pytest.raises(InputError, match="each above zero and growing"):
         ContactTable([1e-6, 2e-6], [3.0, 2.0])
+
+
+@pytest.mark.parametrize("restitution", [0.6, 0.05])
+def test_a_contact_at_rest_is_a_spring(restitution):
+    """A body that rests on a contact with restitution: nothing damps by the sign of the rate, and runs begin there."""
+    system = System(gravity=(0, 0, -9.81))
+    body = system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 0.0196), markers={"c": (0, 0, 0)}))
+    contact = ContactElement(
+        body.marker("c"), ground.marker_at((0, 0, 0)), stiffness=PowerLaw(1e6, 1.5), direction=(0, 0, 1),
+        distance=0.02, restitution=restitution,
+    )  # fmt: skip
+    system.add(contact)
+    rest = equilibrium(system)
+    about = linearised(rest.state)
+    depth = (9.81 / 1e6) ** (2 / 3)
+    assert np.abs(about.C).max() < 1e-9
+    assert about.squares[-1] == pytest.approx(1.5e6 * depth**0.5, rel=1e-4)
+    result = simulate(system, end=0.02, step=2e-4, start=rest.state)
+    assert result.position(body.marker("c"))[:, 2] == pytest.approx(0.02 - depth, abs=1e-12)

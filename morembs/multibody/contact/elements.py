@@ -117,7 +117,7 @@ class ContactElement(Force):
     name: str = "contact"
     markers: tuple[Marker, ...] = field(init=False)
     _factor: float = field(init=False)
-    # Times at which the contact was open, and the speed of approach there.
+    # Times at which the contact was open, or the run began, and the speed of approach there.
     _open: tuple[list[float], list[float]] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -141,7 +141,8 @@ class ContactElement(Force):
         times, speeds = self._open
         # Steps are repeated from where they began.
         del times[(keep := bisect.bisect_left(times, t)) :], speeds[keep:]
-        if depth <= 0:
+        # Where a run begins closed, its speed there counts: at rest there is no approach to restitute.
+        if depth <= 0 or not times:
             times.append(t)
             speeds.append(max(rate, 0.0))
 
@@ -183,8 +184,10 @@ class ContactElement(Force):
     def _push(self, t: float, depth: float, rate: float) -> float:
         if depth <= 0:
             return 0.0
-        held, began = self.stiffness.force(depth), bisect.bisect_left(self._open[0], t)
+        held, began = self.stiffness.force(depth), bisect.bisect_right(self._open[0], t)
         speed = self._open[1][began - 1] if began else 0.0
-        # A touch that began at rest and is then pushed must not be damped without bound.
-        speed = max(speed, abs(rate))
-        return max(0.0, held * (1 + self._factor * rate / speed)) if speed > 0 else held
+        if not speed > 0:
+            # A force that depends on the sign of the rate alone would jump at rest.
+            return held
+        # A touch that began slowly and is then pushed must not be damped without bound.
+        return max(0.0, held * (1 + self._factor * rate / max(speed, abs(rate))))
