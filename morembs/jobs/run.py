@@ -257,7 +257,7 @@ def _reduce(
             certificates = certify(problem, reduced, band, progress=watch.progress, **options)
     check, notes = job.tables.check, tuple[str, ...]()
     with watch.stage("compare") if check.full_modes else nullcontext():
-        notes = know_frequencies(problem, reduced, check.full_modes, insist="full_modes" in check.model_fields_set)
+        notes = know_frequencies(problem, check.full_modes, insist="full_modes" in check.model_fields_set)
     return _delivered(job, problem, reduced, certificates, spins, wanted, watch), notes
 
 

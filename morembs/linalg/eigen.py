@@ -64,14 +64,12 @@ class Modes:
 def lowest_modes(
     body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
-    count_below: Callable[[float], int | None] | None = None,
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
     Args:
         by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
         per_slice: modes of a slice, where there are so many that they are found slice by slice.
-        count_below: number of modes below an eigenvalue by other means than a factorisation; None where they fail.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -84,9 +82,7 @@ def lowest_modes(
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
-            count = None if count_below is None else count_below(below)
-            if count is None:
-                count, shifted = _up_to(body, M, below)
+            count, shifted = _up_to(body, M, below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "

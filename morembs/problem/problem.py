@@ -21,7 +21,6 @@ from morembs.linalg.congruence import cancelling, congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.rigid import resists, strain_free, written
-from morembs.linalg.second_shift import keeps_two_factors
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -30,7 +29,6 @@ from morembs.model import FEModel
 from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
 from morembs.model.rigid_residual import refuse_other_geometry
-from morembs.problem.condensed import Condensed
 from morembs.problem.damping import Damping as Damping
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
@@ -101,7 +99,6 @@ class Problem(Closing):
         self._refuse_unconnected()
         self.rigid, self._held = self._rigid_motions()
         self._elastic: Modes | None = None
-        self._compared_hz: Floats | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
 
@@ -205,16 +202,6 @@ class Problem(Closing):
             X[:, some] = self.elastic.constrain(known[:, some].copy(order="F"), dense(self.B[:, some]))[0]
         return X
 
-    def condensed(self) -> Condensed | None:
-        """What the fixed-interface modes that were computed tell of the free body; None without some."""
-        fixed = self._fixed
-        if fixed is None or not len(fixed.eigenvalues):
-            return None
-        return self.shared(
-            ("condensed", len(fixed.eigenvalues)),
-            lambda: Condensed.of(self.internal, self.M, fixed, *self.constraint_modes()),
-        )
-
     def require_room_for_modes(self) -> None:
         """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
 
@@ -235,33 +222,14 @@ class Problem(Closing):
         return _cut(self._fixed, count, below)
 
     def known_frequencies_hz(self) -> Floats | None:
-        """Free-free frequencies of the coupled model known so far, rigid ones as zero; None if none."""
-        hz = self._compared_hz if self._elastic is None else self._elastic.frequencies_hz
-        return None if hz is None else np.concatenate([np.zeros(self.rigid.shape[1]), hz])
-
-    def take_frequencies(self, hz: Floats) -> None:
-        """Elastic free-free frequencies (k,), known from ``frequency_limits``, for as long as no modes are."""
-        self._compared_hz = hz
-
-    def frequency_limits(self, count: int) -> Floats | None:
-        """(2, count) limits in Hz of the lowest elastic free-free frequencies, without an eigensolution for them.
-
-        From the fixed-interface modes that were computed, proven up to round-off; (0, inf) of those that they do not
-        tell, and None without such modes.
-        """
-        condensed = self.condensed()
-        return None if condensed is None else np.sqrt(condensed.lowest(count)) / (2 * np.pi)
+        """Free-free frequencies of the coupled model computed so far, rigid ones as zero; None if none."""
+        if self._elastic is None:
+            return None
+        return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
 
     def knows_modes(self, count: int) -> bool:
         """Whether ``count`` elastic free-free modes have been computed."""
         return self._elastic is not None and len(self._elastic.eigenvalues) >= count
-
-    def _free_below(self, below: float) -> int | None:
-        """Number of elastic modes below, where the fixed-interface modes tell and no factor of the count is of use."""
-        if self._fixed is None or not below < self._fixed.verified_below or keeps_two_factors(self.elastic):
-            return None
-        condensed = self.condensed()
-        return None if condensed is None else condensed.count_below(below)
 
     def close(self) -> None:
         """Release the factorisations, and the solutions that reducers share."""
@@ -332,10 +300,7 @@ class Problem(Closing):
         )
         if known is not None and enough:
             return known
-        modes = lowest_modes(
-            body, self.M, count=count, below=below, progress=self.progress, what=what,
-            count_below=self._free_below if body.mean_axes else None,
-        )  # fmt: skip
+        modes = lowest_modes(body, self.M, count=count, below=below, progress=self.progress, what=what)
         off = AS_A_RULE * self.uncertainty(modes)
         lost = np.flatnonzero(off > LOST * modes.eigenvalues)
         if len(lost):
