@@ -78,6 +78,8 @@ def test_shapes_pair_modes_by_the_nodes_of_the_file(path, hidden, tmp_path):
         (["mode", "frequency_hz"], [], "in 0 rows"),
         (["mode", "frequency_hz"], [(1, "a")], "no number in some row of frequency_hz"),
         (["mode", "frequency_hz"], [(1, "nan")], "no finite number"),
+        (["mode", "frequency_hz"], [(1, 7878, 9)], "more cells than its header; expected mode,frequency_hz"),
+        (["mode", "frequency_hz"], [(1, 7878), (2, 14668, 9)], "more cells than its header"),
         (["mode", "frequency_hz"], [(1.5, 7000)], "expected integers"),
         (["mode", "frequency_hz"], [(1, 7000), (1, 8000)], "expected different ones"),
     ],
