@@ -62,11 +62,18 @@ def _columns(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ())
             rows = list(csv.DictReader(file, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
-    header = [str(name).strip() for name in (rows[0] if rows else {})]
-    if not rows or set(names) - set(header):
+    header = [str(name).strip() for name in (rows[0] if rows else {}) if name is not None]
+    if not rows or set(names) - set(header) or set(header) - {*names, *optional}:
+        more = f" ({','.join(optional)} if known)" if optional else ""
         raise InputError(
             f"the table {path} has the columns {', '.join(header) or 'none'} in {len(rows)} rows; expected "
-            f"{','.join(names)} and numbers below"
+            f"{','.join(names)}{more} and numbers below"
+        )
+    # What has no column stands at None.
+    if any(None in row for row in rows):
+        raise InputError(
+            f"the table {path} has a row with more cells than its header; expected {','.join(header)} and points for "
+            "decimals"
         )
     result = {}
     for name in (*names, *(each for each in optional if each in header)):

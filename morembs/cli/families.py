@@ -45,7 +45,7 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
         InputError: a table that cannot be read, unknown names, or values outside the box.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
@@ -60,10 +60,10 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
         try:
             values = dict(zip(header, map(float, row), strict=True))
             result[number] = parametric.model.box.point(values)
-        except ValueError as error:
-            raise InputError(f"the table {path}, row {number + 1}: {error}; expected {len(header)} numbers") from error
         except InputError as error:
             raise InputError(f"the table {path}, row {number + 1}: {error}") from error
+        except ValueError as error:
+            raise InputError(f"the table {path}, row {number + 1}: {error}; expected {len(header)} numbers") from error
     return result
 
 
@@ -82,6 +82,9 @@ def export_family(
     make_exporter(to, options)
     suffix = EXPORTERS[to].suffix
     first = file.with_suffix(suffix) if out is None else out
+    index = first.with_name("index.csv")
+    if index.resolve() == table.resolve():
+        raise InputError(f"the export writes {index} and would overwrite the table; give the table another name")
     parametric = parametric_of(file, body)
     values = read_values(table, parametric)
     digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
@@ -95,7 +98,6 @@ def export_family(
         rows.append([path.name, *(repr(x) for x in p.tolist())])
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([["file", *parametric.names], *rows])
-    index = first.with_name("index.csv")
     with replacing(index) as written:
         written.write(text.getvalue().encode())
     paths = [str(path) for path in (*taken, index)]

@@ -97,6 +97,7 @@ def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnos
                 "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
                 "stress_recovery": body.has_recovery,
                 "switching": body.has_switching,
+                "parameters": body.has_parameters,
                 "certificate": None if body.certificate is None else _plain(body.certificate),
                 "findings": findings_json(diagnoses[name]),
             }
@@ -159,6 +160,8 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
             console.print("    stress recovery", highlight=False)
         if body.has_switching:
             console.print("    static modes of candidate loads", highlight=False)
+        if body.has_parameters:
+            console.print("    parameters, shown at nominal values; `morembs evaluate` takes others", highlight=False)
         for finding in diagnoses[name].warnings:
             console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
     known = [

@@ -164,17 +164,20 @@ def read_displacements(path: Path, nodes: Nodes, parameter: str) -> Floats:
     """
     where = f"parameter {parameter}: {path}"
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
-        header = tuple(cell.strip() for cell in rows[0]) if rows else ()
-        if header != COLUMNS:
-            raise InputError(f"{where} begins with {','.join(header)!r}; expected the header {','.join(COLUMNS)!r}")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where} cannot be read ({error}); check the path") from error
+    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
+    if header != COLUMNS:
+        raise InputError(f"{where} begins with {','.join(header)!r}; expected the header {','.join(COLUMNS)!r}")
+    try:
         labels = np.array([int(row[0]) for row in rows[1:]], dtype=np.int64)
         values = np.array([[float(cell) for cell in row[1:]] for row in rows[1:]]).reshape(len(labels), 3)
-    except OSError as error:
-        raise InputError(f"{where} cannot be read ({error.strerror}); check the path") from error
     except (ValueError, OverflowError) as error:
         raise InputError(f"{where} cannot be read ({error}); expected rows of a label and three numbers") from error
+    if not np.isfinite(values).all():
+        raise InputError(f"{where} has a displacement that is not finite; expected rows of a label and three numbers")
     order = np.argsort(nodes.ids, kind="stable")
     at = order[np.minimum(np.searchsorted(nodes.ids[order], labels), len(order) - 1)]
     unknown = np.flatnonzero(nodes.ids[at] != labels)

@@ -137,6 +137,9 @@ class _Fit:
         for name in (*self.fixed, *self.prior):
             if name not in box.names:
                 raise InputError(f"parameter {name!r} was given; {nearest(name, box.names)}")
+        both = [name for name in self.prior if name in self.fixed]
+        if both:
+            raise InputError(f"parameter {both[0]} was fixed and given a prior; leave out one of them")
         for name, sigma in self.prior.items():
             if not (np.isfinite(sigma) and sigma > 0):
                 raise InputError(f"the prior of {name} has the standard deviation {sigma:g}; expected a positive one")

@@ -128,7 +128,28 @@ def test_wrong_rows_of_tables_are_named(path, tmp_path):
         ("E_arm\n", "no rows"),
     ):
         table.write_text(text)
-        assert message in run("evaluate", path, "--table", table, code=2)
+        error = run("evaluate", path, "--table", table, code=2)
+        assert message in error and ("numbers" in error) == (message == "row 1")
+
+
+def test_a_table_of_a_spreadsheet_with_a_mark_of_its_encoding_is_read(path, table):
+    plain = run("evaluate", path, "--table", table)
+    table.write_text(table.read_text(), encoding="utf-8-sig")
+    assert run("evaluate", path, "--table", table) == plain
+
+
+def test_the_index_of_a_family_does_not_overwrite_its_table(path, table, tmp_path):
+    given = table.rename(tmp_path / "index.csv").read_bytes()
+    error = run("export", path, "--table", tmp_path / "index.csv", "--to", "sid", "-o", tmp_path / "a.SID_FEM", code=2)
+    assert "would overwrite the table" in error.replace("\n", " ")
+    assert [file.name for file in tmp_path.iterdir()] == ["index.csv"]
+    assert (tmp_path / "index.csv").read_bytes() == given
+
+
+def test_info_says_that_figures_are_those_of_nominal_values(path, tmp_path):
+    assert "parameters, shown at nominal values" in run("info", path)
+    run("evaluate", path, "--at", "t=1", "-o", tmp_path / "at.h5")
+    assert "nominal" not in run("info", tmp_path / "at.h5")
 
 
 def test_a_body_without_parameters_says_so(path, tmp_path):

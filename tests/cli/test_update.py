@@ -76,8 +76,11 @@ def test_shapes_pair_modes_by_the_nodes_of_the_file(path, hidden, tmp_path):
     [
         (["mode", "hz"], [(1, 2)], "expected mode,frequency_hz"),
         (["mode", "frequency_hz"], [], "in 0 rows"),
+        (["mode", "frequency_hz", "sigma"], [(1, 7000, 2)], "expected mode,frequency_hz (sigma_hz if known)"),
         (["mode", "frequency_hz"], [(1, "a")], "no number in some row of frequency_hz"),
         (["mode", "frequency_hz"], [(1, "nan")], "no finite number"),
+        (["mode", "frequency_hz"], [(1, 7878, 9)], "more cells than its header; expected mode,frequency_hz"),
+        (["mode", "frequency_hz"], [(1, 7878), (2, 14668, 9)], "more cells than its header"),
         (["mode", "frequency_hz"], [(1.5, 7000)], "expected integers"),
         (["mode", "frequency_hz"], [(1, 7000), (1, 8000)], "expected different ones"),
     ],
@@ -89,6 +92,8 @@ def test_tables_that_cannot_be_used_are_refused(path, tmp_path, header, rows, me
 def test_options_that_cannot_be_used_are_refused(path, tmp_path):
     measured = write(tmp_path / "m.csv", ["mode", "frequency_hz"], [(1, 7000.0), (2, 14000.0)])
     assert "did you mean" in run(path, "--measured", measured, "--fix", "roh", code=2)
+    both = run(path, "--measured", measured, "--fix", "rho", "--prior", "rho=1", code=2)
+    assert "rho was fixed and given a prior" in both
     assert "--prior rho=x was given" in run(path, "--measured", measured, "--prior", "rho=x", code=2)
     assert "would overwrite an input" in run(path, "--measured", measured, "-o", measured, code=2)
     assert "cannot be read" in run(path, "--measured", tmp_path / "absent.csv", code=2)

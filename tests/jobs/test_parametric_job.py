@@ -129,6 +129,24 @@ def test_wrong_tables_of_displacements_are_refused(folder, table, message):
         parameters_in(folder)
 
 
+def test_displacements_that_are_not_finite_are_refused(folder):
+    (folder / "longer.csv").write_text("id,dx,dy,dz\n1,0,0,nan\n")
+    with pytest.raises(InputError, match="has a displacement that is not finite"):
+        parameters_in(folder)
+
+
+def test_a_table_of_displacements_with_another_header_is_told_once(folder):
+    (folder / "longer.csv").write_text("node;dx;dy;dz\n1;0;0;1\n")
+    with pytest.raises(InputError) as caught:
+        parameters_in(folder)
+    assert "expected the header 'id,dx,dy,dz'" in str(caught.value) and "cannot be read" not in str(caught.value)
+
+
+def test_a_table_of_displacements_may_have_the_mark_of_its_encoding(folder):
+    (folder / "longer.csv").write_text((folder / "longer.csv").read_text(), encoding="utf-8-sig")
+    np.testing.assert_allclose(parameters_in(folder)[1][1].displacement, longer(bracket()).displacement, atol=1e-15)
+
+
 def test_another_mesh_must_have_the_same_nodes(folder):
     (folder / "block.msh").write_bytes((BRACKET.parent / "block.msh").read_bytes())
     with pytest.raises(InputError, match=r"block.msh has \d+ nodes, bracket.inp 844; a morph needs the same labels"):
