@@ -248,12 +248,12 @@ def backward_error(A: Lower, norm: float, X: Floats, B: Floats) -> float:
 
 
 def write_job(spec: Spec) -> Row:
-    """Write mesh and job of a shape; no modes of the full model are asked for."""
+    """Write mesh and job of a shape, with ``more`` tables."""
     from models import job
 
     path = job(spec["shape"], spec["dofs"], Path(spec["to"]), memory=spec.get("memory"), scratch=spec.get("scratch"))
     with path.open("a", encoding="utf-8") as file:
-        file.write("\n[check]\nfull_modes = 0\n")
+        file.write("\n" + spec.get("more", ""))
     return {"job": str(path)}
 
 
@@ -262,6 +262,13 @@ def modes(spec: Spec) -> Row:
     from eigen import measure_modes
 
     return measure_modes(spec, steel(spec["shape"], spec["dofs"]))
+
+
+def products(spec: Spec) -> Row:
+    """See products.py."""
+    from products import measure_products
+
+    return measure_products(spec, steel)
 
 
 def interpolation(spec: Spec) -> Row:
@@ -327,7 +334,7 @@ def part(spec: Spec) -> Row:
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "job": write_job, "interpolation": interpolation, "frames": frames,
+    "products": products, "job": write_job, "interpolation": interpolation, "frames": frames,
     "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
     "mechanism": mechanism,
 }  # fmt: skip

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
+from stages import Stages
 
-from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import Shifted
-from morembs.linalg.statics import ConstrainedStatics, support_dofs
+from morembs.linalg.statics import ConstrainedStatics
 from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.problem import Problem
@@ -61,8 +61,11 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
         # The factor of the count, and the solves with it.
         second, again = Timed(Shifted.__init__), Timed(Shifted.apply)
         Shifted.__init__, Shifted.apply = second.method(), again.method()  # type: ignore[method-assign]
-        found = Timed(lambda: lowest_modes(pencil, problem.M, count=count))
-        modes = found()
+        found, stages = Timed(lambda: lowest_modes(pencil, problem.M, count=count)), Stages()
+        with stages.watched():
+            modes = found()
+        row |= {f"{stage}_stage": seconds for stage, seconds in stages.seconds.items()}
+        row |= {f"{stage}_stage_processor": seconds for stage, seconds in stages.processor.items()}
         row |= {
             "resident_bytes": resident, "modes_peak_bytes": peak_memory_bytes() - resident,
             "factor_seconds": factor.stats.seconds, "ready_seconds": made.seconds,
@@ -81,12 +84,11 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
 
 
 def arpack(problem: Problem, pencil: ConstrainedStatics, count: int) -> Row:
-    """The lowest modes of the body on the springs of the factor, by shift and inversion about zero."""
-    statics, M = pencil.statics, problem.M
-    K = grounded(problem.stiffness.lower, support_dofs(problem.rigid)).full()
-    solves = Timed(statics.apply)
+    """The same modes by ARPACK: shift and inversion about zero, rigid motion taken out of every solution."""
+    K, M = problem.K, problem.M
+    solves = Timed(pencil.flexibility)
     operator = spla.LinearOperator(M.shape, matvec=lambda f: solves(f.reshape(-1, 1))[:, 0], dtype=np.float64)
-    v0 = np.random.default_rng(0).standard_normal(M.shape[0])
+    v0 = pencil.flexibility(M @ np.random.default_rng(0).standard_normal((M.shape[0], 1)))[:, 0]
     found = Timed(lambda: spla.eigsh(K, count, M, sigma=0.0, OPinv=operator, v0=v0, tol=_TOLERANCE))
     values, vectors = found()
     return {

@@ -39,6 +39,7 @@ class Settings:
     results: Path | None
     quick: bool = False
     repeat: int = 3
+    resume: bool = False
     threads: int | None = None
 
     def environment(self) -> dict[str, str]:
@@ -160,6 +161,13 @@ class Report:
         for name, rows in rounds.items():
             values = {**median(rows), "rounds": rows} if len(rows) > 1 else median(rows)
             self.rows[name] = {**values, **origin}
+
+    def resume(self) -> None:
+        """Take the rows that were written before, but for those that failed."""
+        path = None if self.settings.results is None else self.settings.results / f"{self.case}.json"
+        if path is not None and path.is_file():
+            rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+            self.rows = {name: row for name, row in rows.items() if "error" not in row}
 
     def table(self, title: str, columns: Sequence[tuple[str, str, str]]) -> None:
         """Print the rows; columns are (key, heading, unit of ``shown``)."""

@@ -1,6 +1,6 @@
 """Benchmarks: each measurement is a child process of its own; the operating system counts its peak memory.
 
-usage: python benchmarks/run.py [CASE ...] [--quick] [--repeat 3]
+usage: python benchmarks/run.py [CASE ...] [--quick] [--repeat 3] [--resume]
 
 Measurements are taken in turn within each round, so that a drift of the machine's speed hits all alike; medians
 and ratios are printed and written to benchmarks/results/CASE.json, and from there to the tables of README and docs
@@ -28,7 +28,7 @@ from measure import Settings, required
 MODULES = {
     "startup": ("startup",), "solvers": ("small", "medium", "large", "factor", "modes"), "krylov": ("krylov",),
     "frames": ("frames",), "jobs": ("million", "forecast"), "switching": ("switching",), "budgets": ("budgets",),
-    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"),
+    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"), "products": ("products",),
 }  # fmt: skip
 CASES = {case: module for module, cases in MODULES.items() for case in cases}
 # These are run only if they are named; what a round of them takes on two cores.
@@ -47,6 +47,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="small sizes, once: a test of the benchmarks themselves")
     parser.add_argument("--repeat", "--runs", type=int, help="rounds (3; 1 with --quick and for the long ones)")
+    parser.add_argument("--resume", action="store_true", help="long cases keep the rows that were written before")
     parser.add_argument("--threads", type=int, help="threads of the BLAS libraries; without it what they take")
     parser.add_argument("--folder", type=Path, help="keeps meshes and matrices; without it a temporary one")
     parser.add_argument(
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         settings = Settings(
             folder=folder, results=given.results or (None if given.quick else figures.RESULTS), quick=given.quick,
-            repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads,
+            repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads, resume=given.resume,
         )  # fmt: skip
         hardware = required("machine", settings)
         print(f"{hardware['cores']} cores, {hardware['blas_threads']} threads of the BLAS")

@@ -31,6 +31,8 @@ _SMALL, _SMALLEST = 16_000_000, 1_000_000
 _IN_MEMORY = 0.02
 # Part of what is left that one block of columns may take.
 _BLOCK_SHARE = 0.25
+# The same where every block costs as much as a pass over a file, so that blocks are to be wide.
+_WIDE_SHARE = 0.6
 _WIDEST = 256
 # Less than this part of the budget left is tight.
 _TIGHT = 0.3
@@ -83,13 +85,18 @@ class Budget(Closing):
         """How many arrays live in scratch files."""
         return len(self._used())
 
-    def columns(self, n: int, copies: int = 4, widest: int | None = None) -> int:
-        """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two."""
+    def columns(self, n: int, copies: int = 4, widest: int | None = None, *, wide: bool = False) -> int:
+        """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two.
+
+        ``wide``: as many as there is room for, once the pages of arrays in files have been given back.
+        """
+        if wide:
+            self.release_pages()
         left, widest = self.left(), min(self.widest, self.widest if widest is None else widest)
         if left is None:
             return widest
-        width = int(_BLOCK_SHARE * max(left, 0) / (8 * n * copies))
-        return max(4, min(widest, 1 << max(width, 1).bit_length() - 1))
+        width = int((_WIDE_SHARE if wide else _BLOCK_SHARE) * max(left, 0) / (8 * n * copies))
+        return max(4, min(widest, width if wide else 1 << max(width, 1).bit_length() - 1))
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64, order: str = "C") -> Values:
         """An array of zeros or of nothing in particular, in memory or in a scratch file.

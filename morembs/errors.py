@@ -40,6 +40,14 @@ class BudgetError(SolverError):
         super().__init__(message)
         self.needed = needed
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Processes send errors to each other.
+        return _budget_error, (str(self), self.needed)
+
+
+def _budget_error(message: str, needed: int) -> BudgetError:
+    return BudgetError(message, needed=needed)
+
 
 def enough_megabytes(size: float) -> int:
     """Whole megabytes that hold ``size`` bytes, and one more: two runs of a process differ by some pages."""

@@ -32,6 +32,10 @@ SHOWN = {
     "stiffening": [("", tables.STIFFENING)],
     "recovery": [("", tables.RECOVERY)],
     "switching": [("", tables.SWITCHING)],
+    "parametric": [
+        ("", tables.PARAMETRIC), ("frame/", tables.FRAME_TERMS), ("bound/", tables.BOUND),
+        ("bound/cells/", tables.CELLS),
+    ],
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],
 }

@@ -6,71 +6,53 @@ ends by whatever means, the child reads the end of its input and leaves, so that
 
 from __future__ import annotations
 
-import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
 
 from morembs import stopping
-from morembs.batches.plan import Part
+from morembs.batches.workers import Finished, Heard, Task, Worker
 from morembs.closing import Closing
 
 _PROGRAM = (sys.executable, "-m", "morembs")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # How long a child may take to leave once it is asked to, in seconds.
 _PATIENCE = 10.0
 # How often the end of this process is thought of while nobody says anything, in seconds.
 _LOOK = 0.5
 
 
-@dataclass(frozen=True)
-class Heard:
-    """A line that a child says about its ``parts``."""
-
-    parts: Sequence[Part]
-    line: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finished:
-    """A child that has ended: its exit ``code``, negative by a signal, the documents it printed, and its last words."""
-
-    parts: Sequence[Part]
-    code: int
-    documents: Sequence[Mapping[str, Any]]
-    message: str
-    seconds: float
-
-    @property
-    def killed(self) -> bool:
-        """Whether something else ended it."""
-        return self.code < 0 or self.code >= 128
-
-
 @dataclass(eq=False)
 class _Child:
-    parts: Sequence[Part]
+    task: Task
     process: subprocess.Popen[str]
     begun: float
     lines: list[str] = field(default_factory=list)
+    peak: int = 0
 
 
 class Children(Closing):
-    """The processes of a batch; ``close`` ends those that run.
+    """The processes of a batch on this machine; ``close`` ends those that run.
 
     Args:
-        environment: variables that they get besides those of this process.
+        room: what they may take together.
+        cores: processors of this machine, dealt among those that run at once.
         program: how the command line is called.
     """
 
-    def __init__(self, environment: Mapping[str, str], program: Sequence[str] = _PROGRAM) -> None:
-        self._environment, self._program = {**os.environ, **environment}, program
+    count, limits = 1, False
+
+    def __init__(self, room: Worker, cores: int, program: Sequence[str] = _PROGRAM) -> None:
+        self.largest, self._cores, self._program = room, cores, program
+        self.present: Mapping[str, Worker] = {"here": room}
         self._children: list[_Child] = []
         self._news: queue.Queue[Heard | tuple[_Child, str]] = queue.Queue()
 
@@ -79,46 +61,52 @@ class Children(Closing):
         """Whether some have not ended."""
         return bool(self._children)
 
-    def start(self, parts: Sequence[Part], arguments: Sequence[str]) -> None:
-        """Start ``morembs`` with ``arguments`` for ``parts``."""
+    def threads(self, asked: int | None, tasks: int) -> int:
+        """More for each where few run at once; a job's own setting goes before."""
+        return asked or max(1, self._cores // max(1, min(self.largest.slots, tasks)))
+
+    def want(self, needs: Iterable[Worker]) -> None:
+        """There is this machine and no other."""
+
+    def start(self, task: Task, worker: str = "here") -> None:
+        """Start the process of ``task``."""
         apart: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
         process = subprocess.Popen(
-            [*self._program, *arguments, "--json", "--attached"], text=True, encoding="utf-8",
+            [*self._program, *task.arguments, "--json", "--attached"], text=True, encoding="utf-8",
             errors="replace", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            env=self._environment, **apart,
+            env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))}, **apart,
         )  # fmt: skip
-        child = _Child(parts, process, time.monotonic())
+        child = _Child(task, process, time.monotonic())
         self._children.append(child)
         Thread(target=self._listen, args=(child,), daemon=True).start()
 
-    def next(self) -> Heard | Finished:
-        """What is heard next of any of them."""
-        while True:
-            stopping.check()
-            try:
-                news = self._news.get(timeout=_LOOK)
-            except queue.Empty:
-                continue
-            if isinstance(news, Heard):
-                return news
-            child, printed = news
-            self._children.remove(child)
-            return _finished(child, printed)
+    def next(self) -> Heard | Finished | None:
+        """What is heard next of any of them; None where nobody says anything for a while."""
+        stopping.check()
+        try:
+            news = self._news.get(timeout=_LOOK)
+        except queue.Empty:
+            return None
+        if isinstance(news, Heard):
+            return news
+        child, printed = news
+        self._children.remove(child)
+        return _finished(child, printed)
 
     def close(self) -> None:
         """End those that run: they may clean up for some seconds, and are killed then."""
         for child in self._children:
-            with suppress(OSError):
-                _ask_to_end(child.process)
+            _ask_to_end(child.process)
         end = time.monotonic() + _PATIENCE
         for child in self._children:
-            try:
-                child.process.wait(max(0.0, end - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.process.kill()
-                child.process.wait()
+            # Each has a thread that waits for its end, which alone may do so.
+            while child.process.returncode is None and time.monotonic() < end:
+                time.sleep(0.01)
+            while child.process.returncode is None:
+                _kill(child.process)
+                time.sleep(0.01)
         self._children.clear()
 
     def _listen(self, child: _Child) -> None:
@@ -131,33 +119,54 @@ class Children(Closing):
         reader.start()
         for line in process.stderr:
             child.lines.append(line.rstrip())
-            self._news.put(Heard(child.parts, line.rstrip()))
+            self._news.put(Heard(number=child.task.number, line=line.rstrip()))
         reader.join()
-        process.wait()
+        child.peak = _wait(process)
         for stream in (process.stdin, process.stdout, process.stderr):
             with suppress(OSError):
                 stream.close()
         self._news.put((child, "".join(printed)))
 
 
+def _wait(process: subprocess.Popen[str]) -> int:
+    """Peak memory in bytes of a process that has ended, as the system counts it, 0 where that does not say it."""
+    if not hasattr(os, "wait4"):
+        process.wait()
+        return 0
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
 def _ask_to_end(process: subprocess.Popen[str]) -> None:
     """The end of its input asks too: on Windows ``terminate`` would leave it no time to clean up."""
-    if sys.platform == "win32" and process.stdin is not None:
-        process.stdin.close()
+    if sys.platform == "win32":
+        if process.stdin is not None:
+            process.stdin.close()
     else:
-        process.terminate()
+        _send(process, signal.SIGTERM)
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    if sys.platform == "win32":
+        process.kill()
+    else:
+        _send(process, signal.SIGKILL)
+
+
+def _send(process: subprocess.Popen[str], number: signal.Signals) -> None:
+    """A signal; ``Popen`` would look first whether the process has ended, and take that from the thread that waits."""
+    if process.returncode is None:
+        with suppress(OSError):
+            os.kill(process.pid, number)
 
 
 def _finished(child: _Child, printed: str) -> Finished:
     code = child.process.returncode
-    try:
-        documents = json.loads(printed)
-    except ValueError:
-        documents = []
-    message = _last_words(child.lines) or _how_it_ended(code)
     return Finished(
-        parts=child.parts, code=code, documents=documents if len(documents) == len(child.parts) else [],
-        message=message, seconds=time.monotonic() - child.begun,
+        number=child.task.number, code=code, printed=printed,
+        message=_last_words(child.lines) or _how_it_ended(code), seconds=time.monotonic() - child.begun,
+        peak_memory_bytes=child.peak,
     )  # fmt: skip
 
 

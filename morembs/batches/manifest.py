@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -61,10 +62,13 @@ class Manifest(Closing):
         try:
             events = _events(self.path, self._handle)
             self._ended = {event["output"]: event for event in events if event.get("event") == "ended"}
+            # Of each job that has begun, the last attempt.
+            self._started = {event["output"]: event for event in events if event.get("event") == "started"}
             if not events:
                 self._write(_FIRST)
-            elif len(events) > max(_HISTORY, 2 * len(self._ended)):
+            elif len(events) > max(_HISTORY, 4 * len(self._ended)):
                 self._compact()
+            self._write({"event": "opened", "pid": os.getpid(), "host": platform.node()})
         except BaseException:
             os.close(self._handle)
             raise
@@ -83,10 +87,22 @@ class Manifest(Closing):
         except (KeyError, TypeError, ValueError, AttributeError):
             return None  # of another version: the job is due again
 
-    def ended(self, output: Path, end: Ended) -> None:
-        """Remember a job that ended well."""
+    def started(self, output: Path, key: str, **values: object) -> str:
+        """Remember that a job begins, with ``values`` for people; the token of this attempt, which no other has."""
+        name = self._name(output)
+        number = 1 + int(self._started.get(name, {}).get("attempt", 0))
+        self._started[name] = {"event": "started", "output": name, "key": key, "attempt": number, **values}
+        self._write(self._started[name])
+        return f"{key[:8]}.{number}"
+
+    def lost(self, output: Path, **values: object) -> None:
+        """Remember that an attempt was killed, with ``values`` for people."""
+        self._write({"event": "lost", "output": self._name(output), **values})
+
+    def ended(self, output: Path, end: Ended, **values: object) -> None:
+        """Remember a job that ended well, with ``values`` for people."""
         event = {
-            "event": "ended", "output": self._name(output), "key": end.key, "facts": end.facts,
+            "event": "ended", "output": self._name(output), "key": end.key, "facts": end.facts, **values,
             **{
                 part: {self._name(path): vars(content) for path, content in contents.items()}
                 for part, contents in (("inputs", end.inputs), ("outputs", end.outputs))
@@ -109,10 +125,12 @@ class Manifest(Closing):
         except ValueError:  # on another drive
             return Path(os.path.realpath(path)).as_posix()
 
-    def _write(self, event: Mapping[str, object]) -> None:
-        line = json.dumps({**event, "at": round(time.time(), 3)}, allow_nan=False) + "\n"
+    def _write(self, *events: Mapping[str, object]) -> None:
+        now = round(time.time(), 3)
+        lines = "".join(json.dumps({"at": now, **event}, allow_nan=False) + "\n" for event in events).encode()
         try:
-            os.write(self._handle, line.encode())
+            while lines:
+                lines = lines[os.write(self._handle, lines) :]
             os.fsync(self._handle)
         except OSError as error:
             raise OutputError(
@@ -120,13 +138,12 @@ class Manifest(Closing):
             ) from error
 
     def _compact(self) -> None:
-        """Leave the last end of each job only: in a new file, locked before it takes the name."""
+        """Leave the last start and end of each job only: in a new file, locked before it takes the name."""
         new = self.path.with_name(f".{self.path.name}.new")
         with contextlib.suppress(OSError):
             new.unlink()
         old, self._handle = self._handle, _locked(new)
-        for event in (_FIRST, *self._ended.values()):
-            self._write(event)
+        self._write(_FIRST, *self._started.values(), *self._ended.values())
         if fcntl is None:
             # Windows gives no open file another name, nor that of one that is open.
             os.close(old)
@@ -156,10 +173,21 @@ def _locked(path: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(handle)
-        raise InputError(f"{path} is in use by another batch; wait for it, or give another --manifest") from error
+        raise InputError(f"{path} is in use by {_user(path)}; wait for it, or give another --manifest") from error
     except OSError:
         pass  # a disk without locks
     return handle
+
+
+def _user(path: Path) -> str:
+    """Who opened a manifest last."""
+    who = "another batch"
+    with contextlib.suppress(OSError, ValueError, KeyError):
+        for line in path.read_bytes().splitlines():
+            if line.startswith(b'{"') and b'"event": "opened"' in line:
+                event = json.loads(line)
+                who = f"pid {event['pid']} on host {event['host']}"
+    return who
 
 
 def _events(path: Path, handle: int) -> list[dict[str, Any]]:
@@ -171,8 +199,8 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
         try:
             event = json.loads(line)
             known = isinstance(event, dict) and (number > 1 or event.get("format") == FORMAT)
-            if known and event["event"] == "ended":
-                known = isinstance(event["output"], str)
+            if known and event["event"] in ("started", "ended"):
+                known = isinstance(event["output"], str) and isinstance(event.get("attempt", 0), int)
         except (ValueError, RecursionError, KeyError):
             known = False
         if not known:

@@ -10,30 +10,38 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from morembs.batches.manifest import Ended, Manifest
 from morembs.body.file import FORMAT_VERSION
 from morembs.errors import InputError, MorembsError
-from morembs.jobs.inputs import clashes
 from morembs.jobs.job import Job, load_job
+from morembs.jobs.order import order_of
 from morembs.version import VERSION
 
 # Tables and keys that do not change what is in a body.
-_BESIDE = {"solver": {"threads", "memory", "scratch"}, "output": {"path", "picture"}, "state_space": {"path"}}
+_BESIDE = {
+    "solver": {"threads", "memory", "scratch", "workers", "ranks"}, "output": {"path", "picture"},
+    "state_space": {"path"},
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A job of a batch; ``number`` counts from 1, ``name`` is what people call it, ``fault`` why it cannot be run."""
+    """A job of a batch; ``number`` counts from 1, ``name`` is what people call it, ``fault`` why it cannot be run.
+
+    ``takes`` has the numbers of the jobs that make the bodies of an assembly.
+    """
 
     number: int
     name: str
     path: Path
     job: Job | None = None
     fault: str = ""
+    takes: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def key(self) -> str:
         """SHA-256 of what is asked for, not of the files it is asked of."""
         tables = self.loaded.tables.model_dump(mode="json")
@@ -68,7 +76,7 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     for place in map(Path, given):
         held = _jobs_below(place) if place.is_dir() else [place]
         if not held:
-            raise InputError(f"{place} holds no job: no .toml file with a table [model]")
+            raise InputError(f"{place} holds no job: no .toml file with a table [model] or [[substructure]]")
         for path in held:
             paths.setdefault(path.resolve(), path)
     if not paths:
@@ -80,12 +88,16 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
             jobs[number] = load_job(path, changes)
         except MorembsError as error:
             faults[number] = str(error)
-    faults = {**clashes(jobs), **faults}
+    order = order_of(jobs, faults)
+    faults = {**order.refused, **faults}
     names = _names(list(paths))
     return tuple(
-        Part(number=at + 1, name=names[at], path=path, job=None if at in faults else jobs[at], fault=faults.get(at, ""))
+        Part(
+            number=at + 1, name=names[at], path=path, job=None if at in faults else jobs[at], fault=faults.get(at, ""),
+            takes=() if at in faults else tuple(number + 1 for number in order.parts.get(at, ())),
+        )
         for at, path in enumerate(paths.values())
-    )
+    )  # fmt: skip
 
 
 def unchanged(part: Part, manifest: Manifest) -> Ended | None:
@@ -107,15 +119,16 @@ def _as_counted(path: Path) -> list[list[tuple[int, str]]]:
 
 
 def _is_job(path: Path) -> bool:
-    """Whether a file has a table [model]; of a file that is no TOML its text decides."""
+    """Whether a file has a table of a job; of a file that is no TOML its text decides."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return False
     try:
-        return isinstance(tomllib.loads(text).get("model"), dict)
+        tables = tomllib.loads(text)
+        return isinstance(tables.get("model"), dict) or isinstance(tables.get("substructure"), list)
     except (ValueError, RecursionError):
-        return "[model]" in text
+        return "[model]" in text or "[[substructure]]" in text
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -29,7 +29,7 @@ from morembs.reducers.switching_tables import StaticModeTables
 from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
-    from morembs.body.parametric import ParametricParts
+    from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
 
 Floats = NDArray[np.float64]

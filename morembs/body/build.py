@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from morembs.body.body import ElasticBody, Part, elastic_body
-from morembs.body.parametric import parametric_parts
+from morembs.body.parametric_parts import parametric_parts
 from morembs.body.stress_shapes import stress_recovery
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -88,7 +88,7 @@ def build_body(
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         floating=floating, switching=switching, spin=spin,
-        parametric=None if variation is None else parametric_parts(problem, reduced, part, variation),
+        parametric=None if variation is None else parametric_parts(problem, reduced, part.nodes.ids, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
         recovery=None if options.stress is None or operator is None else stress_recovery(
             problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator,

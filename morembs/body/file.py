@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from morembs.body import tables, vtkhdf
 from morembs.body.stored import StoredBodies, StoredBody, StoredInterface, basis_columns, stored_bodies
 from morembs.body.stored_check import check_file
+from morembs.body.tables import BLOCK_BYTES, FORMAT, FORMAT_VERSION
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage import checksums
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
     from morembs.storage.writer import Writer
 
 Floats = NDArray[np.float64]
-FORMAT = "morembs-body"
-FORMAT_VERSION = 2
-# Columns of a basis that are in memory at a time.
-BLOCK_BYTES = 16 * 2**20
 # What is compared with its checksums when it is read.
 _LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|parametric|basis/)")
 

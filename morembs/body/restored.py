@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import tables, vtkhdf
-from morembs.body.file import BLOCK_BYTES, FORMAT
 from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.tables import BLOCK_BYTES, FORMAT
 from morembs.body.vtkhdf_series import Grid, read_grid
 from morembs.errors import InputError
 from morembs.reducers.base import MODE_KINDS

@@ -21,7 +21,6 @@ from morembs.storage.table_check import refuse_not_finite
 from morembs.summary import error_words, hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
-    from morembs.body.parametric import ParametricBody
     from morembs.body.vtkhdf_series import View
     from morembs.interface import CouplingKind
     from morembs.reducers.base import ReducedModel
@@ -91,7 +90,7 @@ class StoredBody(Viewed):
     read_basis: Callable[[str, slice], Floats]
     read_switching: Callable[[str], StaticModeTables]
     read_view: Callable[[StoredBody, int], View]
-    read_parametric: Callable[[str], ParametricBody]
+    read_parametric: Callable[[str], Any]
     full_frequencies_hz: Floats | None = None
     floating: FloatingFrame | None = None
     ranking: tuple[RankedTerm, ...] = ()
@@ -171,8 +170,8 @@ class StoredBody(Viewed):
         return switching
 
     @property
-    def parametric(self) -> ParametricBody:
-        """The body at other values of its parameters, read from the file at each call.
+    def parametric(self) -> Any:
+        """The body at other values of its parameters, a ``ParametricBody``, read from the file at each call.
 
         Raises:
             InputError: it has no parameters, or the file is gone or damaged.

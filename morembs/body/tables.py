@@ -19,7 +19,7 @@ from morembs.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:
-    from morembs.body.parametric import ParametricParts
+    from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
     from morembs.reducers.switching_tables import StaticModeTables
 
@@ -57,7 +57,7 @@ def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
 
 def _parametric(**values: Any) -> ParametricParts:
     # Not at the top: files are shown without what evaluates them.
-    from morembs.body.parametric import ParametricParts
+    from morembs.body.parametric_parts import ParametricParts
 
     return ParametricParts.of_rows(**values)
 
@@ -73,6 +73,10 @@ def _switching(**values: Any) -> StaticModeTables:
     return StaticModeTables(**values)
 
 
+FORMAT = "morembs-body"
+FORMAT_VERSION = 2
+# Columns of a basis that are in memory at a time.
+BLOCK_BYTES = 16 * 2**20
 # 2: limits hold at every frequency of a band; files without a version have errors at samples.
 CERTIFICATE_VERSION = 2
 _OLD = "files of earlier versions lack it"
@@ -302,8 +306,9 @@ PARAMETRIC = Table((
     Row("frame", FRAME_TERMS, doc="integrals over the terms of the mass, for floating frames", when="free bodies"),
     Row("bound", BOUND, doc="what the bound of the error needs", when="where there is one"),
     Row("box_bound", "any", "", "largest relative bound over the band at all sampled values",
-        doc="largest bound over the band at all sampled values, relative to the response: a maximum over samples"),
-    Row("floor", "real", "", "damping ratio that the bound assumes"),
+        doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum "
+        "over samples"),
+    Row("floor", "real", "", "damping ratio that box_bound gives to models without damping"),
 ), build=_parametric, parts=_parametric_parts)  # fmt: skip
 
 SPIN = Table((

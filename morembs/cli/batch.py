@@ -19,7 +19,7 @@ from morembs.progress import duration_words
 
 if TYPE_CHECKING:
     from morembs.batches.plan import Part
-    from morembs.batches.run import Listener, Record
+    from morembs.batches.records import Listener, Record
 
 app = typer.Typer()
 # A line of progress of a job, without the time that it has taken.
@@ -32,6 +32,11 @@ def batch(
         list[Path], typer.Argument(metavar="JOB.toml|FOLDER...", help="Jobs, folders with jobs.", show_default=False)
     ],
     workers: Annotated[int | None, typer.Option("--jobs", "-j", help="How many run at once at most.")] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="local:N|tcp://HOST:PORT|FILE.toml", help="Workers here, of dask, or of a queue."),
+    ] = None,
+    retries: Annotated[int, typer.Option(help="How often a job that was killed is begun again.")] = 2,
     changes: Changes = None,
     report: Report = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Run all, those that are up to date too.")] = False,
@@ -48,8 +53,8 @@ def batch(
         check_report(report)
         with _shown(quiet) as listener:
             records = run(
-                jobs, changes=changes or (), workers=workers, manifest=manifest, fresh=fresh, check_only=check_only,
-                listener=listener,
+                jobs, changes=changes or (), workers=workers, cluster=cluster, retries=retries, manifest=manifest,
+                fresh=fresh, check_only=check_only, listener=listener,
             )  # fmt: skip
         if report is not None:
             entries = [
@@ -74,7 +79,7 @@ def batch(
 def _closing(records: Sequence[Record]) -> str:
     """``10 done, 1 unchanged, 1 failed``, and which failed."""
     counts: Counter[str] = Counter(record.state for record in records)
-    states = ("sound", "done", "unchanged", "failed")
+    states = ("sound", "waits", "done", "unchanged", "failed")
     failed = [f"failed: {record.name}: {record.message}" for record in records if record.state == "failed"]
     return "\n".join([*failed, ", ".join(f"{counts[state]} {state}" for state in states if counts[state])])
 
@@ -83,8 +88,8 @@ def _outcome(record: Record) -> str:
     """How a job went, in a line."""
     if record.state == "failed":
         return f"failed: {record.message}"
-    if record.state == "sound":
-        return "sound"
+    if record.state in ("sound", "waits"):
+        return f"{record.state}{record.message and ', '}{record.message}"
     bodies = record.facts.get("bodies", {})
     orders = "order " + ", ".join(str(body["order"]) for body in bodies.values())
     if record.state == "unchanged":
@@ -126,6 +131,10 @@ class _Lines:
         """A job is done, is found unchanged, or has failed."""
         if record.state != "sound":
             self._tell(f"{_place(part, count)}: {_outcome(record)}")
+
+    def told(self, line: str) -> None:
+        """Something about the workers, or about an attempt that is made again."""
+        self._tell(line)
 
     def _tell(self, line: str) -> None:
         if not self._quiet:

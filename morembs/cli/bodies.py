@@ -74,7 +74,7 @@ def export(
             raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
         if table is not None:
             # Not at the top: few bodies have parameters.
-            from morembs.cli.evaluate import export_family
+            from morembs.cli.families import export_family
 
             if at is not None or len(files) > 1:
                 raise InputError("--table was given with --at or several files; expected one file and a table")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,6 +40,7 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.jobs.job import Job
+    from morembs.jobs.order import Order
 
 app = typer.Typer(
     name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
@@ -50,7 +51,7 @@ app = typer.Typer(
 @app.command(epilog=EPILOG)
 def reduce(
     jobs: Jobs, changes: Changes = None, report: Report = None, as_json: AsJson = False, quiet: Quiet = False,
-    attached: Attached = False,
+    attached: Attached = False, attempt: Annotated[str, typer.Option(hidden=True, help="Token of an attempt.")] = "",
 ) -> None:  # fmt: skip
     """Reduce the models of job files and write their bodies."""
     from morembs.cli.report import print_result, result_json
@@ -61,7 +62,7 @@ def reduce(
         leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        job = load_job(path, changes or ())
+        job = replace(load_job(path, changes or ()), attempt=attempt)
         shown: list[str] = []
 
         def tell(sentence: str) -> None:
@@ -71,7 +72,7 @@ def reduce(
         result = run_job(job, progress, tell)
         return result_json(result), lambda: print_result(console(), result, shown)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
 
 
 @app.command(epilog=EPILOG)
@@ -119,7 +120,7 @@ def compare(
         written = [loaded.output, *(file for file in (loaded.picture, picture) if file is not None)]
         return document, lambda: print_contenders(console(), str(path), compared, written)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()), report)
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
 
 
 @app.command(epilog=EPILOG)
@@ -138,7 +139,7 @@ def check(
         forecast = check_job(load_job(path, changes or ()), progress)
         return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
 
-    each_job(jobs, as_json, work, quiet, _in_each_others_way(jobs, changes or ()))
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
 
 @app.command(epilog=EPILOG)
@@ -179,16 +180,16 @@ def schema() -> None:
         echo(json.dumps(JobTables.model_json_schema(), indent=2))
 
 
-def _in_each_others_way(jobs: Sequence[Path], changes: Sequence[str]) -> dict[int, str]:
-    """Place of a job -> why it is not run beside the others; jobs that cannot be read say so in their turn."""
-    from morembs.jobs.inputs import clashes
+def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
+    """The order of jobs by their places; those that cannot be read say so in their turn."""
     from morembs.jobs.job import load_job
+    from morembs.jobs.order import order_of
 
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
             loaded[number] = load_job(path, changes)
-    return clashes(loaded)
+    return order_of(loaded, range(len(jobs)))
 
 
 app.add_typer(batches)

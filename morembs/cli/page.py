@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 FREQUENCIES = 5
 # Stages of a job in the order in which they run; files keep them by name.
 STAGES = (
-    "read", "assemble", "couple", "preload", "factorise", "solve modes", "reduce", "certify", "response", "deliver",
+    "read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver",
 )  # fmt: skip
 # Width, height in inches and dots per inch: of the small picture in a row, of shapes and of responses.
 SMALL, SHAPES, RESPONSE = (1.6, 1.0, 80), (9.0, 4.0, 90), (9.0, 4.6, 90)

@@ -31,6 +31,7 @@ from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
 from morembs.progress import duration_words
+from morembs.storage.checksums import whole_sum
 
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
@@ -56,6 +57,7 @@ def result_json(result: JobResult) -> dict[str, Any]:
     return {
         "job": str(result.job.path),
         "output": str(result.job.output),
+        "body_sha256": whole_sum(result.job.output),
         "picture": None if result.job.picture is None else str(result.job.picture),
         "solver": result.solver,
         "choice": result.choice,

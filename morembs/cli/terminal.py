@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,9 @@ from morembs.cli.messages import Failure, failure, print_json, printing, tell
 from morembs.errors import InputError
 from morembs.memory import release
 from morembs.progress import SILENT, Progress
+
+if TYPE_CHECKING:
+    from morembs.jobs.order import Order
 
 # Shorter work writes no lines of progress.
 PATIENCE_OF_LINES = 5.0
@@ -177,10 +180,10 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
 
 
 def each_job(
-    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, refused: Mapping[int, str] | None = None,
+    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, order: Order | None = None,
     report: Path | None = None,
 ) -> None:  # fmt: skip
-    """Do ``work`` for each job but for those that are ``refused``: place among the jobs -> reason."""
+    """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
     if report is not None:
         from morembs.cli.page import check_report
 
@@ -188,14 +191,16 @@ def each_job(
             check_report(report)
     documents: list[dict[str, Any]] = []
     failed: list[Failure] = []
-    reasons = refused or {}
-    for number, path in enumerate(jobs):
+    lost: set[int] = set()
+    for count, number in enumerate(range(len(jobs)) if order is None else order.sequence):
         stopping.check()
+        path = jobs[number]
         with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
-            if number in reasons:
-                raise InputError(reasons[number])
+            if order is not None:
+                _refuse(order, number, [jobs[part] for part in order.parts.get(number, ()) if part in lost])
             _do(work, path, as_json, quiet, documents)
-        if len(documents) == number:
+        if len(documents) == count:
+            lost.add(number)
             documents.append({"job": str(path), "error": failed[-1].message})
         # The next job shall not hold, nor report, what this one needed.
         release()
@@ -208,6 +213,13 @@ def each_job(
             print_json(documents)
     if failed:
         raise typer.Exit(min(fault.code for fault in failed))
+
+
+def _refuse(order: Order, number: int, lost: Sequence[Path]) -> None:
+    if number in order.refused:
+        raise InputError(order.refused[number])
+    if lost:
+        raise InputError(f"its part {lost[0]} failed; mend that first")
 
 
 def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:

@@ -11,7 +11,7 @@ import typer
 from numpy.typing import NDArray
 
 from morembs.cli.bodies import BodyFile, BodyName, values_of
-from morembs.cli.evaluate import parametric_of
+from morembs.cli.families import parametric_of
 from morembs.cli.messages import print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages
 from morembs.errors import InputError

@@ -13,11 +13,14 @@ from morembs.body.stored import StoredBodies
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
+from morembs.reducers.base import ReducedModel
 from morembs.responses.measures import MEASURES
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
 POINTWISE = MEASURES.index("pointwise")
+# A frequency of the full model may be unknown by this part of it, or of what it differs by from those of the bodies.
+SHARP, SHARE = 1e-6, 0.1
 
 
 @summarised
@@ -39,6 +42,44 @@ class FrequencyResponse:
     bound: Mapping[str, Floats] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     length: float
+
+
+def know_frequencies(problem: Problem, bodies: Sequence[ReducedModel], count: int, *, insist: bool) -> tuple[str, ...]:
+    """Have ``problem`` know its lowest ``count`` free-free frequencies, for a comparison with those of ``bodies``.
+
+    They are taken from the fixed-interface modes where these tell them sharply enough. Others are solved for unless the
+    factor lies on disk, where that takes longer than all else; ``insist`` has it done there too. Returns notes on what
+    is left out.
+    """
+    count = min(count, problem.K.shape[0] - problem.rigid.shape[1])
+    if not count or problem.knows_modes(count):
+        return ()
+    hz = _sharp(problem.frequency_limits(count), bodies)
+    if len(hz) < count and (insist or not problem.statics.factor.stats.out_of_core):
+        problem.elastic_modes(count=count)
+        return ()
+    if len(hz):
+        problem.take_frequencies(hz)
+    if len(hz) == count:
+        return ()
+    return (
+        f"{len(hz) or 'none'} of {count} free-free frequencies of the full model are known to compare the bodies with: "
+        "the others would take an eigensolution with a factor on disk, which often takes longer than all else; "
+        f"[check] full_modes = {count} asks for it",
+    )
+
+
+def _sharp(limits: Floats | None, bodies: Sequence[ReducedModel]) -> Floats:
+    """The first frequencies (k,) in Hz that ``limits`` (2, n) tell well enough to compare ``bodies`` with."""
+    if limits is None:
+        return np.zeros(0)
+    hz, off = limits[1], limits[1] - limits[0]
+    least = np.full(len(hz), np.inf)
+    for body in bodies:
+        own = np.sqrt(np.maximum(body.modes()[0][body.rigid_count :], 0.0))[: len(hz)] / (2 * np.pi)
+        least[: len(own)] = np.minimum(least[: len(own)], np.abs(own - hz[: len(own)]))
+    sharp = off <= np.maximum(SHARP * hz, SHARE * np.where(np.isfinite(least), least, 0.0))
+    return np.asarray(hz[: int(np.argmin(np.append(np.isfinite(hz) & sharp, False)))])
 
 
 def recommended(limits: Mapping[str, float | None]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from morembs.importers.model_file import read_model
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable, SubstructureTable
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
@@ -173,11 +173,14 @@ def solver_of(job: Job) -> LinearSolver:
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
-    solver = select_solver(given.name, memory=job.memory, scratch=scratch)
+    name = given.name if given.ranks is None else RankedMumps.name
+    solver = select_solver(name, memory=job.memory, scratch=scratch)
+    if given.ranks is not None:
+        solver = replace(solver, ranks=given.ranks)  # type: ignore[call-arg]
     if not given.out_of_core:
         return solver
     able = {name: kind for name, kind in SOLVERS.items() if any(field.name == "out_of_core" for field in fields(kind))}
-    if given.name not in able:
+    if name not in able:
         raise InputError(f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}")
     return replace(solver, out_of_core=True)  # type: ignore[call-arg]
 
@@ -189,7 +192,7 @@ def budget_of(job: Job, solver: LinearSolver) -> Budget:
 
 def prepare_output(job: Job) -> None:
     """Check before any work that the results can be written."""
-    inputs = _inputs(job)
+    inputs = inputs_of(job)
     for name, path in job.results.items():
         for other, taken in inputs.items():
             if path.resolve() == taken.resolve():
@@ -198,26 +201,8 @@ def prepare_output(job: Job) -> None:
         inputs[name] = path
 
 
-def clashes(jobs: Mapping[int, Job]) -> dict[int, str]:
-    """Key of each job that must not be run with the others -> why: its results and a file of another are one file."""
-    used: dict[Path, list[tuple[int, str, bool]]] = {}
-    for key, job in jobs.items():
-        for name, path in _inputs(job).items():
-            used.setdefault(path.resolve(), []).append((key, name, False))
-        for name, path in job.results.items():
-            used.setdefault(path.resolve(), []).append((key, name, True))
-    reasons: dict[int, str] = {}
-    for path, uses in used.items():
-        for key, name, written in uses:
-            others = [(other, what) for other, what, _ in uses if other != key]
-            if written and others:
-                other, what = others[0]
-                reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
-                reasons.setdefault(key, reason)
-    return reasons
-
-
-def _inputs(job: Job) -> dict[str, Path]:
+def inputs_of(job: Job) -> dict[str, Path]:
+    """The files that the job reads by the words for each: itself, and what its model comes from."""
     moves = {f"the morph of {t.name}": job.resolve(t.mesh or t.displacement or "") for t in job.tables.parameter
              if t.mesh or t.displacement}  # fmt: skip
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"

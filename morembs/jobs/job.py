@@ -17,6 +17,7 @@ from morembs.jobs.schema import JobTables, ReduceTable
 from morembs.options import Text, checked, in_toml, pairs, readings
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
+from morembs.storage.attempts import attempt_at
 
 # Where a key is: names of tables and keys, and numbers of tables in [[...]].
 Loc = tuple[int | str, ...]
@@ -29,7 +30,8 @@ BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 class Job:
     """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder.
 
-    ``changes`` are the keys that were given another value, KEY=VALUE; the text is that of the file.
+    ``changes`` are the keys that were given another value, KEY=VALUE; the text is that of the file. ``attempt`` is the
+    token of an attempt at the results, which then lie beside the files that they are for.
     """
 
     path: Path
@@ -38,6 +40,7 @@ class Job:
     reducers: Mapping[str, Reducer]
     memory: int | None = None
     changes: tuple[str, ...] = ()
+    attempt: str = ""
 
     def resolve(self, path: str) -> Path:
         """A path of the job file, seen from the working directory.
@@ -52,20 +55,24 @@ class Job:
             raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
         return whole
 
+    def _result(self, path: str) -> Path:
+        whole = self.resolve(path)
+        return attempt_at(whole, self.attempt) if self.attempt else whole
+
     @property
     def output(self) -> Path:
         """The body file."""
-        return self.resolve(self.tables.output.path)
+        return self._result(self.tables.output.path)
 
     @property
     def picture(self) -> Path | None:
         """The picture, if one is wanted."""
-        return None if self.tables.output.picture is None else self.resolve(self.tables.output.picture)
+        return None if self.tables.output.picture is None else self._result(self.tables.output.picture)
 
     @property
     def state_space(self) -> Path | None:
         """The file of a state space, if one is wanted."""
-        return None if self.tables.state_space is None else self.resolve(self.tables.state_space.path)
+        return None if self.tables.state_space is None else self._result(self.tables.state_space.path)
 
     @property
     def results(self) -> dict[str, Path]:
@@ -126,7 +133,7 @@ def _change(data: dict[str, Any], key: str, text: Text) -> None:
         table[last] = readings(text)[0]
 
 
-def parse_memory(text: str) -> int:
+def parse_memory(text: str, table: str = "[solver]") -> int:
     """Bytes of a text such as ``"4 GiB"`` or ``"500 MB"``.
 
     Raises:
@@ -135,9 +142,9 @@ def parse_memory(text: str) -> int:
     match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
     size = float(match[1]) * BYTES[match[2]] if match and match[2] in BYTES else 0.0
     if match and not match[2]:
-        raise InputError(f'[solver]: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(f'{table}: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
     if not 1 <= size < MOST_BYTES:
-        raise InputError(f'[solver]: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
     return int(size)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,13 @@ from morembs.floating.preload import preloaded
 from morembs.floating.spin import ReducedSpin
 from morembs.floating.spinning import Spin, spinning
 from morembs.floating.spinning_modes import modes_over_speed, with_spin
-from morembs.jobs.compare import FrequencyResponse, certified_response, frequency_response, recommended
+from morembs.jobs.compare import (
+    FrequencyResponse,
+    certified_response,
+    frequency_response,
+    know_frequencies,
+    recommended,
+)
 from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
     body_options,
@@ -130,7 +137,10 @@ def _run(
         warn(warning)
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
-        problem = _coupled(job, model, varied, interfaces, solver=solver, budget=budget, progress=progress)
+        workers = job.tables.solver.workers
+        problem = _coupled(
+            job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
+        )
         costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
@@ -141,7 +151,8 @@ def _run(
             stressed = preloaded(problem, preload, progress)
             model, preload_notes = stressed.model, dict(stressed.notes)
             problem = Problem(
-                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress
+                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress,
+                workers=workers,
             )
     with problem:
         rotation = rotation_of(job)
@@ -152,9 +163,9 @@ def _run(
             for warning in spin.warnings:
                 warn(warning)
             warnings += spin.warnings
-        bodies = _reduce(job, problem, body_options(job), spin, watch)
+        bodies, notes = _reduce(job, problem, body_options(job), spin, watch)
         delivered = delivered_warnings(bodies)
-        warnings += delivered
+        warnings += (*delivered, *notes)
         response = certified_response(problem, bodies)
         if job.tables.response is not None or (
             response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_INTERFACE_DOFS
@@ -213,18 +224,13 @@ def _coupled(
 
 def _reduce(
     job: Job, problem: Problem, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
-) -> tuple[ElasticBody, ...]:
-    """One body for each reduction, and the free-free frequencies of the full model to compare with."""
-    size = problem.K.shape[0]
-    count = min(job.tables.check.full_modes, size - problem.rigid.shape[1])
+) -> tuple[tuple[ElasticBody, ...], tuple[str, ...]]:
+    """One body for each reduction, compared with free-free frequencies of the full model, and notes on that."""
     with watch.stage("factorise"):
         if wants_modes(job):
             problem.require_room_for_modes()
         _ = problem.statics
-    if count:
-        with watch.stage("solve modes"):
-            problem.elastic_modes(count=count)
-    reduced = []
+    reduced: list[ReducedModel] = []
     for name, reducer in reducers_of(job).items():
         with watch.stage(f"reduce {name}"):
             try:
@@ -249,7 +255,10 @@ def _reduce(
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             certificates = certify(problem, reduced, band, progress=watch.progress, **options)
-    return _delivered(job, problem, reduced, certificates, spins, wanted, watch)
+    check, notes = job.tables.check, tuple[str, ...]()
+    with watch.stage("compare") if check.full_modes else nullcontext():
+        notes = know_frequencies(problem, reduced, check.full_modes, insist="full_modes" in check.model_fields_set)
+    return _delivered(job, problem, reduced, certificates, spins, wanted, watch), notes
 
 
 def _delivered(

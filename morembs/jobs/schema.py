@@ -228,6 +228,17 @@ class SolverTable(Table):
     threads: int | None = Field(default=None, ge=1, le=4096, description="a count of threads from 1 to 4096")
     scratch: str | None = Field(default=None, min_length=1, description="the path of a folder for temporary files")
     out_of_core: bool = Field(default=False, description="true to keep the factor and all arrays on disk, or false")
+    ranks: int | None = Field(default=None, ge=1, le=65536, description="a count of MPI processes from 1 to 65536")
+    workers: int = Field(default=1, ge=1, le=1024, description="a count of processes from 1 to 1024")
+
+
+    @model_validator(mode="after")
+    def _ranks(self) -> Self:
+        if self.ranks is not None and self.name not in ("auto", "mumps-ranks"):
+            raise ValueError(f'ranks was given beside name = "{self.name}"; only "mumps-ranks" takes ranks')
+        if self.ranks is not None and self.workers > 1:
+            raise ValueError("ranks and workers were both given; choose one")
+        return self
 
 
 class ReduceTable(Table):

@@ -81,11 +81,13 @@ def hstack(*parts: Floats, budget: Budget) -> Floats:
 
 
 def map_columns(
-    apply: Callable[[Values], Values], F: Values | sp.csc_array, budget: Budget, dtype: Any = np.float64
-) -> Values:
-    """apply(F) (N, k) where the budget wants it, the columns of ``F`` (N, k) made dense a block at a time."""
+    apply: Callable[[Values], Values], F: Values | sp.csc_array, budget: Budget, dtype: Any = np.float64,
+    width: int | None = None,
+) -> Values:  # fmt: skip
+    """apply(F) (N, k) where the budget wants it, the columns of ``F`` (N, k) made dense ``width`` at a time, by default
+    as many as the budget has room for."""
     X = budget.empty(F.shape, dtype, order="F")
-    width = budget.columns(F.shape[0])
+    width = budget.columns(F.shape[0]) if width is None else width
     for at in range(0, F.shape[1], width):
         X[:, at : at + width] = apply(dense(F[:, at : at + width]))
         budget.release_if_tight()
@@ -195,7 +197,8 @@ def orthonormal_pair(
     norms = np.sqrt(np.maximum(np.diag(gram).real, 0.0))
     start = norms if reference is None else reference
     keep = (norms > least * start) & (norms > 0)
-    Q = W[:, keep] / norms[keep]
+    Q = W[:, keep]
+    Q /= norms[keep]
     MQ = None if MW is None else MW[:, keep] / norms[keep]
     return _by_gram(Q, M, least, gram[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep]), MQ)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -88,6 +89,21 @@ class DynamicStiffness(Closing):
             self.budget.release_pages()
             self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
         return self._analyses[structure].factorize(A, what)
+
+    def for_worker(self, budget: Budget) -> DynamicStiffness:
+        """The same matrices under another budget and without any factor, for a process of its own."""
+        other = copy(self)
+        other.budget, other._analyses = budget, {}
+        return other
+
+    def room_for_factor(self, structure: str) -> int:
+        """Bytes that a factor of A(s) in memory takes at most, with the values of A(s), from a symbolic analysis."""
+        lower = self.lower
+        if structure == "complex-symmetric":
+            lower = replace(lower, data=lower.data.astype(complex))
+        with self.solver.with_memory(None).analyse(lower, structure) as analysis:
+            plan = analysis.forecast
+        return lower.data.nbytes + max(plan.memory, plan.kept)
 
     @property
     def analysed(self) -> tuple[str, ...]:

@@ -34,8 +34,9 @@ MOST_SPARSE = 2000
 ATTEMPTS = 4
 # More modes up to a limit than would fill so many slices are found slice by slice.
 SLICES = 10 / 3
-# Widest block of the Krylov space when the factor lies on disk.
-WIDEST = 32
+# Columns of a Krylov block when the factor lies on disk: so many, where a pass takes as long as their arithmetic, or as
+# many as modes, but no more than the widest; and blocks that exist at once.
+WIDE, WIDEST, COPIES = 32, 64, 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,12 +64,14 @@ class Modes:
 def lowest_modes(
     body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
     progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
+    count_below: Callable[[float], int | None] | None = None,
 ) -> Modes:  # fmt: skip
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
     Args:
         by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
         per_slice: modes of a slice, where there are so many that they are found slice by slice.
+        count_below: number of modes below an eigenvalue by other means than a factorisation; None where they fail.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -81,7 +84,9 @@ def lowest_modes(
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + GAP
         if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
-            count, shifted = _up_to(body, M, below)
+            count = None if count_below is None else count_below(below)
+            if count is None:
+                count, shifted = _up_to(body, M, below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
                     f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
@@ -219,7 +224,7 @@ def _counted(
     progress: Progress, what: str,
 ) -> Modes:  # fmt: skip
     """Modes by block Lanczos at shift zero, counted afterwards."""
-    wanted = min(count + 2, M.shape[0] - body.count)
+    wanted = min(count if below is not None else count + 2, M.shape[0] - body.count)
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
@@ -248,8 +253,7 @@ def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
         return int(np.clip(count // 4, 8, 12))
-    width = body.statics.budget.columns(len(body.statics.Z), copies=8, widest=WIDEST)
-    return int(np.clip(count, 8, max(8, width)))
+    return int(np.clip(body.statics.columns(COPIES, WIDEST), 8, max(WIDE, count + 2)))
 
 
 def _gap_after(values: Floats, count: int) -> float | None:

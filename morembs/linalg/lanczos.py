@@ -62,7 +62,10 @@ class BlockLanczos:
         """One block more: afterwards ``size`` columns satisfy Op V = V T + W E'."""
         k, b = self.size, self.pending.shape[1]
         self.V[:, k : k + b] = self.pending
+        # Blocks that are done with make room for those of the solution.
+        self.pending = self.rest_vectors = self.V[:, :0]
         W = self.flexibility(self.M_pending)
+        self.M_pending = self.pending
         MW = self.M @ W
         norms = m_norms(W, MW)
         H = np.zeros((k + b, b))
@@ -88,6 +91,7 @@ class BlockLanczos:
         self.last = slice(k, k + b)
         # Op of the next block has no part along what came before this one.
         self.near = k
+        del MW
         self.pending, self.M_pending = self._next(W, norms)
 
     def _next(self, W: Floats, norms: Floats) -> tuple[Floats, Floats]:

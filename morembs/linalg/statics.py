@@ -70,6 +70,10 @@ class Statics(Closing):
         """The memory budget of the process."""
         return self.pencil.budget
 
+    def columns(self, copies: int = 4, widest: int | None = None) -> int:
+        """Columns to solve for at once where ``copies`` of them exist: each block reads a factor on disk as a whole."""
+        return self.budget.columns(len(self.Z), copies, widest, wide=self.factor.stats.out_of_core)
+
     def apply(self, F: Floats) -> Floats:
         """K_c^-1 F (N, k): displacements with the supports on springs."""
         return np.asarray(self.factor.solve(F))
@@ -99,7 +103,7 @@ class ConstrainedStatics:
     def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
         self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = map_columns(statics.apply, C, statics.budget)
+        self.X = map_columns(statics.apply, C, statics.budget, width=statics.columns())
         E = C.T @ self.X
         H = C.T @ Z
         c, r = H.shape
@@ -121,7 +125,10 @@ class ConstrainedStatics:
 
     def solve(self, F: Floats, G: Floats | None = None) -> tuple[Floats, Floats]:
         """u (N, k) with K u = f - C lam and C' u = g, and lam (c, k)."""
-        U = self.statics.apply(F)
+        return self.constrain(self.statics.apply(F), F, G)
+
+    def constrain(self, U: Floats, F: Floats, G: Floats | None = None) -> tuple[Floats, Floats]:
+        """As ``solve``, with ``U`` (N, k) = K_c^-1 F, which is overwritten: without a solution of its own."""
         if self.border is None:
             return U, np.zeros((0, F.shape[1]))
         top = self.C.T @ U - (0.0 if G is None else G)
@@ -223,7 +230,7 @@ class ConstrainedStatics:
 
     def _blocks(self) -> list[slice]:
         """Columns of as many interface degrees of freedom as the budget allows at once."""
-        width = self.statics.budget.columns(len(self.statics.Z), copies=4)
+        width = self.statics.columns()
         return [slice(at, at + width) for at in range(0, self.count, width)]
 
     def count_below(self, sigma: float) -> int:

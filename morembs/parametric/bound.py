@@ -129,11 +129,11 @@ class ParametricBound:
         energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
         energy = np.maximum(energy, energy[energy > RIGID * energy.max(initial=0.0)].min(initial=np.inf))
         size = np.linalg.norm(self.residual_B, axis=0)
-        one = np.ones_like(self.anchor)
+        ones = np.ones_like(self.anchor)
         parts = (
             (self.residual_B[None], np.ones(1), 1 / np.where(size > 0, size, 1.0)),
-            (self.residual_K, ratio(self.law_K, self.anchor, one), 1 / energy),
-            (self.residual_M, ratio(self.law_M, self.anchor, one), energy),
+            (self.residual_K, ratio(self.law_K, self.anchor, ones), 1 / energy),
+            (self.residual_M, ratio(self.law_M, self.anchor, ones), energy),
         )
         weighted = np.hstack([np.hstack([*(a[:, None, None] * terms * weight)]) for terms, a, weight in parts])
         U, values, _ = sl.svd(weighted, full_matrices=False)

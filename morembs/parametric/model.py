@@ -7,7 +7,7 @@ those of the coefficients. NumPy and SciPy only.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -39,8 +39,8 @@ class ParametricModel:
     of unit translations and rotations, affine in the morphs.
 
     ``damping`` is that of nominal values, ``scale`` (m,) turns rotations into lengths; ``bound`` says how wrong the
-    responses are, None where that is not known, for a damping ratio of ``floor`` beside the damping; ``box_bound`` is
-    the largest relative bound of all sampled values.
+    responses are, None where that is not known; ``box_bound`` is the largest relative bound of all sampled values, for
+    a damping ratio of ``floor`` beside the damping.
     """
 
     box: Box
@@ -157,13 +157,13 @@ class ModelAt:
 
     @cached_property
     def bound_at(self) -> Any:
-        """The bound of the model at this value, None where it has none; its damping has the ``floor``."""
+        """The bound of the model at this value and with its own damping, None where it has none."""
         model = self.model
         if model.bound is None:
             return None
         return model.bound.at(
             self.p, K=self.K, M=self.M, B=model.B * model.scale, rigid=model.rigid_at(self.p),
-            damping=replace(self.damping, structural=self.damping.structural + 2 * model.floor),
+            damping=self.damping,
         )  # fmt: skip
 
     @property

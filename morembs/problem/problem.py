@@ -16,10 +16,12 @@ from morembs.budget import Budget
 from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
+from morembs.linalg.columns import dense, map_columns
 from morembs.linalg.congruence import cancelling, congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.rigid import resists, strain_free, written
+from morembs.linalg.second_shift import keeps_two_factors
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -28,6 +30,7 @@ from morembs.model import FEModel
 from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
 from morembs.model.rigid_residual import refuse_other_geometry
+from morembs.problem.condensed import Condensed
 from morembs.problem.damping import Damping as Damping
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
@@ -38,6 +41,8 @@ Shared = TypeVar("Shared")
 AS_A_RULE = 0.1
 # Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
 FEW_TERMS = 100
+# Key of the constraint modes among the solutions that reducers share.
+CONSTRAINT = "constraint modes"
 # Limits of modes that differ by less than this part are one limit.
 SAME = 1e-14
 # Part of a static motion or of the stiffness of a mode that round-off may take.
@@ -54,7 +59,8 @@ SOFTER = (
 class Problem(Closing):
     """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
 
-    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``.
+    ``budget`` bounds the resident memory of the process; by default it is that of ``solver``. Up to ``workers``
+    processes factorise A(s) at different s at once, as far as the budget has room for all of their factors.
     ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
     analytic, never from an eigensolver.
 
@@ -70,6 +76,7 @@ class Problem(Closing):
     def __init__(
         self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
         damping: Damping | None = None, budget: Budget | None = None, progress: Progress = SILENT,
+        workers: int = 1,
     ) -> None:  # fmt: skip
         self.model = model
         self.interfaces = tuple(interfaces)
@@ -81,7 +88,7 @@ class Problem(Closing):
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
             )
-        self.progress = progress
+        self.progress, self.workers = progress, workers
         self.coupling: Coupling = couple(model, self.interfaces)
         T = self.coupling.T
         square = T.shape[0] == T.shape[1]
@@ -94,6 +101,7 @@ class Problem(Closing):
         self._refuse_unconnected()
         self.rigid, self._held = self._rigid_motions()
         self._elastic: Modes | None = None
+        self._compared_hz: Floats | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
 
@@ -172,6 +180,41 @@ class Problem(Closing):
         """The body held at all interface degrees of freedom: C = B."""
         return ConstrainedStatics(self.statics, self.B, "the interfaces")
 
+    def constraint_modes(self) -> tuple[Floats, Floats]:
+        """Static displacements (Nc, m) under unit motions of the interfaces, and their stiffness (m, m): computed once.
+
+        Not to be changed.
+        """
+        return self.shared(CONSTRAINT, self.internal.impose)
+
+    def keep_constraint_modes(self, modes: Floats, stiffness: Floats) -> None:
+        """Take ``modes``, columns of an array that is kept anyway, in the place of those that were computed."""
+        self._shared[CONSTRAINT] = modes, stiffness
+
+    def static_response(self) -> Floats:
+        """Elastic displacements (Nc, m) of the free body under unit loads at the interfaces.
+
+        Without a solution of its own where the body has been held at its interfaces before.
+        """
+        if "internal" not in self.__dict__:
+            return map_columns(self.elastic.flexibility, self.B, self.budget, width=self.statics.columns(5))
+        known, width = self.internal.X, self.statics.columns(5)
+        X = self.budget.empty(known.shape, order="F")
+        for at in range(0, X.shape[1], width):
+            some = slice(at, at + width)
+            X[:, some] = self.elastic.constrain(known[:, some].copy(order="F"), dense(self.B[:, some]))[0]
+        return X
+
+    def condensed(self) -> Condensed | None:
+        """What the fixed-interface modes that were computed tell of the free body; None without some."""
+        fixed = self._fixed
+        if fixed is None or not len(fixed.eigenvalues):
+            return None
+        return self.shared(
+            ("condensed", len(fixed.eigenvalues)),
+            lambda: Condensed.of(self.internal, self.M, fixed, *self.constraint_modes()),
+        )
+
     def require_room_for_modes(self) -> None:
         """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
 
@@ -192,10 +235,33 @@ class Problem(Closing):
         return _cut(self._fixed, count, below)
 
     def known_frequencies_hz(self) -> Floats | None:
-        """Free-free frequencies of the coupled model computed so far, rigid ones as zero; None if none."""
-        if self._elastic is None:
+        """Free-free frequencies of the coupled model known so far, rigid ones as zero; None if none."""
+        hz = self._compared_hz if self._elastic is None else self._elastic.frequencies_hz
+        return None if hz is None else np.concatenate([np.zeros(self.rigid.shape[1]), hz])
+
+    def take_frequencies(self, hz: Floats) -> None:
+        """Elastic free-free frequencies (k,), known from ``frequency_limits``, for as long as no modes are."""
+        self._compared_hz = hz
+
+    def frequency_limits(self, count: int) -> Floats | None:
+        """(2, count) limits in Hz of the lowest elastic free-free frequencies, without an eigensolution for them.
+
+        From the fixed-interface modes that were computed, proven up to round-off; (0, inf) of those that they do not
+        tell, and None without such modes.
+        """
+        condensed = self.condensed()
+        return None if condensed is None else np.sqrt(condensed.lowest(count)) / (2 * np.pi)
+
+    def knows_modes(self, count: int) -> bool:
+        """Whether ``count`` elastic free-free modes have been computed."""
+        return self._elastic is not None and len(self._elastic.eigenvalues) >= count
+
+    def _free_below(self, below: float) -> int | None:
+        """Number of elastic modes below, where the fixed-interface modes tell and no factor of the count is of use."""
+        if self._fixed is None or not below < self._fixed.verified_below or keeps_two_factors(self.elastic):
             return None
-        return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
+        condensed = self.condensed()
+        return None if condensed is None else condensed.count_below(below)
 
     def close(self) -> None:
         """Release the factorisations, and the solutions that reducers share."""
@@ -266,7 +332,10 @@ class Problem(Closing):
         )
         if known is not None and enough:
             return known
-        modes = lowest_modes(body, self.M, count=count, below=below, progress=self.progress, what=what)
+        modes = lowest_modes(
+            body, self.M, count=count, below=below, progress=self.progress, what=what,
+            count_below=self._free_below if body.mean_axes else None,
+        )  # fmt: skip
         off = AS_A_RULE * self.uncertainty(modes)
         lost = np.flatnonzero(off > LOST * modes.eigenvalues)
         if len(lost):

@@ -89,9 +89,12 @@ class CraigBampton(OfModes):
         below, inputs = self.below, problem.B.shape[1]
         count = self._beside_inertia(inputs, "interface dof")
         fixed = problem.fixed_modes(count=count, below=below)
-        constraint, condensed = problem.internal.impose()
+        constraint, condensed = problem.constraint_modes()
+        V = hstack(constraint, fixed.vectors, budget=problem.budget)
+        constraint = V[:, :inputs]
+        problem.keep_constraint_modes(constraint, condensed)
         basis = Basis(
-            V=hstack(constraint, fixed.vectors, budget=problem.budget),
+            V=V,
             kinds=("constraint",) * inputs + ("fixed-interface",) * len(fixed.eigenvalues),
             K=sl.block_diag(condensed, np.diag(fixed.eigenvalues)),
             # Rigid motion is that of the interfaces, without any internal coordinate.

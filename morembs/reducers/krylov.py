@@ -30,6 +30,7 @@ from morembs.reducers.shifts import (
     apply,
     expansion_point,
     frequency,
+    grow_at_once,
 )
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
@@ -186,6 +187,13 @@ class Krylov(Reducer):
         """All blocks into the spaces of the loads; words on columns lost and shifts moved."""
         lost: list[str] = []
         moved: list[str] = []
+        if all(space.whole(self.tangential) for space in spaces):
+            # The loads do not depend on the points before: all points at once.
+            points = [(expansion_point(problem, s), count) for s, count in self._points()]
+            wanted_at: list[dict[object, Wanted]] = [
+                {(space.names,): Wanted(space.F, count) for space in spaces} for _, count in points
+            ]
+            grow_at_once(problem, [point for point, _ in points], wanted_at, progress)
         for s, count in self._points():
             shift = expansion_point(problem, s)
             what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
@@ -259,9 +267,13 @@ class _LoadSpace:
         self.size += new.shape[1]
         return int(block.shape[1] - new.shape[1])
 
+    def whole(self, tangential: int | None) -> bool:
+        """Whether all loads are taken at each point."""
+        return tangential is None or tangential >= self.F.shape[1]
+
     def loads(self, s: complex, tangential: int | None) -> tuple[tuple[object, ...], Floats]:
         """All loads, or the combinations that the space so far carries worst at ``s``; and a name for them."""
-        if tangential is None or tangential >= self.F.shape[1]:
+        if self.whole(tangential) or tangential is None:
             return (), self.F
         weight = np.maximum(self.problem.K.diagonal(), np.finfo(float).tiny)[:, None]
         rest = self._residual(s)

@@ -9,7 +9,7 @@ At s = 0 the elastic flexibility stands for the inverse of K, with the factor th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
-from morembs.problem import Problem
+from morembs.problem import Dynamics, Problem, crew_of
+from morembs.progress import Progress
 
 Floats = NDArray[np.float64]
 Values = NDArray[Any]
@@ -45,17 +46,21 @@ class Wanted:
 class KrylovChain:
     """M-orthonormal real blocks of one expansion point ``s``; ``deflated`` columns were lost in each."""
 
-    def __init__(self, problem: Problem, s: complex, F: Floats) -> None:
+    def __init__(self, problem: Problem | Dynamics, s: complex, F: Floats) -> None:
         self.problem, self.s, self.F = problem, s, F
         self.blocks: list[Floats] = []
         self.deflated: list[int] = []
         self.space: SecondOrderArnoldi | None = None
+        # Of blocks that another process made, which kept what further ones need: whether there are any.
+        self.ended: bool | None = None
 
     @property
     def finished(self) -> bool:
         """Whether a further block would be empty."""
         if self.space is not None:
             return self.space.finished
+        if self.ended is not None:
+            return self.ended
         return bool(self.blocks) and not self.blocks[-1].shape[1]
 
     def extend(self, solve: Solve, count: int) -> None:
@@ -102,11 +107,16 @@ class KrylovChain:
 class ExpansionPoint:
     """An expansion point as asked for, and ``at``, where it was moved to; holds the chains made there."""
 
-    def __init__(self, problem: Problem, asked: complex) -> None:
+    def __init__(self, problem: Problem | Dynamics, asked: complex) -> None:
         self.problem, self.asked, self.at, self.moves = problem, asked, asked, 0
         self.chains: dict[object, KrylovChain] = {}
         self._weight = 1.0 / np.sqrt(np.maximum(problem.K.diagonal(), np.finfo(float).tiny))
         self._weight[problem.K.diagonal() <= 0] = 0.0
+
+    @property
+    def fresh(self) -> bool:
+        """Whether nothing was made here yet, and a factor is needed for it."""
+        return bool(self.asked) and not self.chains and not self.moves
 
     def grow(self, wanted: Mapping[object, Wanted]) -> list[KrylovChain]:
         """The wanted chains, as long as wanted or as the space is; at most one factorisation where nothing moves.
@@ -116,7 +126,7 @@ class ExpansionPoint:
         Raises:
             SolverError: there is no regular A(s) near the expansion point.
         """
-        missing = [key for key, want in wanted.items() if not self._long_enough(key, want.count)]
+        missing = self.lacks(wanted)
         while missing:
             try:
                 self._extend(wanted)
@@ -141,6 +151,17 @@ class ExpansionPoint:
                 self.at, self.moves = self.at * MOVE, self.moves + 1
         return [self.chains[key] for key in wanted]
 
+    def lacks(self, wanted: Mapping[object, Wanted]) -> bool:
+        """Whether blocks of ``wanted`` are still to be made."""
+        return not all(self._long_enough(key, want.count) for key, want in wanted.items())
+
+    def take(self, grown: Grown, wanted: Mapping[object, Wanted]) -> None:
+        """Chains that another process made of ``wanted``."""
+        self.at, self.moves = grown.at, grown.moves
+        for key, (blocks, deflated, ended) in zip(wanted, grown.chains, strict=True):
+            chain = self.chains[key] = KrylovChain(self.problem, self.at, np.zeros((0, 0)))
+            chain.blocks, chain.deflated, chain.ended = blocks, deflated, ended
+
     def _long_enough(self, key: object, count: int) -> bool:
         chain = self.chains.get(key)
         return chain is not None and (len(chain.blocks) >= count or chain.finished)
@@ -148,7 +169,10 @@ class ExpansionPoint:
     def _extend(self, wanted: Mapping[object, Wanted]) -> None:
         problem = self.problem
         if not self.at:
-            self._extend_with(lambda F: map_columns(problem.elastic.flexibility, F, problem.budget), wanted)
+            if isinstance(problem, Dynamics):
+                raise SolverError("statics are solved with the factor of the problem, not by other processes")
+            flexibility = problem.elastic.flexibility
+            self._extend_with(lambda F: map_columns(flexibility, F, problem.budget), wanted)
             return
         s = self.at if complex(self.at).imag else complex(self.at).real
         problem.budget.release_pages()
@@ -175,6 +199,8 @@ class ExpansionPoint:
             if self._long_enough(key, want.count):
                 continue
             chain = self.chains.get(key)
+            if chain is not None and chain.ended is not None:
+                chain = None
             fresh = KrylovChain(self.problem, self.at, want.F) if chain is None else chain
             fresh.extend(deformation, want.count)
             if chain is None:
@@ -207,12 +233,55 @@ def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
     return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem, complex(s)))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grown:
+    """What a process made of an expansion point: where it was moved to, and blocks, losses and end of each chain."""
+
+    at: complex
+    moves: int
+    chains: list[tuple[list[Floats], list[int], bool]]
+
+
+def grow_at_once(
+    problem: Problem, points: Sequence[ExpansionPoint], wanted: Sequence[Mapping[object, Wanted]], progress: Progress
+) -> None:
+    """Grow several expansion points on the workers of ``problem``, one factorisation each; one worker grows none.
+
+    Loads (Nc, p) of one key are the same at all points. Points at zero are left out, as the problem has their factor.
+
+    Raises:
+        SolverError: as ``ExpansionPoint.grow`` for the first point where that fails, or a worker was ended.
+    """
+    open_ = [(point, want) for point, want in zip(points, wanted, strict=True) if point.fresh and point.lacks(want)]
+    if problem.workers < 2 or len(open_) < 2:
+        return
+    loads = {key: each.F for _, want in open_ for key, each in want.items()}
+    tasks = [(point.asked, {key: each.count for key, each in want.items()}) for point, want in open_]
+    columns = sum(F.shape[1] for F in loads.values())
+    damped = problem.D is not None and any(point.asked.imag for point, _ in open_)
+    with crew_of(problem, loads, tasks=len(tasks), columns=columns, damped=damped) as crew:
+        if crew.workers < 2:
+            return
+        for number, ((point, want), grown) in enumerate(zip(open_, crew.each(_grown, tasks), strict=True)):
+            progress.update(f"shift {number + 1} of {len(tasks)}, on {crew.workers} workers")
+            point.take(grown, want)
+
+
+def _grown(shared: tuple[Dynamics, Mapping[object, Floats]], task: tuple[complex, Mapping[object, int]]) -> Grown:
+    dynamics, loads = shared
+    s, counts = task
+    point = ExpansionPoint(dynamics, s)
+    chains = point.grow({key: Wanted(loads[key], count) for key, count in counts.items()})
+    parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
+    return Grown(at=point.at, moves=point.moves, chains=parts)
+
+
 def frequency(s: complex) -> float:
     """|s| in Hz."""
     return float(abs(s) / (2 * np.pi))
 
 
-def apply(problem: Problem, s: complex, X: Values) -> Values:
+def apply(problem: Problem | Dynamics, s: complex, X: Values) -> Values:
     """A(s) X (Nc, k), without the proportional damping of the problem."""
     square: complex = s * s
     s, square = (x.real if not complex(x).imag else x for x in (complex(s), complex(square)))

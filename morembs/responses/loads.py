@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.linalg.columns import hstack, map_columns
+from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -28,8 +28,7 @@ def elastic_part(problem: Problem, F: Floats) -> Floats:
 
 def static_response(problem: Problem) -> Floats:
     """G_e B (Nc, m): elastic displacements under unit interface loads, solved for once. Not to be changed."""
-    flexibility = problem.elastic.flexibility
-    return problem.shared("static response", lambda: map_columns(flexibility, problem.B, problem.budget))
+    return problem.shared("static response", problem.static_response)
 
 
 def inertia_loads(problem: Problem) -> Floats:

@@ -49,6 +49,16 @@ def seal(group: Any, *, apart: Sequence[str] = ()) -> None:
     group[f"{GROUP}/sha256"].attrs["description"] = np.bytes_("of types, shapes, attributes and values")
 
 
+def whole_sum(path: Path | str) -> str:
+    """SHA-256 of the checksums of a file: equal where all is equal that they are made of, bit by bit.
+
+    Raises:
+        OSError, KeyError: there is no such file, or none in it.
+    """
+    with h5py.File(path, "r") as file:
+        return hashlib.sha256(b"\n".join([*file[f"{GROUP}/names"][()], *file[f"{GROUP}/sha256"][()]])).hexdigest()
+
+
 class Checksums:
     """Those of an open HDF5 ``group``, none where it has no group ``checksums``; ``path`` is for messages.
 

@@ -124,19 +124,19 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     Raises:
         OutputError: a file cannot be written, or two of ``paths`` are one file.
     """
-    targets = [(path, _checked(path)) for path in paths]
+    targets = [(path, checked(path)) for path in paths]
     for number, (path, target) in enumerate(targets):
         if any(target == other for _, other in targets[:number]):
             raise OutputError(f"{path} would be written twice; give each file its own name")
     folders: dict[Path, PrivateFolder] = {}
-    places: list[_Place] = []
+    places: list[Place] = []
     files: list[SafeFile] = []
     try:
         for number, (path, target) in enumerate(targets):
             try:
                 if target.parent not in folders:
                     folders[target.parent] = PrivateFolder(target.parent, PREFIX)
-                places.append(_Place(path=path, target=target, new=folders[target.parent].path / f"{number}.tmp"))
+                places.append(Place(path=path, target=target, new=folders[target.parent].path / f"{number}.tmp"))
                 files.append(SafeFile(places[-1].new))
             except OSError as error:
                 raise _output_error(path, error, "the file", places) from error
@@ -147,7 +147,7 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
             _refuse_failed(places, files)
             raise
         _complete(places, files)
-        _take_names(places)
+        take_names(places)
     finally:
         for file in files:
             file.close()
@@ -158,7 +158,7 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Place:
+class Place:
     """A file as it was asked for, where links lead to, and the names of the new and the old one until all are there."""
 
     path: Path
@@ -167,17 +167,17 @@ class _Place:
 
     @property
     def old(self) -> Path:
-        return self.new.with_suffix(".old")
+        return self.new.with_name(f"{self.new.name}.old")
 
 
-def _refuse_failed(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
+def _refuse_failed(places: Sequence[Place], files: Sequence[SafeFile]) -> None:
     for place, file in zip(places, files, strict=True):
         if isinstance(file.error, OSError):
             raise _output_error(place.path, file.error, file.doing, places) from file.error
         file.check()
 
 
-def _complete(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
+def _complete(places: Sequence[Place], files: Sequence[SafeFile]) -> None:
     """Bring everything to the disk."""
     for place, file in zip(places, files, strict=True):
         try:
@@ -188,14 +188,14 @@ def _complete(places: Sequence[_Place], files: Sequence[SafeFile]) -> None:
             raise _output_error(place.path, error, "the end of the file", places) from error
 
 
-def _take_names(places: Sequence[_Place]) -> None:
+def take_names(places: Sequence[Place]) -> None:
     """Take the names, all or none: a second name of the old file brings it back; none after a signal to end."""
     stopping.check()
     for place in places if len(places) > 1 and hasattr(os, "link") else ():
         # Not every disk has second names; then the message says which files are new.
         with contextlib.suppress(OSError):
             os.link(place.target, place.old)
-    done: list[tuple[_Place, bool]] = []
+    done: list[tuple[Place, bool]] = []
     try:
         for place in places:
             existed = place.target.exists()
@@ -211,7 +211,7 @@ def _take_names(places: Sequence[_Place]) -> None:
         raise
 
 
-def _undone(place: _Place, existed: bool) -> bool:
+def _undone(place: Place, existed: bool) -> bool:
     """Whether the file is again what it was before."""
     try:
         if existed:
@@ -229,7 +229,7 @@ def check_writable(path: str | Path) -> None:
     Raises:
         OutputError: the folder is missing or read-only, or ``path`` is a folder or a device.
     """
-    target = _checked(Path(path))
+    target = checked(Path(path))
     try:
         folder = PrivateFolder(target.parent, PREFIX)
         try:
@@ -240,7 +240,7 @@ def check_writable(path: str | Path) -> None:
         raise _output_error(Path(path), error, "a trial file") from error
 
 
-def _checked(path: Path) -> Path:
+def checked(path: Path) -> Path:
     """Where links lead to; a folder must be there and the name free or a file."""
     _refuse_planted(path)
     target = Path(os.path.realpath(path))
@@ -279,7 +279,7 @@ def _refuse_planted(path: Path) -> None:
 
 
 def _output_error(
-    path: Path, error: OSError, doing: str, places: Sequence[_Place] = (), mixed: Sequence[_Place] = ()
+    path: Path, error: OSError, doing: str, places: Sequence[Place] = (), mixed: Sequence[Place] = ()
 ) -> OutputError:
     """What went wrong, what it left behind (of ``places``, ``mixed`` are new already), and what to do."""
     reason = error.strerror or str(error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import subprocess
@@ -14,10 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from morembs.batches.children import Children, Finished, Heard
+from morembs.batches.children import Children
 from morembs.batches.manifest import Ended, Manifest
 from morembs.batches.plan import parts_of, unchanged
-from morembs.batches.run import Nobody, Record, batch
+from morembs.batches.records import Nobody, Record
+from morembs.batches.run import batch
+from morembs.batches.workers import Finished, Heard, Task, Worker
 from morembs.body.file import read_body
 from morembs.errors import InputError
 from morembs.storage.contents import Content
@@ -275,8 +278,12 @@ def test_other_files_are_no_manifests(tmp_path: Path, text: str, said: str) -> N
     assert path.read_text() == text
 
 
-def children(environment: Mapping[str, str]) -> Children:
-    return Children(environment, (sys.executable, "-c", CHILD))
+def children() -> Children:
+    return Children(Worker(bytes=1e9, cores=2, slots=2), 2, (sys.executable, "-c", CHILD))
+
+
+def task(*arguments: object) -> Task:
+    return Task(number=7, arguments=tuple(map(str, arguments)), threads=3)
 
 
 def all_of(running: Children) -> tuple[list[str], list[Finished]]:
@@ -285,41 +292,39 @@ def all_of(running: Children) -> tuple[list[str], list[Finished]]:
         heard = running.next()
         if isinstance(heard, Heard):
             lines.append(heard.line)
-        else:
+        elif heard is not None:
             ends.append(heard)
     return lines, ends
 
 
-def test_children_say_how_they_end(tmp_path: Path) -> None:
-    (tmp_path / "job.toml").write_text(decks.job())
-    parts = parts_of([tmp_path])
-    with children({"OMP_NUM_THREADS": "3"}) as running:
+def test_children_say_how_they_end() -> None:
+    with children() as running:
         for verb in ("good", "fail", "die"):
-            running.start(parts, [verb, "job"])
+            running.start(task(verb, "job"))
             lines, (end,) = all_of(running)
             assert lines[0] == "[2 s] stage"
-            assert end.killed == (verb == "die")
+            assert end.number == 7 and end.killed == (verb == "die")
+            # Python takes some megabytes.
+            assert not hasattr(os, "wait4") or 1e6 < end.peak_memory_bytes < 1e11
             if verb == "good":
-                assert end.code == 0 and end.documents == [{"threads": "3"}]
+                assert end.code == 0 and json.loads(end.printed) == [{"threads": "3"}]
             else:
-                assert not end.documents
+                assert not end.printed
                 assert end.message.startswith("one\ntwo" if verb == "fail" else "its process was ended by signal 9")
 
 
 def test_children_end_with_their_batch(tmp_path: Path) -> None:
     """Leaving the ``with`` ends those that run; one whose batch is killed reads the end of its input."""
-    (tmp_path / "job.toml").write_text(decks.job())
-    parts = parts_of([tmp_path])
-    with children({}) as running:
-        running.start(parts, ["wait", str(tmp_path / "never")])
-        assert isinstance(running.next(), Heard)
+    with children() as running:
+        running.start(task("wait", tmp_path / "never"))
+        while not isinstance(running.next(), Heard):
+            pass
     assert not (tmp_path / "never").exists()
 
     text = (
-        "import sys, os\nfrom pathlib import Path\nfrom tests.batches.test_batch import children, parts_of\n"
-        f"c = children({{'OMP_NUM_THREADS': '1'}})\n"
-        f"c.start(parts_of([{str(tmp_path)!r}]), ['wait', {str(tmp_path / 'left')!r}])\n"
-        "c.next()\nos.kill(os.getpid(), 9)\n"
+        "import os\nfrom tests.batches.test_batch import children, task\nc = children()\n"
+        f"c.start(task('wait', {str(tmp_path / 'left')!r}))\nwhile c.next() is None:\n    pass\n"
+        "os.kill(os.getpid(), 9)\n"
     )
     root = Path(__file__).parents[2]
     subprocess.run([sys.executable, "-c", text], cwd=root, env={**os.environ, "PYTHONPATH": str(root)})

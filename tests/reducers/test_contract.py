@@ -11,6 +11,9 @@ import pytest
 
 from morembs.errors import SolverError
 from morembs.interface import make_interface
+from morembs.parametric.parameter import Parameter
+from morembs.parametric.terms import AffineProblem
+from morembs.parametric.varied import varied_model
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT
 from morembs.reducers import REDUCERS, Facts, Modal
@@ -34,6 +37,7 @@ LISTED: list[tuple[str, dict[str, Any]]] = [
     ("balanced-truncation", {"order": 8}),
     ("balanced-truncation", {"order": 8, "variant": "p"}),
     ("irka", {"order": 6, "band_hz": BAND, "max_steps": 3}),
+    ("parametric", {"band_hz": BAND, "tolerance": 1e-2, "training": 4}),
     ("static-modes-switching", {"base_options": {"modes": 5}, "candidates": "box:0.1,0,0,0.4,0,0"}),
 ]
 # Values of keys that many methods have, for methods that are not listed.
@@ -46,9 +50,13 @@ RAYLEIGH = Damping(alpha=3.0, beta=2e-6)
 ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda value: value if isinstance(value, str) else "")
 
 
-def problem_of(damping: Damping = RAYLEIGH, cells: int = 5) -> Problem:
-    model = steel(box("hex8", (cells, 1, 1), (0.5, 0.05, 0.03)))
+def problem_of(damping: Damping = RAYLEIGH, cells: int = 5, method: str = "") -> Problem:
+    mesh = box("hex8", (cells, 1, 1), (0.5, 0.05, 0.03))
+    model = steel(mesh)
     ends = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.5))]
+    if method == "parametric":
+        E = Parameter(name="E", kind="young", low=2.0e11, high=2.2e11, nominal=2.1e11)
+        return AffineProblem(varied_model(mesh, model.materials, [E]), ends, damping=damping)
     return Problem(model, ends, damping=damping)
 
 
@@ -67,7 +75,7 @@ def test_methods_are_known_by_their_names() -> None:
 
 @ALL
 def test_matrices_are_projections(method: str, options: dict[str, Any]) -> None:
-    with problem_of() as problem:
+    with problem_of(method=method) as problem:
         reducer = REDUCERS[method](**options)
         assert reducer.why_not(Facts.of(problem)) == ""
         reduced = reducer.reduce(problem)
@@ -106,7 +114,7 @@ def refuse_lost_rigid_motion(problem: Problem, reduced: ReducedModel) -> None:
 def test_the_same_input_gives_the_same_bytes(method: str, options: dict[str, Any]) -> None:
     runs = []
     for _ in range(2):
-        with problem_of() as problem:
+        with problem_of(method=method) as problem:
             reduced = REDUCERS[method](**options).reduce(problem)
             runs.append([getattr(reduced, key).tobytes() for key in ("M", "K", "D", "B", "C", "V")])
     assert runs[0] == runs[1]

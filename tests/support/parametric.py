@@ -89,10 +89,10 @@ class SomeBasis(Reducer):
         return parametric_model(problem, reduced.V)
 
 
-def parametric_file(path, problem, options=None, nodes="all"):
+def parametric_file(path, problem, options=None, nodes="all", name=None):
     """The body file of ``SomeBasis``."""
     reducer = SomeBasis()
-    reduced = reducer.reduce(problem)
+    reduced = reducer.reduce(problem, name)
     variation = reducer.variation(problem, reduced)
     body = build_body(problem, reduced, make_part(problem, nodes), options or BodyOptions(), variation=variation)
     return write_body(path, [body])

@@ -82,10 +82,13 @@ class _MixedFactor(Factorization):
         self._analysis, self._rough, self._A = analysis, rough, A
         self._exact: Factorization | None = None
         self._norm = float(np.abs(A.data).max())
+        self._applied = 0
 
     @property
     def stats(self) -> FactorStats:
-        return self._stats if self._exact is None else self._exact.stats
+        made = self._stats if self._exact is None else self._exact.stats
+        # Each step of the iteration is a pass.
+        return replace(made, columns=self._columns, passes=self._applied)
 
     def converges(self) -> bool:
         """Whether a trial right-hand side converges."""
@@ -101,6 +104,7 @@ class _MixedFactor(Factorization):
                     self._rough.close()
                     self._exact = self._analysis.in_double(self._A)
                 X = self._exact._solve(part)
+                self._applied += 1
             B[:, first : first + _BLOCK] = X
         return B
 
@@ -111,13 +115,17 @@ class _MixedFactor(Factorization):
         B = B / size
         solution = conjugate_gradients(
             lambda X: np.asfortranarray(self._A @ X),
-            lambda R: self._rough._solve(R.copy(order="F")),
+            self._precondition,
             B,
             norm=self._norm,
             max_steps=MOST_STEPS,
         )
         log.debug("%d steps to a backward error of %.1e", solution.steps, solution.residual.max(initial=0.0))
         return None if solution.stagnated else solution.X * size
+
+    def _precondition(self, R: Values) -> Values:
+        self._applied += 1
+        return self._rough._solve(R.copy(order="F"))
 
     def _negative_pivots(self) -> int | None:
         """A rough factor may take the sign of an eigenvalue near zero for the other one: no count."""

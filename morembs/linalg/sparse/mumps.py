@@ -54,6 +54,14 @@ class _MumpsSolver(LinearSolver):
 
     library: ClassVar[Callable[[str], Library | str]]
 
+    def opened(self, dtype: str) -> Library | str:
+        """The library for factors of ``dtype``, or why there is none."""
+        return type(self).library(dtype)
+
+    def megabytes(self, instance: Instance, number: int) -> int:
+        """Memory on this machine of which INFOG(number) is the largest of one process."""
+        return instance.info(number)
+
     def __post_init__(self) -> None:
         if self.precision not in PRECISIONS:
             raise InputError(f"precision = {self.precision!r} was given; expected one of {', '.join(PRECISIONS)}")
@@ -85,7 +93,7 @@ class _MumpsSolver(LinearSolver):
         return library if isinstance(library, str) else ""
 
     def _analyse(self, A: Lower, structure: str) -> Analysis:
-        library = type(self).library(_dtype(self.precision, structure))
+        library = self.opened(_dtype(self.precision, structure))
         if isinstance(library, str):
             raise InputError(f"solver = {self.name!r} cannot take {structure} matrices here: {library}")
         if self.low_rank and not library.low_rank:
@@ -183,9 +191,10 @@ class MumpsAnalysis(Analysis):
         # Coordinates of the triangle, and its values where they change type; the rest is what MUMPS will allocate.
         matrix = (8 + (0 if instance.dtype == np.float64 else size)) * self.lower_nnz
         disk = size * entries if number == 26 else 0
+        needed = self.solver.megabytes(instance, number) * _MEGABYTE + matrix
         return Forecast(
             backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),
-            memory=instance.info(number) * _MEGABYTE + matrix, kept=0 if disk else size * entries, disk=disk,
+            memory=needed, kept=0 if disk else size * entries, disk=disk,
             precision=self.solver.precision,
         )  # fmt: skip
 

@@ -32,6 +32,7 @@ from morembs.linalg.sparse.rebinding import rebind, scipy_blas
 USE_COMM_WORLD = -987654
 SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
 EMBEDDED_HINT = "pip install casadi"
+RANKS_HINT = "sudo apt-get install libmumps-dev openmpi-bin libmetis5 libopenblas0-pthread"
 
 _TYPES: dict[str, Any] = {"MUMPS_INT": ctypes.c_int32, "MUMPS_INT8": ctypes.c_int64, "char": ctypes.c_char}
 _NEEDED = {
@@ -157,6 +158,39 @@ def system_library(dtype: str = "float64", folders: tuple[Path, ...] = FOLDERS) 
     return with_header(
         path, headers, lambda header: _open(path, header.parent, letter, low_rank=own is not None), name, SYSTEM_HINT
     )
+
+
+@cache
+def rank_files(dtype: str = "float64", folders: tuple[Path, ...] = FOLDERS) -> tuple[str, Path] | str:
+    """Path of the parallel MUMPS of the system and its header, or why there is none; see ``system_library``."""
+    letter = ARITHMETIC[dtype]
+    # The name without a version is that of the package for programming, which brings the header.
+    path = find_library(f"{letter}mumps")
+    if path is None:
+        return f"no parallel MUMPS library (lib{letter}mumps) was found; get it with: {RANKS_HINT}"
+    headers = [folder / f"{letter}mumps_c.h" for folder in folders]
+    header = next((each for each in headers if each.is_file()), None)
+    if header is None:
+        return f"{path} cannot be used: its header {letter}mumps_c.h was not found; get both with: {RANKS_HINT}"
+    return path, header
+
+
+@cache
+def rank_library(dtype: str = "float64") -> Library | str:
+    """The parallel MUMPS of the system in a process of MPI, or why there is none."""
+    files = rank_files(dtype)
+    if isinstance(files, str):
+        return files
+    path, header = files
+    letter = ARITHMETIC[dtype]
+    try:
+        refuse_wide_integers(header)
+        version, layout = parse_header(header.read_text(encoding="latin-1"), letter)
+        function = getattr(open_deep(path), f"{letter}mumps_c")
+    except (UnusableError, OSError, AttributeError) as error:
+        return f"{path} cannot be used: {error}; get it with: {RANKS_HINT}"
+    function.restype = None
+    return Library(path, version, layout, function)
 
 
 @cache

@@ -13,6 +13,7 @@ from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsAnalysis
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.pardiso import Pardiso
 from morembs.linalg.sparse.solver import Analysis, Floats, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
@@ -24,7 +25,9 @@ from morembs.plugins import Registry, subclass_fault
 log = logging.getLogger(__name__)
 AUTO = "auto"
 # One name for each solver.
-_OWN: tuple[type[LinearSolver], ...] = (Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, SuperLU)
+_OWN: tuple[type[LinearSolver], ...] = (
+    Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, RankedMumps, SuperLU,
+)  # fmt: skip
 SOLVERS: Registry[type[LinearSolver]] = Registry(
     "morembs.solvers", {solver_class.name: solver_class for solver_class in _OWN}, subclass_fault(LinearSolver, "name")
 )
@@ -151,7 +154,7 @@ class AutoSolver(LinearSolver):
 
 def lacks(solver: type[LinearSolver], structure: str) -> str:
     """Why ``solver`` cannot factorise such a matrix here; empty: it can."""
-    if issubclass(solver, Mumps | EmbeddedMumps):
+    if issubclass(solver, Mumps | EmbeddedMumps | RankedMumps):
         return solver.lacks("double", structure)
     return solver.unavailable()
 

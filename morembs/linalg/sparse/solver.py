@@ -67,7 +67,10 @@ class Forecast:
 @dataclass(frozen=True, kw_only=True)
 class FactorStats:
     """Cost of one factorisation: stored factor entries, operations, bytes of factors held in memory and
-    on disk, arithmetic, threads of the BLAS (0: not known), seconds."""
+    on disk, arithmetic, threads of the BLAS (0: not known), seconds.
+
+    ``columns`` have been solved for with it so far, in ``passes`` over the whole factor: each reads a factor on disk
+    twice, there and back."""
 
     backend: str
     size: int
@@ -80,6 +83,8 @@ class FactorStats:
     disk_bytes: int = 0
     precision: str = "double"
     threads: int = 0
+    columns: int = 0
+    passes: int = 0
 
 
 class _Resource(Closing):
@@ -115,13 +120,14 @@ class Factorization(_Resource):
         self.n = stats.size
         self.dtype = np.dtype(dtype)
         self._stats = stats
+        self._columns = self._passes = 0
         # An analysis made for this factor alone goes when the factor goes.
         self.analysis: Analysis | None = None
 
     @property
     def stats(self) -> FactorStats:
-        """What the factorisation cost."""
-        return self._stats
+        """What the factorisation and the solutions with it have cost."""
+        return replace(self._stats, columns=self._columns, passes=self._passes)
 
     @abstractmethod
     def _solve(self, B: Values) -> Values:
@@ -172,6 +178,9 @@ class Factorization(_Resource):
             sparse: Any = B
             B = sparse.toarray()
         block = np.array(B.reshape(self.n, -1), dtype=self.dtype, order="F", copy=True)
+        if block.shape[1]:
+            self._columns += block.shape[1]
+            self._passes += 1
         X = self._solve(block) if block.shape[1] else block
         return X.reshape(B.shape) if B.ndim == 1 else X
 

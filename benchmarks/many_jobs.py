@@ -1,0 +1,148 @@
+"""What a batch of very many jobs costs beside their work: processor time and memory of the coordinator, and its report.
+
+usage: python -m benchmarks.many_jobs [--jobs 10000] [--workers 40] [--rows 10000]
+
+The work of each job is a stub: a file that is there at once. The report has so many rows of one small part, and
+Chromium, where it is installed, says how long a click on a head takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+
+from benchmarks.attack.scenarios import ROOT
+from morembs.batches.coordinator import Coordinator
+from morembs.batches.manifest import Manifest
+from morembs.batches.plan import parts_of
+from morembs.batches.records import Nobody
+from morembs.batches.workers import Finished, Heard, Task, Worker
+from morembs.jobs.job import load_job
+from morembs.memory import peak_memory_bytes
+from morembs.storage.attempts import attempt_at
+
+sys.path.insert(0, str(ROOT))
+
+from tests.support import decks
+
+CLICK = """<script>
+var head = Array.from(document.querySelectorAll('#parts th')).find(th => th.textContent === 'dofs');
+document.body.offsetHeight;
+var begun = performance.now(); head.click(); document.body.offsetHeight;
+document.title = 'sorted in ' + (performance.now() - begun).toFixed(0) + ' ms';
+</script></body>"""
+
+
+class Stubs:
+    """Workers whose processes end well at once."""
+
+    limits = True
+
+    def __init__(self, count: int) -> None:
+        self.count, self.largest = count, Worker(bytes=32e9, cores=4, slots=4)
+        self.present = {f"w{number}": self.largest for number in range(count)}
+        self._news: deque[Finished] = deque()
+
+    def threads(self, asked: int | None, tasks: int) -> int:
+        """One each."""
+        return asked or 1
+
+    def want(self, needs: Iterable[Worker]) -> None:
+        """There are as many as there are."""
+
+    def start(self, task: Task, worker: str) -> None:
+        """Do what the process would have done."""
+        paths = [Path(word) for word in task.arguments if word.endswith(".toml")]
+        forecast = {"peak_memory_bytes": 2e9, "factor_seconds": 1.0 + task.number % 7, "reduction_seconds": {}}
+        documents: list[dict[str, object]] = [forecast for _ in paths]
+        if task.arguments[0] == "reduce":
+            attempt_at(load_job(paths[0]).output, task.arguments[-1]).write_bytes(b"a body")
+            documents = [{"bodies": {}, "inputs": {}, "mass": 1.0}]
+        self._news.append(
+            Finished(number=task.number, code=0, printed=json.dumps(documents), message="", seconds=1.0)
+        )
+
+    def next(self) -> Heard | Finished | None:
+        """The oldest."""
+        return self._news.popleft() if self._news else None
+
+    def close(self) -> None:
+        """Nothing runs."""
+
+
+def coordinate(folder: Path, count: int, workers: int) -> None:
+    """Run so many stubs, and once more when all is done."""
+    for number in range(count):
+        (folder / f"p{number}.toml").write_text(decks.job({"output": f'path = "p{number}.h5"'}))
+    for what in ("first run", "second run"):
+        begun, wall = time.process_time(), time.perf_counter()
+        parts = parts_of([folder])
+        read = time.process_time() - begun
+        with Manifest(folder / "batch.manifest") as manifest:
+            coordinator = Coordinator(parts, [], manifest, Nobody(), 2)
+            due = coordinator.due(False)
+            if due:
+                coordinator.run(Stubs(workers), due, False, False)
+        states = {record.state for record in coordinator.records()}
+        taken = time.process_time() - begun
+        written = (folder / "batch.manifest").stat().st_size
+        print(
+            f"{what}: {count} jobs, {len(due)} due, {states}: {1e3 * taken / count:.2f} ms of processor time a job "
+            f"({1e3 * read / count:.2f} of them for reading job files), {time.perf_counter() - wall:.0f} s, "
+            f"peak {peak_memory_bytes() / 1e6:.0f} MB, manifest {written / 1e6:.1f} MB",
+            flush=True,
+        )  # fmt: skip
+
+
+def sort(folder: Path, rows: int) -> None:
+    """Sort a report with so many rows in Chromium."""
+    job = decks.folder(folder)
+    subprocess.run(
+        [sys.executable, "-m", "morembs", "reduce", str(job), "--report", str(folder / "one.html"), "-q"], check=True,
+        capture_output=True, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    text = (folder / "one.html").read_text()
+    row = re.search(r"<tbody>\s*(<tr>.*?</tr>)", text, re.DOTALL)
+    if row is None:
+        raise SystemExit("the report has no row")
+    many = "".join(
+        re.sub(r'(data-v=")[^"]*"', lambda found, n=number: f'{found[1]}{(7919 * n) % rows}"', row[1])
+        for number in range(rows)
+    )
+    page = folder / "many.html"
+    page.write_text(text.replace(row[1], many).replace("</body>", CLICK))
+    done = subprocess.run(
+        [str(shutil.which("chromium")), "--headless=new", "--no-sandbox", "--disable-gpu",
+         f"--user-data-dir={folder / 'profile'}", "--timeout=100000", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, check=True, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    title = re.search(r"<title>(.*?)</title>", done.stdout)
+    print(f"report of {rows} rows, {page.stat().st_size / 1e6:.0f} MB: {title[1] if title else 'not shown'}")
+
+
+def main() -> None:
+    """Both."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=10000)
+    parser.add_argument("--workers", type=int, default=40)
+    parser.add_argument("--rows", type=int, default=10000)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        (Path(name) / "jobs").mkdir()
+        coordinate(Path(name) / "jobs", given.jobs, given.workers)
+        if given.rows and shutil.which("chromium"):
+            (Path(name) / "report").mkdir()
+            sort(Path(name) / "report", given.rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Bodies at many values of their parameters: tables of values, and files of other programs for each row."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from morembs.cli.messages import print_json, printing
+from morembs.errors import InputError
+
+if TYPE_CHECKING:
+    from morembs.body.parametric import ParametricBody
+
+Floats = NDArray[np.float64]
+
+
+def parametric_of(file: Path, body: str | None) -> Any:
+    """The body with parameters of a file.
+
+    Raises:
+        InputError: it has none, or several.
+    """
+    # Not at the top: help needs no file.
+    from morembs.body.file import read_body
+
+    bodies = read_body(file).bodies
+    if body is not None:
+        return bodies[body].parametric
+    varied = [each for each in bodies.values() if each.has_parameters]
+    if len(varied) > 1:
+        raise InputError(f"{file} has several bodies with parameters; name one: {', '.join(b.name for b in varied)}")
+    return (varied or list(bodies.values()))[0].parametric
+
+
+def read_values(path: Path, parametric: ParametricBody) -> Floats:
+    """Values (k, P) of a table, whose header has names of parameters; others are nominal.
+
+    Raises:
+        InputError: a table that cannot be read, unknown names, or values outside the box.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
+    header = [name.strip() for name in rows[0]] if rows else []
+    if len(rows) < 2 or len(set(header)) < len(header):
+        raise InputError(f"the table {path} has no rows below its header, or a name twice; expected NAME,NAME and rows")
+    result = np.empty((len(rows) - 1, len(parametric.names)))
+    for number, row in enumerate(rows[1:]):
+        try:
+            values = dict(zip(header, map(float, row), strict=True))
+            result[number] = parametric.model.box.point(values)
+        except ValueError as error:
+            raise InputError(f"the table {path}, row {number + 1}: {error}; expected {len(header)} numbers") from error
+        except InputError as error:
+            raise InputError(f"the table {path}, row {number + 1}: {error}") from error
+    return result
+
+
+def export_family(
+    file: Path, table: Path, to: str, out: Path | None, body: str | None, options: Mapping[str, object],
+    frame: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Write the body at each row of ``table`` for another program: numbered files beside ``out`` and ``index.csv``.
+
+    Raises:
+        InputError: as ``export_body`` and ``read_values``.
+    """
+    from morembs.exporters import EXPORTERS, export_body, make_exporter
+    from morembs.storage.safefile import replacing
+
+    make_exporter(to, options)
+    suffix = EXPORTERS[to].suffix
+    first = file.with_suffix(suffix) if out is None else out
+    parametric = parametric_of(file, body)
+    values = read_values(table, parametric)
+    digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
+    for number, p in enumerate(values, 1):
+        path = first.with_name(f"{first.name.removesuffix(first.suffix)}_{number:0{digits}d}{first.suffix or suffix}")
+        at = dict(zip(parametric.names, p.tolist(), strict=True))
+        done = export_body(
+            file, to, path=path, body=parametric.stored.name, options=options, frame=frame, at=at, taken=taken
+        )
+        taken.extend(done.paths)
+        rows.append([path.name, *(repr(x) for x in p.tolist())])
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([["file", *parametric.names], *rows])
+    index = first.with_name("index.csv")
+    with replacing(index) as written:
+        written.write(text.getvalue().encode())
+    paths = [str(path) for path in (*taken, index)]
+    with printing(paths):
+        if as_json:
+            print_json([{"file": str(file), "to": to, "written": paths}])
+        else:
+            typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix}, and {index}")

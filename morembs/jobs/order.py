@@ -1,0 +1,72 @@
+"""Jobs that run together: which cannot, and which take the bodies of others and so come after them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+from morembs.jobs.inputs import inputs_of, sources_of
+from morembs.jobs.job import Job
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """Of jobs by their keys: ``refused`` says why some cannot run, ``parts`` which jobs make the bodies that one takes.
+
+    ``sequence`` has all keys in the given order, but for assemblies, which come after their parts.
+    """
+
+    refused: Mapping[int, str]
+    parts: Mapping[int, tuple[int, ...]]
+    sequence: tuple[int, ...]
+
+
+def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
+    """The order of ``jobs``; ``keys`` has further ones, of jobs that cannot be read."""
+    written: dict[Path, int] = {}
+    for key, job in jobs.items():
+        written.setdefault(job.output.resolve(), key)
+    parts = {
+        key: tuple(dict.fromkeys(maker for body in _bodies(job) if (maker := written.get(body, key)) != key))
+        for key, job in jobs.items()
+    }  # fmt: skip
+    refused, graph = _clashes(jobs, written), dict.fromkeys(sorted({*jobs, *keys}), ())
+    while True:
+        sorter = TopologicalSorter(graph)
+        for key in jobs.keys() - refused.keys():
+            sorter.add(key, *parts[key])
+        try:
+            return Order(refused=refused, parts=parts, sequence=tuple(sorter.static_order()))
+        except CycleError as error:
+            circle = list(dict.fromkeys(error.args[1]))
+            names = ", ".join(str(jobs[key].path) for key in sorted(circle))
+            refused |= dict.fromkeys(circle, f"each takes a body that another makes, in a circle: {names}; break it")
+
+
+def _bodies(job: Job) -> set[Path]:
+    """The body files that an assembly is made of."""
+    return {path.resolve() for path in sources_of(job)} if job.tables.substructure else set()
+
+
+def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Path, int]) -> dict[int, str]:
+    """Key of each job that must not be run with the others -> why: its results and a file of another are one file."""
+    used: dict[Path, list[tuple[int, str, bool]]] = {}
+    for key, job in jobs.items():
+        parts = _bodies(job) & bodies.keys()
+        for name, path in inputs_of(job).items():
+            place = path.resolve()
+            if place not in parts:
+                used.setdefault(place, []).append((key, name, False))
+        for name, path in job.results.items():
+            used.setdefault(path.resolve(), []).append((key, name, True))
+    reasons: dict[int, str] = {}
+    for path, uses in used.items():
+        for key, name, written in uses:
+            others = [(other, what) for other, what, _ in uses if other != key]
+            if written and others:
+                other, what = others[0]
+                reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
+                reasons.setdefault(key, reason)
+    return reasons

@@ -1,0 +1,316 @@
+"""The processes of a parallel MUMPS, started by mpirun, as a library whose calls they run.
+
+This process never becomes one of MPI. Commands go to rank 0 over a socket, arrays through files in a private folder
+that rank 0 maps into memory. One group of processes serves all instances of MUMPS with the same ranks, from the first
+to the end of this process, as its start takes a second; between commands it sleeps.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import logging
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morembs.crew import processors, threads_for
+from morembs.errors import InputError, OutputError, SolverError
+from morembs.linalg.sparse.mumps_library import Library, rank_files
+from morembs.linalg.sparse.rank import ARRAYS, COUNTS, END, NEW, SOCKET, TOLD
+from morembs.scratch import ScratchFolder
+
+log = logging.getLogger(__name__)
+_PROGRAM = "morembs.linalg.sparse.rank"
+_AS_ROOT = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
+# How often the end of mpirun is looked for, and how long it may take to leave, in seconds.
+_LOOK, _PATIENCE = 0.5, 10.0
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+
+
+def why_not() -> str:
+    """Why no ranks can be started here; empty: they can."""
+    if not sys.platform.startswith("linux"):
+        return "ranks run on Linux only; leave ranks out"
+    if shutil.which("mpirun") is None:
+        return "mpirun was not found; get it with: sudo apt-get install openmpi-bin"
+    if os.geteuid() == 0 and not all(os.environ.get(name) == "1" for name in _AS_ROOT):
+        return f"mpirun refuses to run as root; run as another user, or set {' and '.join(f'{n}=1' for n in _AS_ROOT)}"
+    files = rank_files()
+    return files if isinstance(files, str) else ""
+
+
+class Ranks:
+    """``count`` processes of MPI; ``call`` runs a command in all of them.
+
+    Raises:
+        InputError: they cannot be started, or header and library of MUMPS differ.
+        SolverError: one of them was ended.
+    """
+
+    def __init__(self, count: int, scratch: Path | None) -> None:
+        self.count = count
+        self.threads = threads_for(count)
+        self._guard = threading.RLock()
+        self._waiting = False
+        self._later: list[dict[str, Any]] = []
+        self._folder = ScratchFolder(scratch)
+        self.folder = self._folder.path
+        self.peak_memory_bytes: list[int] = []
+        self._log = self.folder / "log"
+        listener = self._listener()
+        with listener, self._log.open("wb") as words:
+            self._mpirun = subprocess.Popen(
+                self._arguments(), stdin=subprocess.DEVNULL, stdout=words, stderr=words, env=self._environment(),
+                start_new_session=True,
+            )  # fmt: skip
+            # Before the folder is removed at the end of this process.
+            self._finalize = weakref.finalize(self, _end, self._mpirun, self._folder, os.getpid())
+            try:
+                self._lifeline, self._channel = (self._accepted(listener) for _ in range(2))
+                self._lines = self._channel.makefile("r", encoding="utf-8", newline="\n")
+                hello = self._answer()
+                self._refuse_other(hello)
+            except BaseException:
+                self.kill()
+                raise
+        self.local: int = hello["local"]
+        self.pids: list[int] = hello["pids"]
+        log.info("%d ranks of %d threads, processes %s", count, self.threads, self.pids)
+
+    @property
+    def alive(self) -> bool:
+        """Whether commands can be sent."""
+        return self._finalize.alive and self._mpirun.poll() is None
+
+    def call(self, command: dict[str, Any]) -> dict[str, Any]:
+        """What the ranks answer to ``command``."""
+        with self._guard:
+            if self._waiting:
+                # The garbage collector closes an instance while this thread waits for an answer.
+                self._later.append(command)
+                return {}
+            while self._later:
+                self._exchange(self._later.pop())
+            return self._exchange(command)
+
+    def kill(self) -> None:
+        """End the ranks now."""
+        self._finalize()
+        for name in ("_lines", "_channel", "_lifeline"):
+            with suppress(OSError, AttributeError):
+                getattr(self, name).close()
+
+    def _exchange(self, command: dict[str, Any]) -> dict[str, Any]:
+        self._waiting = True
+        try:
+            self._channel.sendall(json.dumps(command).encode() + b"\n")
+            answer = self._answer()
+        except OSError:
+            raise self._died() from None
+        finally:
+            self._waiting = False
+        if "fault" in answer:
+            raise InputError(f"ranks = {self.count} cannot run here: {answer['fault']}")
+        self.peak_memory_bytes = answer["peak"]
+        return answer
+
+    def _answer(self) -> dict[str, Any]:
+        text = self._lines.readline()
+        if not text.endswith("\n"):
+            raise self._died()
+        answer: dict[str, Any] = json.loads(text)
+        return answer
+
+    def _listener(self) -> socket.socket:
+        # The path of a socket may be short only.
+        opened = os.open(self.folder, os.O_RDONLY)
+        try:
+            listener = socket.socket(socket.AF_UNIX)
+            listener.bind(f"/proc/self/fd/{opened}/{SOCKET}")
+        finally:
+            os.close(opened)
+        listener.listen()
+        listener.settimeout(_LOOK)
+        return listener
+
+    def _accepted(self, listener: socket.socket) -> socket.socket:
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except TimeoutError:
+                if self._mpirun.poll() is not None:
+                    raise self._not_started() from None
+                continue
+            connection.setblocking(True)
+            return connection
+
+    def _arguments(self) -> list[str]:
+        # What mpirun and the ranks share lies in the private folder, which goes however they end.
+        folder = str(self.folder)
+        settings = {"orte_tmpdir_base": folder, "btl_vader_backing_directory": folder}
+        # Ranks that wait for each other leave the processors to others, and none is bound to one that is busy.
+        settings |= {"mpi_yield_when_idle": "1", "hwloc_base_binding_policy": "none"}
+        given = [word for name, value in settings.items() for word in ("--mca", name, value)]
+        return ["mpirun", "-n", str(self.count), *given, sys.executable, "-m", _PROGRAM, str(self.folder)]
+
+    def _environment(self) -> dict[str, str]:
+        return {**os.environ, **dict.fromkeys(_THREADS, str(self.threads))}
+
+    def _words(self) -> str:
+        return self._log.read_text(errors="replace") if self._log.exists() else ""
+
+    def _not_started(self) -> InputError:
+        words = self._words()
+        if "not enough slots" in words:
+            return InputError(
+                f"ranks = {self.count} was given, and mpirun has room for fewer here ({processors()} processors); take "
+                "fewer, or set OMPI_MCA_rmaps_base_oversubscribe=1"
+            )
+        last = [line.strip() for line in words.splitlines() if line.strip(" -\n")]
+        told = " ".join(last)[:300] or "without a word"
+        return InputError(f"ranks = {self.count}: mpirun could not start them: {told}")
+
+    def _died(self) -> SolverError:
+        """The error for ranks that are gone, once mpirun has said which."""
+        with suppress(subprocess.TimeoutExpired):
+            self._mpirun.wait(_PATIENCE)
+        words = self._words()
+        self.kill()
+        rank = re.search(r"process rank (\d+) .*?on signal (\d+)", words, flags=re.DOTALL)
+        who = f"mpirun or one of {self.count} ranks was ended"
+        if rank:
+            who = f"rank {rank[1]} of {self.count} was ended by signal {rank[2]}"
+        return SolverError(f"{who}, maybe for want of memory; take more machines, or leave ranks out")
+
+    def _refuse_other(self, hello: dict[str, Any]) -> None:
+        if hello["header"] != hello["library"]:
+            told = f"version {hello['library']}" if hello["library"] else "none"
+            raise InputError(
+                f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {told}; install "
+                "both of one version"
+            )
+
+
+def _end(mpirun: subprocess.Popen[bytes], folder: ScratchFolder, owner: int) -> None:
+    """End mpirun, which ends the ranks, and remove their folder; a copy of the process leaves both alone."""
+    if os.getpid() != owner:
+        return
+    if mpirun.poll() is None:
+        with suppress(OSError):
+            mpirun.terminate()
+        try:
+            mpirun.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            with suppress(OSError):
+                os.killpg(mpirun.pid, signal.SIGKILL)
+            mpirun.wait()
+    folder.close()
+
+
+_RUNNING: dict[tuple[int, Path | None, int], Ranks] = {}
+_NUMBERS = itertools.count(1)
+_LOCK = threading.RLock()
+
+
+@dataclass(frozen=True)
+class RanksLibrary(Library):
+    """MUMPS on ``count`` ranks. Its structures stay here; what they hold goes there with each call, and comes back."""
+
+    count: int = 2
+    scratch: Path | None = None
+    numbers: dict[int, tuple[Ranks, int]] = field(default_factory=dict, compare=False)
+    dtype: str = "float64"
+
+    @property
+    def _key(self) -> tuple[int, Path | None, int]:
+        return self.count, self.scratch, os.getpid()
+
+    @property
+    def local(self) -> int:
+        """How many of the ranks run on this machine."""
+        return max((ranks.local for ranks, _ in self.numbers.values()), default=self.count)
+
+    def call(self, data: Any, job: int) -> None:
+        """Run one job on all ranks."""
+        at = ctypes.addressof(data)
+        if job == NEW:
+            with _LOCK:
+                self.numbers[at] = self._begun()
+        ranks, number = self.numbers[at]
+        if job == END:
+            self._ended(at, ranks, number)
+            return
+        command, rhs = self._command(ranks, number, data, job)
+        answer = ranks.call(command)
+        for name in TOLD:
+            getattr(data, name)[:] = answer[name]
+        if rhs is not None and answer["infog"][0] >= 0:
+            rhs[:] = np.fromfile(ranks.folder / command["arrays"]["rhs"], dtype=rhs.dtype)
+
+    def _begun(self) -> tuple[Ranks, int]:
+        ranks = _RUNNING.get(self._key)
+        if ranks is None or not ranks.alive:
+            ranks = _RUNNING[self._key] = Ranks(self.count, self.scratch)
+        return ranks, next(_NUMBERS)
+
+    def _ended(self, at: int, ranks: Ranks, number: int) -> None:
+        """Free an instance; nothing where its ranks have ended."""
+        del self.numbers[at]
+        if ranks.alive:
+            with suppress(SolverError):
+                ranks.call(self._plain(number, END))
+            for file in ranks.folder.glob(f"{number}-*"):
+                file.unlink(missing_ok=True)
+
+    def _plain(self, number: int, job: int) -> dict[str, Any]:
+        return {"instance": number, "job": job, "dtype": self.dtype}
+
+    def _command(self, ranks: Ranks, number: int, data: Any, job: int) -> tuple[dict[str, Any], Any]:
+        """The command for a job, its arrays in files; and the right-hand sides that the solution overwrites."""
+        command = {**self._plain(number, job), "sym": int(data.sym)}
+        if job == NEW:
+            return command, None
+        arrays, rhs = {}, None
+        for name, kind in ARRAYS.items():
+            address, file = getattr(data, name), f"{number}-{name}-{time.monotonic_ns()}"
+            if not address:
+                continue
+            size = {"perm_in": data.n, "rhs": data.nrhs * data.lrhs}.get(name, data.nnz)
+            array = _at(address, size, np.dtype(kind or self.dtype))
+            for old in ranks.folder.glob(f"{number}-{name}-*"):
+                old.unlink()
+            try:
+                array.tofile(ranks.folder / file)
+            except OSError as error:
+                raise OutputError(
+                    f"the scratch folder {ranks.folder.parent} has no room for {array.nbytes / 1e9:.2f} GB more "
+                    f"({error.strerror}); make room, or give another scratch folder"
+                ) from error
+            arrays[name] = file
+            rhs = array if name == "rhs" else rhs
+        return {
+            **command, "icntl": list(data.icntl), "cntl": list(data.cntl), "arrays": arrays,
+            "ooc_tmpdir": data.ooc_tmpdir.decode(), "ooc_prefix": data.ooc_prefix.decode(),
+            "counts": {name: int(getattr(data, name)) for name in COUNTS},
+        }, rhs  # fmt: skip
+
+
+def _at(address: int, size: int, dtype: np.dtype[Any]) -> Any:
+    """The array (size,) at an address."""
+    memory: Any = (ctypes.c_char * (size * dtype.itemsize)).from_address(address)
+    return np.frombuffer(memory, dtype=dtype)

@@ -1,0 +1,75 @@
+"""What solving with A(s) takes of a problem, and the processes that do so at several s at once."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.budget import Budget
+from morembs.crew import Crew
+from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.memory import resident_bytes
+from morembs.problem.damping import Damping
+
+if TYPE_CHECKING:
+    from morembs.problem.problem import Problem
+
+log = logging.getLogger(__name__)
+# Resident memory of a process that has read nothing yet: Python and the libraries.
+PROCESS_BYTES = 160_000_000
+# Blocks of loads that exist at once while they are solved for, beside those of the result.
+BLOCKS = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dynamics:
+    """Matrices, rigid-body modes and damping of a problem, as ``Problem`` has them: what goes to other processes."""
+
+    K: sp.csr_array
+    M: sp.csr_array
+    D: sp.csr_array | None
+    rigid: NDArray[Any]
+    damping: Damping
+    damps_rigid_motion: bool
+    stiffness: DynamicStiffness
+    budget: Budget
+
+
+def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: bool) -> Crew:
+    """Processes for ``tasks`` factorisations of A(s), each with ``columns`` solved for; ``Problem.workers`` at most.
+
+    They share (dynamics, ``others``). As many run as have room within the budget, one process only being this one.
+    ``damped`` says that A(s) is complex.
+    """
+    budget, workers = problem.budget, min(problem.workers, tasks)
+    share = None
+    if budget.memory is not None and workers > 1:
+        structure = "complex-symmetric" if damped else "symmetric"
+        needed = worker_bytes(problem.stiffness.room_for_factor(structure), len(problem.rigid), columns, damped)
+        budget.release_pages()
+        left = max(0, budget.memory - resident_bytes())
+        room = max(1, left // needed)
+        if room < workers:
+            log.warning(
+                "%d of %d workers run: each needs %.2f GB, and %.2f GB are left of the memory budget", room, workers,
+                needed / 1e9, left / 1e9,
+            )  # fmt: skip
+        workers = min(workers, room)
+        share = left // workers
+    if workers == 1:
+        return Crew((problem, others))
+    own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
+    dynamics = Dynamics(
+        K=problem.K, M=problem.M, D=problem.D, rigid=problem.rigid, damping=problem.damping,
+        damps_rigid_motion=problem.damps_rigid_motion, stiffness=problem.stiffness.for_worker(own), budget=own,
+    )  # fmt: skip
+    return Crew((dynamics, others), workers, scratch=budget.scratch)
+
+
+def worker_bytes(factor: int, size: int, columns: int, damped: bool) -> int:
+    """Memory of a process with a ``factor`` of so many bytes that solves for ``columns`` of length ``size``."""
+    return PROCESS_BYTES + factor + BLOCKS * (16 if damped else 8) * size * columns

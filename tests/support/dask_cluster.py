@@ -1,0 +1,99 @@
+"""A scheduler of dask and workers, each a process of its own on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import psutil
+
+ROOT = Path(__file__).parents[2]
+# Seconds after which a wait for another process counts as endless.
+PATIENCE = 300.0
+
+
+class Cluster:
+    """A scheduler and the workers that were started for it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file, self._logs = folder / "scheduler.json", folder
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+
+        def known() -> bool:
+            # The file is there before all of the text is.
+            with contextlib.suppress(OSError, ValueError):
+                self.address = json.loads(self._file.read_text())["address"]
+                return True
+            return False
+
+        until(known)
+
+    def worker(
+        self, resources: str = "MB=4000 cores=2", threads: int = 2, environment: Mapping[str, str] | None = None,
+        prefix: tuple[str, ...] = (),
+    ) -> subprocess.Popen[bytes]:  # fmt: skip
+        """Start a worker without a nurse, so that the process is the worker."""
+        given = ["--resources", resources] if resources else []
+        log = self._logs / f"worker-{len(self._processes)}.log"
+        process = self._start(
+            "worker", "--no-nanny", "--no-dashboard", "--nthreads", str(threads), "--memory-limit", "0", "--host",
+            "127.0.0.1", "--local-directory", str(self._logs), *given, environment=environment, prefix=prefix,
+        )  # fmt: skip
+        until(lambda: b"Registered to" in log.read_bytes() or process.poll() is not None)
+        return process
+
+    def _start(
+        self, what: str, *options: str, environment: Mapping[str, str] | None = None, prefix: tuple[str, ...] = ()
+    ) -> subprocess.Popen[bytes]:
+        with open(self._logs / f"{what}-{len(self._processes)}.log", "wb") as log:
+            process = subprocess.Popen(
+                [*prefix, sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(self._file),
+                 *options], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                cwd=self._logs,
+                env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
+            )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+    def close(self) -> None:
+        """End all of them."""
+        for process in reversed(self._processes):
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def cluster(folder: Path) -> Iterator[Cluster]:
+    """A scheduler without workers; its files are in ``folder``."""
+    started = Cluster(folder)
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+def until(true: object, patience: float = PATIENCE) -> None:
+    """Wait until a function says so."""
+    end = time.monotonic() + patience
+    while not true():  # type: ignore[operator]
+        if time.monotonic() > end:
+            raise TimeoutError
+        time.sleep(0.02)
+
+
+def children_of_jobs(folder: Path) -> list[psutil.Process]:
+    """The processes that reduce or check jobs below ``folder``."""
+    running = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            line = process.cmdline()
+            if "--attached" in line and any(word.startswith(str(folder)) for word in line):
+                running.append(process)
+    return running
