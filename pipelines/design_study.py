@@ -2,8 +2,8 @@
 """A sintered connecting rod with four parameters: one reduction, then a design, its scatter and an update.
 
 The modulus grows with the density as in sintered steel (exponent 3.4; McAdam 1951), the shank may gain depth: the least
-mass whose first frequency keeps a limit. Then the scatter of frequencies with the parameters, and the moduli and the depth
-from frequencies with noise. Draws design_study.png.
+mass whose first frequency keeps a limit. Then the scatter of frequencies with the parameters, and the moduli and the
+depth from frequencies with noise. Draws design_study.png.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def full_frequencies(job: Job, table: Floats, count: int) -> tuple[Floats, float
         start = time.process_time()
         for p in table:
             with problem.at(p) as there:
-                result.append(np.sqrt(there.elastic_modes(count=count).values[:count]) / (2 * np.pi))
+                result.append(np.sqrt(there.elastic_modes(count=count).eigenvalues[:count]) / (2 * np.pi))
     return np.array(result), (time.process_time() - start) / len(table)
 
 
@@ -137,7 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     counts, edges = np.histogram(sampled[:, 0], 60)
     draw(options.folder / "design_study.png", "A connecting rod with four parameters", [
         Panel("First frequency", "t, mm", "Hz", lines),
-        Panel("Scatter of the first frequency", "Hz", "samples", [Curve((edges[1:] + edges[:-1]) / 2, counts)])])  # fmt: skip
+        Panel("Scatter of the first frequency", "Hz", "samples", [Curve((edges[1:] + edges[:-1]) / 2, counts)]),
+    ])  # fmt: skip
     return 0
 
 

@@ -117,7 +117,18 @@ def gives_the_restitution_of_each_law(text):
     assert number(r"largest gap to the quadrature: (\S+)", text) < 1e-3
 
 
+def keeps_its_limit_in_the_full_model(text):
+    # Models assembled at the values know nothing of the basis.
+    full = number(r"full model (\S+) Hz", text)
+    assert full == pytest.approx(1365.0, rel=1e-4)
+    assert number(r"mass (\S+) of the nominal one", text) < 0.99
+    assert number(r"against full models (\S+)", text) < 1e-2
+    rows = re.findall(r"updated \S+ = (\S+) \+- (\S+), hidden (\S+)", text)
+    assert len(rows) == 3 and all(abs(float(p) - float(true)) < 3 * float(sigma) for p, sigma, true in rows)
+
+
 PROMISES = {
+    "design_study": keeps_its_limit_in_the_full_model,
     "bearing": shares_the_load_as_stribeck_says,
     "feedforward": moves_the_tip_as_planned,
     "impact_laws": gives_the_restitution_of_each_law,
