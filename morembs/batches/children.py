@@ -130,7 +130,9 @@ class Children(Closing):
 
 def _wait(process: subprocess.Popen[str]) -> int:
     """Peak memory in bytes of a process that has ended, as the system counts it, 0 where that does not say it."""
-    if not hasattr(os, "wait4"):
+    try:
+        import resource  # noqa: F401  (what wait4 gives its counts in)
+    except ImportError:
         process.wait()
         return 0
     _, status, usage = os.wait4(process.pid, 0)
