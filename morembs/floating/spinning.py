@@ -35,6 +35,9 @@ class Rotation:
 
     Raises:
         InputError: numbers that make no axis.
+
+    >>> Rotation(axis=(0, 0, 2)).axis
+    (0, 0, 2)
     """
 
     axis: Sequence[float]
@@ -100,7 +103,7 @@ def spinning(problem: Problem, rotation: Rotation, progress: Progress = SILENT) 
 
     >>> from morembs import Rotation, spinning
     >>> spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("LEFT",)))
-    >>> abs(spin.C + spin.C.T).max() == 0.0
+    >>> bool(abs(spin.C + spin.C.T).max() == 0.0)
     True
     """
     model, T = problem.model, problem.coupling.T
