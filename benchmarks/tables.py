@@ -99,7 +99,10 @@ TABLES: dict[str, Table] = {
     ),
     "modes": Table("modes", "lowest modes of free bodies", _MODES, tuple(
         (f"{body}: {words}", f"{body}: {name}") for body in _BODIES
-        for words, name in (("with the count", "block Lanczos with count"), ("ARPACK", "ARPACK without count"))
+        for words, name in (
+            ("with the count", "block Lanczos with count"), ("ARPACK", "ARPACK without count"),
+            ("SLEPc", "SLEPc without count"),
+        )
     )),
     "krylov": Table(
         "krylov", "Krylov reduction at 3 points, 12 loads, order 72",
