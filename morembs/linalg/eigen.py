@@ -34,6 +34,8 @@ MOST_SPARSE = 2000
 ATTEMPTS = 4
 # More modes up to a limit than would fill so many slices are found slice by slice.
 SLICES = 10 / 3
+# So few modes are found at shift zero before a factor that is kept and checked for a second shift would pay.
+FEW = 20
 # Columns of a Krylov block when the factor lies on disk: so many, where a pass takes as long as their arithmetic, or as
 # many as modes, but no more than the widest; and blocks that exist at once.
 WIDE, WIDEST, COPIES = 32, 64, 8
@@ -199,7 +201,7 @@ def _sparse(
     capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
     lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start
-    if keeps_two_factors(body):
+    if keeps_two_factors(body) and (count > FEW or shifted is not None):
         cut = first_look(lanczos, count, progress=progress, what=what)
         try:
             if shifted is None and cut is not None:
