@@ -99,9 +99,11 @@ def test_where_no_report_can_be_written_nothing_is_run(tmp_path: Path, name: str
 
 @pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
 def test_a_browser_shows_the_report_and_sorts_it(report: Path, tmp_path: Path) -> None:
-    def shown(clicks: str) -> tuple[Page, str]:
-        page = tmp_path / "page.html"
-        page.write_text(report.read_text().replace("</body>", f"<script>{clicks}</script></body>"))
+    def shown(clicks: str, most: int = 1000) -> tuple[Page, str]:
+        page, text = tmp_path / "page.html", report.read_text()
+        assert "most = 1000" in text
+        text = text.replace("most = 1000", f"most = {most}")
+        page.write_text(text.replace("</body>", f"<script>{clicks}</script></body>"))
         done = subprocess.run(
             [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0",
              f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()],
@@ -114,3 +116,10 @@ def test_a_browser_shows_the_report_and_sorts_it(report: Path, tmp_path: Path) -
     assert page.rows == ["1", "2", "3"] and not faults
     assert shown(dofs)[0].rows == ["1", "3", "2"]  # failed parts come last
     assert shown(dofs + dofs)[0].rows == ["3", "1", "2"]
+    wanted = "var f = document.getElementById('filter'); f.value = 'LONG'; f.dispatchEvent(new Event('input'));"
+    assert shown(wanted)[0].rows == ["3"]
+    # Very many rows are shown only when they are asked for.
+    more = "document.getElementById('more').click();"
+    assert shown(dofs, 2)[0].rows == ["1", "3"]
+    assert shown(dofs + more, 2)[0].rows == ["1", "3", "2"]
+    assert shown("", 2)[0].rows == ["1", "2"] and shown(wanted, 1)[0].rows == ["3"]
