@@ -24,6 +24,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,11 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 
 
+def _view(value: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    # The type itself has no name that pickle could look up.
+    return MappingProxyType(value)
+
+
 class _Packer(pickle.Pickler):
     """Writes large arrays to files in ``folder`` that begin with ``name``, and the rest to ``file``."""
 
@@ -62,6 +68,10 @@ class _Packer(pickle.Pickler):
             np.save(self._folder / name, value, allow_pickle=False)
             self._written[id(value)] = name
         return self._written[id(value)]
+
+    def reducer_override(self, value: Any) -> Any:
+        # Models keep their sets in such views, which pickle does not know.
+        return (_view, (dict(value),)) if type(value) is MappingProxyType else NotImplemented
 
 
 class _Unpacker(pickle.Unpickler):
@@ -224,7 +234,7 @@ class Crew(Closing):
             # Daemons end with this process also where nobody closes the crew.
             process = context.Process(target=_work, args=(theirs, folder, self.threads), daemon=True)
             self._crew.append(_Worker(process, ours))
-            with _without_arguments():
+            with _without_main(b"__main__" in message):
                 process.start()
             theirs.close()
 
@@ -288,13 +298,20 @@ def processors() -> int:
 
 
 @contextlib.contextmanager
-def _without_arguments() -> Iterator[None]:
-    """Processes take over the arguments of the command line, which are none of theirs."""
+def _without_main(needed: bool) -> Iterator[None]:
+    """Processes take over the arguments of the command line, and run the main program again for what it defines.
+
+    The first are none of theirs; the second only if it is ``needed``: few programs guard what they do by __name__.
+    """
     arguments, sys.argv = sys.argv, sys.argv[:1]
+    main = vars(sys.modules["__main__"])
+    hidden: dict[str, Any] = {} if needed else {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    main.update(dict.fromkeys(hidden))
     try:
         yield
     finally:
         sys.argv = arguments
+        main.update(hidden)
 
 
 def _follow() -> None:

@@ -40,7 +40,6 @@ MOVED = {
     "examination.delivered": "diagnostics.delivered",
     "examination.delivery_check": "diagnostics.delivery_check",
     "examination.warnings": "diagnostics.warnings",
-    "gmp.crew": "gmp.worker_pool",
     "fem": "model.assembly",
     "floating.geometric_stiffness": "model.geometric_stiffness",
     "linalg.amg": "linalg.sparse.amg",

@@ -132,9 +132,6 @@ class BeamWork:
         self.component, self.solver, self._law = component, Solver(component), law
         self.turns, self.length = self.solver.turns, self.solver.length
 
-    def fresh(self) -> BeamWork:
-        return self
-
     def straight(self) -> Equilibrium:
         return self.solver.straight()
 

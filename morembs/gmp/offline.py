@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.crew import Crew
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.checkpoint import Checkpoint
@@ -24,7 +25,6 @@ from morembs.gmp.envelope import Loaded, target
 from morembs.gmp.equilibria import Equilibrium, NotFollowedError
 from morembs.gmp.plan import AngleRange, Plan, Report
 from morembs.gmp.symmetry import Shaped, Symmetry, symmetries
-from morembs.gmp.worker_pool import Work, WorkerPool
 from morembs.progress import SILENT, Progress
 
 Floats = NDArray[np.float64]
@@ -35,8 +35,11 @@ LEVELS = (3, 5, 9, 17)
 _BACK, _LEAST = 0.9, 0.1
 
 
-class TabulatedMember(Work, Loaded, Protocol):
-    """A component at work. ``turns`` (2,) are the coordinates of the end angles, ``length`` that of its chord."""
+class TabulatedMember(Loaded, Protocol):
+    """A component at work. ``turns`` (2,) are the coordinates of the end angles, ``length`` that of its chord.
+
+    Processes get it by pickle: nothing of a sparse solver is shared.
+    """
 
     turns: Any
     length: float
@@ -45,6 +48,12 @@ class TabulatedMember(Work, Loaded, Protocol):
     def component(self) -> Shaped: ...
 
     def straight(self) -> Equilibrium: ...
+
+    def toward(self, X: Floats, modes: Floats, t: Floats) -> Equilibrium:
+        """From a known equilibrium to the end angles t (2,); raises NotFollowedError."""
+
+    def sample(self, equilibrium: Equilibrium) -> Any:
+        """What the tables hold at an equilibrium."""
 
     def energy(self, x: Floats) -> float: ...
 
@@ -90,14 +99,26 @@ def shells(count: int) -> list[list[Key]]:
     return [rings[ring] for ring in sorted(rings)]
 
 
+def _followed(work: TabulatedMember, task: tuple[Floats, Floats, Floats]) -> Equilibrium | NotFollowedError:
+    """A failure is a result, so that a batch has the same first one whichever comes first."""
+    try:
+        return work.toward(*task)
+    except NotFollowedError as error:
+        return error
+
+
+def _sample(work: TabulatedMember, equilibrium: Equilibrium) -> Any:
+    return work.sample(equilibrium)
+
+
 class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: TabulatedMember, pool: WorkerPool, group: Sequence[Symmetry], reach: float,
+        self, work: TabulatedMember, crew: Crew, group: Sequence[Symmetry], reach: float,
         store: Checkpoint | None, progress: Progress,
     ) -> None:  # fmt: skip
-        self.work, self.pool, self.group, self.reach = work, pool, group, reach
+        self.work, self.crew, self.group, self.reach = work, crew, group, reach
         self.store, self.progress = store, progress
         self.equilibria: dict[Key, Equilibrium] = {}
         self.samples: dict[Key, Any] = {}
@@ -134,10 +155,10 @@ class Sampling:
             near = self.equilibria[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, solution in self.pool.each("toward", tasks):
+        for number, solution in self.crew.as_ended(_followed, tasks):
             if isinstance(solution, NotFollowedError):
                 failures[number] = solution
-                if self.pool.workers == 1:
+                if self.crew.workers == 1:
                     break
                 continue
             new[open_[number]], self.solved = solution, self.solved + 1
@@ -172,7 +193,7 @@ class Sampling:
     def sampled(self, keys: Sequence[Key]) -> list[Any]:
         """Samples at equilibria."""
         missing = [key for key in keys if key not in self.samples]
-        for number, sample in self.pool.each("sample", [(self.equilibria[key],) for key in missing]):
+        for number, sample in self.crew.as_ended(_sample, [self.equilibria[key] for key in missing]):
             self.samples[missing[number]] = sample
         return [self.samples[key] for key in keys]
 
@@ -231,16 +252,16 @@ def tabulated(work: TabulatedMember, plan: Plan, progress: Progress = SILENT) ->
     store = None
     if plan.checkpoint is not None:
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
-    with WorkerPool(work, plan.workers) as pool:
+    with Crew(work, plan.workers, threads=1) as crew:
         try:
-            return _ranged(work, pool, group, plan, store, progress, begin)
+            return _ranged(work, crew, group, plan, store, progress, begin)
         finally:
             if store is not None:
                 store.save()
 
 
 def _ranged(
-    work: TabulatedMember, pool: WorkerPool, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
+    work: TabulatedMember, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
     progress: Progress, begin: float,
 ) -> Tabulated:  # fmt: skip
     """Over smaller and smaller ranges, where the range follows from an envelope."""
@@ -256,7 +277,7 @@ def _ranged(
         if store is not None:
             store.begin(reach, notes)
         try:
-            sampling = Sampling(work, pool, group, reach, store, progress)
+            sampling = Sampling(work, crew, group, reach, store, progress)
             count, errors = _filled(sampling, plan)
             break
         except NotFollowedError as stuck:

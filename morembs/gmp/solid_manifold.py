@@ -6,6 +6,7 @@ t2; the end may slide along the chord, which has its natural length then. One sy
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,10 @@ class SolidEquilibria(Closing):
         self.free = np.setdiff1d(np.arange(solid.size), self.held)
         self.tangents = Tangents(self.free, solver)
         self._newton = Newton(solid, self.tangents, self.held, lambda x: np.zeros(solid.size), _TOLERANCE, True)
+        self._solver = solver
+
+    def __reduce__(self) -> tuple[Callable[..., SolidEquilibria], tuple[NonlinearSolid, LinearSolver | None]]:
+        return _elsewhere, (self.solid, self._solver)
 
     def close(self) -> None:
         """Release the factors."""
@@ -179,3 +184,10 @@ def stretch(solid: NonlinearSolid, length: float, solver: LinearSolver | None = 
     with Tangents(free, solver) as tangents:
         shape[free] = -tangents.factor(K).solve(K[free] @ shape)
     return shape
+
+
+def _elsewhere(solid: NonlinearSolid, solver: LinearSolver | None) -> SolidEquilibria:
+    """The same in another process, with an analysis of its own that the first tangent sets here as there."""
+    equilibria = SolidEquilibria(solid, solver)
+    equilibria.straight()
+    return equilibria

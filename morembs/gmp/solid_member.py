@@ -87,7 +87,7 @@ def solid_member(
     kept = plane_bending_modes(solid, modes + _EXTRA, solver)
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
-        tables = tabulated(SolidWork(equilibria, law, solver), plan, progress)
+        tables = tabulated(SolidWork(equilibria, law), plan, progress)
         H0 = law.straight_diagonal()
         length = equilibria.length
     data = _parameterised(solid, tables, kept, length=length, count=modes, H0=H0)
@@ -99,15 +99,9 @@ def solid_member(
 class SolidWork:
     """A solid at work in the offline stage."""
 
-    def __init__(self, equilibria: SolidEquilibria, law: _Law, solver: LinearSolver | None) -> None:
+    def __init__(self, equilibria: SolidEquilibria, law: _Law) -> None:
         self.component, self.length, self.turns = equilibria.solid, equilibria.length, equilibria.turns
-        self._equilibria, self._law, self._solver = equilibria, law, solver
-
-    def fresh(self) -> SolidWork:
-        own = SolidWork(SolidEquilibria(self.component, self._solver), self._law, self._solver)
-        # The first tangent that is factored sets the analysis of all.
-        own.straight()
-        return own
+        self._equilibria, self._law = equilibria, law
 
     def straight(self) -> Equilibrium:
         return _plain(self._equilibria.straight())

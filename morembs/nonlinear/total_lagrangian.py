@@ -64,7 +64,7 @@ class SaintVenantKirchhoff:
                 "the model has no mesh of solid elements with materials, or more than the displacements of its nodes; "
                 "expected what morembs.model.assembly.assemble gives. Large displacements need the elements themselves"
             )
-        self.mesh, self.budget, self.X = model.mesh, budget, model.nodes.xyz
+        self._model, self.mesh, self.budget, self.X = model, model.mesh, budget, model.nodes.xyz
         self._owner = material_of_elements(self.mesh, model.materials)
         self._stiffness = np.stack([material.stiffness for material in model.materials])
         self._graph = node_graph(self.mesh)
@@ -72,6 +72,10 @@ class SaintVenantKirchhoff:
         self._pieces = list(chunks(self.mesh))
         self._rules = {id(block): _rule(block) for block in self.mesh.blocks}
         self.points = sum(len(self._rules[id(block)].weights) * len(block.ids) for block in self.mesh.blocks)
+
+    def __reduce__(self) -> tuple[type[SaintVenantKirchhoff], tuple[FEModel, Budget]]:
+        # What belongs to a block is found by its identity, which another process does not share.
+        return SaintVenantKirchhoff, (self._model, self.budget)
 
     def _chunks(self) -> Iterator[_Chunk]:
         first = 0

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -316,34 +314,6 @@ def test_a_checkpoint_of_other_shapes_is_named(tmp_path, name):
         file[name] = value[..., None]
     with pytest.raises(InputError, match=rf"{name} has the shape .*; the file is damaged, give the name of another"):
         tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
-
-
-ORPHANS = """
-import os, signal, sys
-sys.path.insert(0, {root!r})
-from morembs.gmp.worker_pool import WorkerPool
-
-class Work:
-    def fresh(self):
-        return self
-
-    def tell(self):
-        print(os.getpid(), flush=True)
-        return os.getpid()
-
-with WorkerPool(Work(), 2) as pool:
-    list(pool.each("tell", [()] * 2))
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def test_processes_end_with_their_parent(tmp_path):
-    """SIGKILL of the parent alone: its processes hold standard output open as long as they live."""
-    code = ORPHANS.format(root=str(ROOT))
-    # communicate ends when nobody holds the pipe any more.
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=600)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
-    assert ended.stdout.split()
 
 
 def test_a_range_that_was_found_is_kept(tmp_path):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -108,6 +110,51 @@ def test_results_come_in_the_order_of_tasks_and_the_first_failure_counts(tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+UNGUARDED = """
+import operator, os, signal
+from morembs.crew import Crew
+
+print("begun", flush=True)
+with Crew(3, 2) as crew:
+    print(list(crew.each(operator.mul, [1, 2])), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+GUARDED = """
+import operator
+from morembs.crew import Crew
+
+class Number:
+    def __init__(self, value):
+        self.value = value
+
+    def __mul__(self, other):
+        return self.value * other
+
+if __name__ == "__main__":
+    with Crew(Number(3), 2) as crew:
+        print(list(crew.each(operator.mul, [1, 2])))
+"""
+
+
+def ran(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
+    """A program that ends only when all that hold its standard output do."""
+    path = folder / "program.py"
+    path.write_text(text)
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
+    return subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=600, env=environment)
+
+
+def test_programs_run_once_and_their_processes_end_with_them(tmp_path):
+    """Without a guard by __name__, and by SIGKILL of the program alone."""
+    ended = ran(tmp_path, UNGUARDED)
+    assert ended.returncode == -signal.SIGKILL and ended.stdout.split("\n")[:2] == ["begun", "[3, 6]"], ended.stderr
+
+
+def test_what_a_program_defines_goes_to_the_processes(tmp_path):
+    ended = ran(tmp_path, GUARDED)
+    assert ended.returncode == 0 and ended.stdout.strip() == "[3, 6]", ended.stderr
+
+
 def test_ranks_give_the_body_of_one_process(tmp_path, mpi):
     alone = reduced(tmp_path / "a", 'name = "mumps"', MODES)
     spread = reduced(tmp_path / "b", "ranks = 2", MODES)
@@ -128,6 +175,9 @@ def test_ranks_count_negative_pivots_and_leave_nothing_when_one_is_killed(tmp_pa
         with pytest.raises(SolverError, match=r"was ended.*leave ranks out"):
             factor.solve(np.ones(factor.n))
         psutil.wait_procs(ranks, timeout=20)
+        # Also when they have been gone for long, with their folder.
+        with pytest.raises(SolverError, match=r"was ended.*leave ranks out"):
+            factor.solve(np.ones(factor.n))
         assert not [each for each in ranks if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
     assert list(tmp_path.iterdir()) == []
 

@@ -121,7 +121,7 @@ class Ranks:
             self._channel.sendall(json.dumps(command).encode() + b"\n")
             answer = self._answer()
         except OSError:
-            raise self._died() from None
+            raise self.died() from None
         finally:
             self._waiting = False
         if "fault" in answer:
@@ -132,7 +132,7 @@ class Ranks:
     def _answer(self) -> dict[str, Any]:
         text = self._lines.readline()
         if not text.endswith("\n"):
-            raise self._died()
+            raise self.died()
         answer: dict[str, Any] = json.loads(text)
         return answer
 
@@ -185,7 +185,7 @@ class Ranks:
         told = " ".join(last)[:300] or "without a word"
         return InputError(f"ranks = {self.count}: mpirun could not start them: {told}")
 
-    def _died(self) -> SolverError:
+    def died(self) -> SolverError:
         """The error for ranks that are gone, once mpirun has said which."""
         with suppress(subprocess.TimeoutExpired):
             self._mpirun.wait(_PATIENCE)
@@ -255,6 +255,9 @@ class RanksLibrary(Library):
         if job == END:
             self._ended(at, ranks, number)
             return
+        if not ranks.alive:
+            # Their folder is gone with them.
+            raise ranks.died()
         command, rhs = self._command(ranks, number, data, job)
         answer = ranks.call(command)
         for name in TOLD:
