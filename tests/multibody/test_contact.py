@@ -371,8 +371,8 @@ def test_a_frictional_impact_turns_a_ball_that_rolls_on():
     assert impact.loss == pytest.approx(0.5 * (9 + 1) - 0.5 * (2.7**2 + 0.25) - 0.5 * 0.4 * 0.75**2)
 
 
-@pytest.mark.parametrize("friction, facets, seed", [(0.3, 4, 2), (0.4, 8, 4)])
-def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, facets, seed):
+@pytest.mark.parametrize("friction, seed", [(0.3, 2), (0.4, 4)])
+def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, seed):
     """Several points at once, redundant where a face lies flat, sliding in changing directions."""
     rng, half = np.random.default_rng(seed), np.array([0.1, 0.07, 0.05])
     signs = [(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
@@ -384,7 +384,7 @@ def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, facets, seed):
         )
     )  # fmt: skip
     contact = Contact(
-        list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, facets=facets, restitution=0.2
+        list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, restitution=0.2
     )
     result = simulate_contact(system, [contact], end=1.5, step=4e-3)
     assert np.abs(result.configuration(box)[-1, 2] - half).min() < 1e-9

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.multibody.contact.kinematics import Contacts, ContactState
-from morembs.multibody.contact.lcp import ContactLCP, Responses
+from morembs.multibody.contact.lcp import ContactProblem, Responses
 from morembs.multibody.reactions import least_norm, saddle
 from morembs.multibody.system import Assembly
 
@@ -55,10 +55,9 @@ def resolve_impact(
     impulse, friction, closed = np.zeros(group.count), np.zeros((group.count, 2)), np.zeros(group.count, dtype=bool)
     if not r:
         return ImpactSolution(v=y, impulse=impulse, friction=friction, closed=closed, limit=least)
-    forces = ContactLCP.of(
+    forces = ContactProblem.of(
         N=N, T=T, XN=responses.YN, XT=responses.YT, gap=N @ y + restitution[rows] * np.minimum(N @ v, 0.0), slip=T @ y,
         friction=group.friction[rows], compliance=np.zeros((r, r)), noise=(1e-2 * least, 1e-2 * least),
-        pyramid=[group.pyramid(i) for i in rows],
     ).solve(rows, group.count)  # fmt: skip
     after = responses.total(forces)
     impulse[rows], friction[rows] = forces.normal, forces.friction
