@@ -41,7 +41,7 @@ class ContactReactions(Reactions):
         super().__init__(assembly)
         self.contacts, self.points_closed, m = contacts, closed.copy(), contacts.count
         self.force, self.friction, self.sliding = np.zeros(m), np.zeros((m, 2)), np.zeros(m, dtype=bool)
-        self.size = 0.0
+        self.size, self._start = 0.0, np.zeros((m, 2))
         self._last: tuple[Floats, ContactKinematics] | None = None
 
     def _kinematics(self, x: Floats) -> ContactKinematics:
@@ -81,8 +81,12 @@ class ContactReactions(Reactions):
             self._hold()
             return responses.y[:k], responses.y[k:]
         y, YN, YT = responses.y[:k], responses.YN.copy(), responses.YT
-        against = self._sliding_friction(rows, T @ v, kinematics.round_off(v, h * float(np.abs(T @ y).max())))
+        # What free fall reaches in a step, also at right angles to the surface, is the scale of round-off at rest.
+        fall = h * max(float(np.abs(N @ y).max()), float(np.abs(T @ y).max()))
+        against = self._sliding_friction(rows, T @ v, kinematics.round_off(v, fall))
         moving = against.any(axis=1)
+        self._start = np.zeros((group.count, 2))
+        self._start[rows[moving]] = (T @ v)[moving]
         for number in np.flatnonzero(moving):
             YN[:, number] += YT[:, number] @ against[number]
         normal, tangential = group.rates(x, v, h, rows)
@@ -121,7 +125,11 @@ class ContactReactions(Reactions):
     def held(self, x: Floats, v: Floats, h: float) -> HeldRows:
         pressing, sticking, group = self._pressing, self._sticking, self.contacts
         kinematics = group.kinematics(x)
-        pull = np.asarray(kinematics.N + np.einsum("ia,iak->ik", self._ratio, kinematics.T))
+        # Friction turns with a slip that keeps on; near its end, and from rest, it keeps its direction.
+        ratio, slip, began = self._ratio.copy(), kinematics.T @ v, np.linalg.norm(self._start, axis=1)
+        keeps = (began > 0) & (np.linalg.norm(slip - self._start, axis=1) < 0.5 * began)
+        ratio[keeps] = self._sliding_friction(np.flatnonzero(keeps), slip[keeps], 0.0)
+        pull = np.asarray(kinematics.N + np.einsum("ia,iak->ik", ratio, kinematics.T))
         T = kinematics.T[sticking].reshape(-1, self.assembly.size)
         touched = np.union1d(pressing, sticking)
         normal, tangential = np.zeros(group.count), np.zeros((group.count, 2))
