@@ -41,7 +41,7 @@ class ContactReactions(Reactions):
         super().__init__(assembly)
         self.contacts, self.points_closed, m = contacts, closed.copy(), contacts.count
         self.force, self.friction, self.sliding = np.zeros(m), np.zeros((m, 2)), np.zeros(m, dtype=bool)
-        self.size, self._start = 0.0, np.zeros((m, 2))
+        self.size = 0.0
         self._last: tuple[Floats, ContactKinematics] | None = None
 
     def _kinematics(self, x: Floats) -> ContactKinematics:
@@ -85,8 +85,6 @@ class ContactReactions(Reactions):
         fall = h * max(float(np.abs(N @ y).max()), float(np.abs(T @ y).max()))
         against = self._sliding_friction(rows, T @ v, kinematics.round_off(v, fall))
         moving = against.any(axis=1)
-        self._start = np.zeros((group.count, 2))
-        self._start[rows[moving]] = (T @ v)[moving]
         for number in np.flatnonzero(moving):
             YN[:, number] += YT[:, number] @ against[number]
         normal, tangential = group.rates(x, v, h, rows)
@@ -125,11 +123,7 @@ class ContactReactions(Reactions):
     def held(self, x: Floats, v: Floats, h: float) -> HeldRows:
         pressing, sticking, group = self._pressing, self._sticking, self.contacts
         kinematics = group.kinematics(x)
-        # Friction turns with a slip that keeps on; near its end, and from rest, it keeps its direction.
-        ratio, slip, began = self._ratio.copy(), kinematics.T @ v, np.linalg.norm(self._start, axis=1)
-        keeps = (began > 0) & (np.linalg.norm(slip - self._start, axis=1) < 0.5 * began)
-        ratio[keeps] = self._sliding_friction(np.flatnonzero(keeps), slip[keeps], 0.0)
-        pull = np.asarray(kinematics.N + np.einsum("ia,iak->ik", ratio, kinematics.T))
+        pull = np.asarray(kinematics.N + np.einsum("ia,iak->ik", self._ratio, kinematics.T))
         T = kinematics.T[sticking].reshape(-1, self.assembly.size)
         touched = np.union1d(pressing, sticking)
         normal, tangential = np.zeros(group.count), np.zeros((group.count, 2))
