@@ -3,7 +3,8 @@
 Record groups as in the MBDyn input manual (appendix "modal element data format"): sizes (1), node labels (2),
 initial modal coordinates (3, 4), node positions (5, 6, 7), mode shapes (8), generalised mass (9), stiffness (10),
 rigid-body inertia (12), damping (13); MBDyn from 2019 on also reads the inertia couplings (14 to 18), so that only
-the nodes at the interfaces are needed and no lumped masses (11).
+the nodes at the interfaces are needed and no lumped masses (11). Group 19 is the geometric stiffening, which MBDyn
+applies with automatic differentiation only (ModalAd::AssRes in its modalad.cc).
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ _REVISION = "REV0"
 class MBDynExporter(Exporter):
     """Modal joint on the interface frames, in the floating frame; the inertia couplings are in groups 14 to 18.
 
-    Node labels are the names of the interfaces; connect each with a line "NAME, NODE, position, null" in the joint.
-    The frame's origin is the modal node. Geometric stiffening (group 19) is not written.
+    Node labels are the names of the interfaces; connect each with a line "NAME, NODE, position, null" in the joint,
+    in the order of the file: group 19 counts on it. The frame's origin is the modal node.
     """
 
     name: ClassVar[str] = "mbdyn"
     suffix: ClassVar[str] = ".fem"
     about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
-    holds: ClassVar[frozenset[str]] = frozenset({"damping"})
+    holds: ClassVar[frozenset[str]] = frozenset({"damping", "stiffening"})
 
     def _write(self, context: ExportContext) -> Exported:
         markers = context.markers("MBDyn")
@@ -45,10 +46,15 @@ class MBDynExporter(Exporter):
         with replacing(context.path) as file:
             for text in groups:
                 file.write(text.encode("ascii"))
-        notes = (
-            "needs an MBDyn that reads record groups 14 to 18 (2019 or later); an older one leaves the couplings out",
-        )
-        return Exported(paths=(context.path,), notes=notes)
+        notes = [
+            "needs an MBDyn that reads record groups 14 to 18 (2019 or later); an older one leaves the couplings out"
+        ]
+        if _stiffness_of_loads(context.frame, markers):
+            notes.append(
+                "geometric stiffening is in record group 19: say 'use automatic differentiation;' in the control data, "
+                f"and connect the interfaces in this order: {', '.join(markers)}"
+            )
+        return Exported(paths=(context.path,), notes=tuple(notes))
 
 
 def _groups(name: str, frame: FloatingFrame, markers: dict[str, InterfaceMarker]) -> Iterator[str]:
@@ -73,6 +79,9 @@ def _groups(name: str, frame: FloatingFrame, markers: dict[str, InterfaceMarker]
         yield _group(13, "MODAL DAMPING MATRIX", [_rows(frame.De, "modal damping")])
     for number, words, rows in _invariants(frame):
         yield _group(number, words, [_rows(rows, words.lower())])
+    if loads := _stiffness_of_loads(frame, markers):
+        parts = [f"{number}\n" + _rows(symmetric(G), "geometric stiffening") for number, G in loads]
+        yield _group(19, "MODAL STRESS STIFFENING MATRIX", [f"{len(loads)}\n", *parts])
     yield "** END OF FILE\n"
 
 
@@ -98,6 +107,21 @@ def _invariants(frame: FloatingFrame) -> Iterator[tuple[int, str, Floats]]:
     yield 17, "INVARIANT 5", integrals.Cr1.transpose(2, 1, 0).reshape(3, n * n)
     # [a, j, k, b] of int phi_j~ phi_k~.
     yield 18, "INVARIANT 9", integrals.C6.transpose(2, 0, 1, 3).reshape(3, 3 * n * n)
+
+
+def _stiffness_of_loads(frame: FloatingFrame, markers: dict[str, InterfaceMarker]) -> list[tuple[int, Floats]]:
+    """Numbers of loads and geometric stiffness (n, n) of each that has some.
+
+    1 to 6 w_a w_b in the order xx, yy, zz, xy, yz, zx; 7 to 9 angular acceleration; 10 to 12 acceleration less gravity;
+    then three forces and three moments on the body at each node, all along the axes of the modal node.
+    """
+    stiff = frame.stiffening
+    if stiff is None:
+        return []
+    none = np.zeros((6, frame.count, frame.count))
+    wrenches = [stiff.wrench.get(name, none) for name in markers]
+    loads = np.concatenate((stiff.rotation, stiff.angular_acceleration, stiff.acceleration, *wrenches))
+    return [(number, G) for number, G in enumerate(loads, 1) if G.any()]
 
 
 def _group(number: int, words: str, parts: list[str]) -> str:

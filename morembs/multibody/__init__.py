@@ -59,6 +59,7 @@ from morembs.multibody.sliding import (
     local_response,
     simulate_sliding,
 )
+from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State, System
 
 ground = Ground()
@@ -114,6 +115,7 @@ __all__ = [
     "SphericalJoint",
     "SpringDamper",
     "State",
+    "SteadySpin",
     "Surface",
     "SwitchingBody",
     "System",

@@ -22,6 +22,7 @@ from morembs.multibody.forces import Load, PointLoad
 from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import Result, Segment
+from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.tangents import stiffness_and_damping
 from morembs.summary import summarised
@@ -71,7 +72,7 @@ class Equilibrium:
         return int((self.linear.squares == 0).sum())
 
     def _facts(self) -> dict[str, object]:
-        hz = [square for square in self.linear.frequencies_hz if square > 0]
+        hz = [f for f in self.linear.frequencies_hz if f > 0]
         return {
             "stable": "yes" if self.stable else f"no, a disturbance grows by {self.linear.growth:.4g} /s",
             "lowest frequencies in Hz": ", ".join(f"{f:.4g}" for f in hz[:5]), "mobilities": self.mobilities,
@@ -81,15 +82,17 @@ class Equilibrium:
 
 def equilibrium(
     system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
-    time: float = 0.0,
+    time: float = 0.0, spin: SteadySpin | None = None,
 ) -> Equilibrium:  # fmt: skip
-    """The static equilibrium nearest to the start of the bodies, or to ``guess``.
+    """The static equilibrium nearest to the start of the bodies, or to ``guess``; with ``spin`` that of a system which
+    turns steadily as a whole, with its small motion as seen by an observer who turns with it.
 
     Args:
         guess: where to begin; the start of the components unless given.
         tolerance: of the forces that are left, relative to those that balance, in the norm of the mass matrix.
         load_steps: gravity and point loads grow in so many steps, where Newton's method does not converge at once.
         time: of prescribed motions and loads that are functions of time, s.
+        spin: steady rotation of the whole system, floating bodies only.
 
     An equilibrium that is not stable is a result too: ``stable`` says so. Forces of elastic bodies under redundant
     joints are determined by their elasticity; redundant joints between rigid bodies are refused.
@@ -119,17 +122,21 @@ def equilibrium(
     else:
         # Prescribed motions may have gone on since; the search closes the joints.
         x, _ = assembly.fitting(begin)
+    if spin is not None:
+        spin.check(assembly, time, x)
     multipliers, iterations = None, 0
     for number in range(1, load_steps):
         part = Assembly(_scaled(system, number / load_steps))
-        x, multipliers, count = _Search(part, time, tolerance).run(x, multipliers)
+        x, multipliers, count = _Search(part, time, tolerance, spin).run(x, multipliers)
         iterations += count
-    x, multipliers, count = _Search(assembly, time, tolerance).run(x, multipliers)
+    x, multipliers, count = _Search(assembly, time, tolerance, spin).run(x, multipliers)
     iterations += count
     _warn_of_dependent_joints(assembly, time, x)
-    still = np.zeros(assembly.size)
-    state = State(assembly=assembly, time=time, x=x, v=still, acceleration=still, multipliers=multipliers)
-    return Equilibrium(state=state, linear=linearised(state), iterations=iterations)
+    v = rate = np.zeros(assembly.size)
+    if spin is not None:
+        v, rate = spin.motion(assembly, x, v)
+    state = State(assembly=assembly, time=time, x=x, v=v, acceleration=rate, multipliers=multipliers)
+    return Equilibrium(state=state, linear=linearised(state, spin), iterations=iterations)
 
 
 def _scaled(system: System, part: float) -> System:
@@ -150,8 +157,8 @@ def _part_of(load: PointLoad, part: float) -> PointLoad:
 class _Search:
     """Newton's method for an assembly under its whole loads."""
 
-    def __init__(self, assembly: Assembly, time: float, tolerance: float) -> None:
-        self.assembly, self.time, self.tolerance = assembly, time, tolerance
+    def __init__(self, assembly: Assembly, time: float, tolerance: float, spin: SteadySpin | None) -> None:
+        self.assembly, self.time, self.tolerance, self.spin = assembly, time, tolerance, spin
         self.still = np.zeros(assembly.size)
 
     def run(self, x: Floats, multipliers: Floats | None) -> tuple[Floats, Floats, int]:
@@ -164,7 +171,7 @@ class _Search:
         a = self.assembly
         self._measure(x)
         for iteration in range(ITERATIONS):
-            M, g, Phi, B = a.equations(self.time, x, self.still)
+            M, g, Phi, B = (self.spin.equations if self.spin else Assembly.equations)(a, self.time, x, self.still)
             scale = 1 / np.sqrt(np.diag(M))
             if multipliers is None:
                 # Reactions of the guess: the tangent needs their geometric stiffness, or it leads to other equilibria.
@@ -173,7 +180,10 @@ class _Search:
             forces = self._magnitude(x, scale) + float(np.linalg.norm(scale * (multipliers @ B)))
             left = float(np.linalg.norm(scale * residual))
             closed = float(np.abs(Phi).max(initial=0.0)) <= CLOSED * self.size + ROUND_OFF * self.reach
-            K, _ = stiffness_and_damping(a, self.time, x, self.still, self.still, multipliers)
+            if self.spin is None:
+                K, _ = stiffness_and_damping(a, self.time, x, self.still, self.still, multipliers)
+            else:
+                K, _ = self.spin.tangents(a, self.time, x, multipliers)
             change, free = self._newton(K, M, B, residual, Phi)
             moved = math.sqrt(max(float(change[: a.size] @ M @ change[: a.size]), 0.0) / float(np.diag(M).max()))
             # Where all forces vanish, as in a spring at rest, what Newton's method still moves tells.
@@ -208,6 +218,9 @@ class _Search:
             g = np.zeros(a.size)
             a.load(force, self.time, self.still, [a.place(m, x) for m in force.markers], g)
             parts.append(scale * g)
+        if self.spin is not None:
+            v, rate = self.spin.motion(a, x, self.still)
+            parts.append(scale * (a.equations(self.time, x, v)[0] @ rate))
         return float(sum(np.linalg.norm(part) for part in parts))
 
     def _newton(self, K: Floats, M: Floats, B: Floats, residual: Floats, Phi: Floats) -> tuple[Floats, Floats]:

@@ -19,6 +19,7 @@ from morembs.exporters.ports import UNITS
 from morembs.exporters.state_space import StateSpace
 from morembs.linalg.eigen import graded_modes
 from morembs.multibody.component import Marker
+from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import State
 from morembs.multibody.tangents import stiffness_and_damping
 
@@ -32,13 +33,16 @@ ROUND_OFF, SKEW = 1e-9, 1e-6
 NOTHING = 1e-15
 # Growth, as part of the fastest motion, that is round-off of eigenvalues.
 STEADY = 1e-10
+# The same of a double root, such as that of a spin which nothing drives: the root of the round-off of differences.
+DOUBLE = 1e-4
 MOTIONS = ("displacement", "velocity", "acceleration")
 WORDS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearised:
-    """A system about a ``state`` of rest, in the M-orthonormal ``motions`` Z (k, r) that its joints allow.
+    """A system about a ``state`` of rest, or of steady spin in the frame that turns with it, in the M-orthonormal
+    ``motions`` Z (k, r) that its joints allow.
 
     ``K`` and ``C`` (r, r) are the stiffness and the damping there, where the mass matrix is the identity;
     ``stiffness`` (k, k) is that of all coordinates.
@@ -63,7 +67,11 @@ class Linearised:
 
     @property
     def frequencies_hz(self) -> Floats:
-        """(r,) frequencies without damping in Hz, zero for motions that grow or that nothing resists."""
+        """(r,) frequencies without damping in Hz, zero for motions that grow or that nothing resists; of a system that
+        spins those of its ``eigenvalues``, with Coriolis forces and damping."""
+        if self.state.v.any():
+            imaginary = self.eigenvalues.imag
+            return np.asarray(np.sort(imaginary)[len(imaginary) // 2 :] / (2 * np.pi))
         return np.asarray(np.sqrt(np.maximum(self.squares, 0.0)) / (2 * np.pi))
 
     @cached_property
@@ -94,7 +102,7 @@ class Linearised:
             return 0.0
         fastest = np.abs(self.eigenvalues).max(initial=0.0)
         rate = float(self.eigenvalues.real.max(initial=0.0))
-        return rate if rate > STEADY * fastest else 0.0
+        return rate if rate > (DOUBLE if self.state.v.any() else STEADY) * fastest else 0.0
 
     def state_space(self, inputs: Mapping[str, Marker], outputs: Mapping[str, tuple[Marker, str]]) -> StateSpace:
         """State space with forces and moments on the markers of ``inputs`` and motions of those of ``outputs``.
@@ -138,20 +146,24 @@ class Linearised:
         return np.asarray(assembly.place(marker, self.state.x).jacobian @ self.motions[assembly.in_v[i]])
 
 
-def linearised(state: State) -> Linearised:
-    """The small motion about a ``state`` of rest.
+def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
+    """The small motion about a ``state`` of rest, or of steady ``spin`` in the frame that turns with it.
 
     Raises:
-        InputError: a state that moves.
+        InputError: a state that moves otherwise.
     """
     a = state.assembly
-    if state.v.any():
+    if spin is None and state.v.any():
         raise InputError("the state moves; expected one of rest, such as that of an equilibrium")
     M, _, _, B = a.equations(state.time, state.x, state.v)
     L = np.linalg.cholesky(M)
     allowed = _null_space(sl.solve_triangular(L, B.T, lower=True).T)
     Z = sl.solve_triangular(L, allowed, lower=True, trans="T")
-    K, C = stiffness_and_damping(a, state.time, state.x, state.v, state.acceleration, state.multipliers, central=True)
+    if spin is None:
+        rest = state.v, state.acceleration, state.multipliers
+        K, C = stiffness_and_damping(a, state.time, state.x, *rest, central=True)
+    else:
+        K, C = spin.tangents(a, state.time, state.x, state.multipliers)
     return Linearised(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)
 
 

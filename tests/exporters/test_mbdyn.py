@@ -1,5 +1,7 @@
 """The MBDyn file: read back by its grammar, its invariants against sums over the nodes of the full model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sl
@@ -9,6 +11,7 @@ from morembs.body.file import read_body, write_body
 from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.floating.frame import floating_frame
+from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
 from morembs.model import skew
 from morembs.problem import Damping, Problem
@@ -17,13 +20,15 @@ from tests.support.exports import mbdyn_groups
 from tests.support.meshes import box, steel, where
 
 
-def make(path, names=("left", "right"), damping=None):
+def make(path, names=("left", "right"), damping=None, stiff=False):
     model = steel(box("hex8", (5, 2, 1), (0.5, 0.06, 0.03), warp=lambda x: x - [0.1, 0.03, 0.0]))
     faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
              for n, x, c in zip(names, (-0.1, 0.4), ("rigid", "average"), strict=True)]  # fmt: skip
     with Problem(model, faces, **({} if damping is None else {"damping": damping})) as problem:
         reduced = CraigBampton(modes=4).reduce(problem, "cb")
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=(names[0],), origin=(-0.1, 0.0, 0.01))
+        if stiff:
+            frame = replace(frame, stiffening=geometric_stiffening(problem, reduced, frame))
         write_body(path, [elastic_body(problem, reduced, make_part(problem), floating=frame)])
     return model
 
@@ -130,3 +135,26 @@ def test_what_stays_behind_is_said(tmp_path):
     notes = " ".join(export_body(tmp_path / "a.h5", "mbdyn").notes)
     assert "record groups 14 to 18" in notes
     assert 13 not in mbdyn_groups(tmp_path / "a.fem")
+
+
+def test_geometric_stiffness_of_any_loads_from_group_19(tmp_path):
+    """As MBDyn sums it: by number, each with its product of velocities, acceleration or force along the modal node."""
+    make(tmp_path / "a.h5", stiff=True)
+    notes = " ".join(export_body(tmp_path / "a.h5", "mbdyn").notes)
+    assert "automatic differentiation" in notes and "in this order: left, right" in notes
+    frame = read_body(tmp_path / "a.h5").bodies["cb"].floating
+    n, words = frame.count, mbdyn_groups(tmp_path / "a.fem")[19]
+    size = n * n + 1
+    assert len(words) == 1 + int(words[0]) * size
+    terms = {int(words[k]): array(words[k + 1 : k + size], n, n) for k in range(1, len(words), size)}
+    rng = np.random.default_rng(0)
+    w, turning, acceleration = rng.standard_normal((3, 3))
+    right = rng.standard_normal(6)
+    factors = dict(enumerate((*w**2, w[0] * w[1], w[1] * w[2], w[2] * w[0], *turning, *acceleration), 1))
+    factors |= dict(enumerate(np.concatenate((np.zeros(6), right)), 13))
+    total = sum(factors[number] * G for number, G in terms.items())
+    expected = frame.stiffening.matrix(
+        velocity=w, angular_acceleration=turning, acceleration=acceleration, wrench={"right": right}
+    )
+    assert total == pytest.approx(expected, rel=1e-12, abs=1e-13 * np.abs(expected).max())
+    assert np.linalg.eigvalsh(terms[3]).max() > 0 and {3, 10, 19} <= set(terms)

@@ -13,6 +13,7 @@ from morembs.floating.spinning import Rotation, spinning
 from morembs.floating.spinning_modes import modes_over_speed, spinning_modes, with_spin
 from morembs.interface import make_interface
 from morembs.model import DofMap, FEModel, Nodes
+from morembs.multibody.rotations import rotation
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where
@@ -140,6 +141,80 @@ def test_a_stout_shaft_spins_as_timoshenko_says():
             modes = spinning_modes(problem, spin, speed, 2)
             assert modes.frequencies == pytest.approx(pair, rel=5e-3)
             assert modes.verified_below > modes.frequencies[-1]
+
+
+def round_shaft(turn=None, shift=(0.0, 0.0, 0.0), cells=(12, 4, 4)):
+    """A shaft of 0.5 m with a diameter of 0.1 m along x, turned and moved; held at the points of both ends."""
+    turn = np.eye(3) if turn is None else turn
+
+    def warp(x):
+        y, z = 20 * x[..., 1] - 1, 20 * x[..., 2] - 1
+        y, z = 0.05 * y * np.sqrt(1 - z * z / 2), 0.05 * z * np.sqrt(1 - y * y / 2)
+        return np.stack((x[..., 0], y, z), axis=-1) @ turn.T + shift
+
+    mesh = box("hex20", cells, (0.5, 0.1, 0.1), warp)
+    model = steel(mesh)
+    along = (model.nodes.xyz - shift) @ turn[:, 0]
+    interfaces = [
+        make_interface(
+            model, name=name, nodes=np.flatnonzero(np.abs(along - x) < 1e-9), coupling="rigid",
+            point=turn[:, 0] * x + shift,
+        )
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]  # fmt: skip
+    return model, interfaces
+
+
+def test_a_round_shaft_whirls_as_in_ross():
+    """ROSS 2.3.0, 40 Timoshenko elements with gyroscopic moments, bearings of 1e13 N/m at both ends, rad/s."""
+    # Backward whirls are negative.
+    ross = {0: [4877.36, 4877.36, 17465.18, 17465.18], 2000: [-4835.36, 4919.63, -17349.58, 17580.78]}
+    model, _ = round_shaft()
+    ends = np.concatenate([where(model, 0, 0.0), where(model, 0, 0.5)])
+    centre = np.array([int(np.argmin(np.linalg.norm(model.nodes.xyz - [0.25, 0, 0], axis=1)))])
+    held = [
+        make_interface(model, name="ends", nodes=ends, coupling="direct", components=[1, 2]),
+        make_interface(model, name="centre", nodes=centre, coupling="direct", components=[0]),
+    ]
+    with Problem(model, held) as problem:
+        spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("ends", "centre")))
+        rest = spinning_modes(problem, spin, 0, 6).frequencies
+        modes = spinning_modes(problem, spin, 2000, 6)
+    assert rest[[0, 1, 3, 4]] == pytest.approx(ross[0], rel=5e-3)
+    whirls = whirl_of(modes.eigenvalues, modes.vectors, spin.C, spin.S, problem.M, 2000).inertial
+    whirls = sorted(whirls[np.isfinite(whirls)], key=abs)
+    assert whirls == pytest.approx(ross[2000], rel=5e-3)
+    # What gyroscopic moments split, which the stiffness of the elements hardly touches.
+    splits = [(ahead + back) / (ahead - back) for back, ahead in (whirls[:2], whirls[2:])]
+    exact = [(ahead + back) / (ahead - back) for back, ahead in (ross[2000][:2], ross[2000][2:])]
+    assert splits == pytest.approx(exact, rel=1.5e-2)
+
+
+@pytest.mark.parametrize("along, through", [((1, 0, 0), (0, 0, 0)), ((0.2, 1.0, -0.4), (0.1, 0.25, -0.3))])
+def test_modes_do_not_depend_on_the_axes_of_the_model(along, through):
+    """Turned and moved, the axis of any length through any of its points and, with a negative speed, the other way."""
+    turn, shift = rotation((1, -2, 0.7), 1.1), np.array([0.7, -0.4, 1.3])
+    axis, point = np.array(along, dtype=float), np.array(through, dtype=float)
+    spins = []
+    for R, d, factor, slide in ((np.eye(3), 0 * shift, 1.0, 0.0), (turn, shift, -7.3, 0.9)):
+        model, interfaces = round_shaft(R, d, (4, 2, 2))
+        with Problem(model, interfaces) as problem:
+            about = Rotation(axis=factor * (R @ axis), point=R @ (point + slide * axis) + d, held=("left",))
+            spin = spinning(problem, about)
+            sign = np.sign(factor)
+            full = modes_over_speed(problem, spin, [sign * 300.0, 0.0, sign * 900.0], 6)
+            reduced, small = with_spin(problem, CraigBampton(modes=6).reduce(problem), spin, full)
+            whirl = campbell(_Body(reduced, small), [sign * 300.0, 0.0, sign * 900.0], 6)
+            moved = (problem.coupling.T @ spin.elongation).reshape(-1, 3)
+            spins.append((full, whirl, np.sort(np.linalg.norm(moved, axis=1))))
+    (full, whirl, stretch), (other, turned, again) = spins
+    assert again == pytest.approx(stretch, abs=1e-8 * stretch.max())
+    for speed in full:
+        assert other[sign * speed].frequencies == pytest.approx(full[speed].frequencies, rel=1e-7)
+    for here, there in zip(whirl, turned, strict=True):
+        assert np.abs(here.eigenvalues) == pytest.approx(full[here.speed].frequencies, rel=2e-6)
+        assert np.abs(there.eigenvalues) == pytest.approx(np.abs(here.eigenvalues), rel=1e-7)
+        assert there.inertial * sign == pytest.approx(here.inertial, rel=1e-6, nan_ok=True)
 
 
 def blade():

@@ -7,6 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from morembs.errors import InputError
+from morembs.interface import make_interface
+from morembs.model.assembly import assemble
+from morembs.model.material import isotropic
 from morembs.multibody import (
     DrivenPosition,
     FlexibleBody,
@@ -27,6 +30,9 @@ from morembs.multibody.contact.result import ContactError
 from morembs.multibody.contact.run import simulate_contact
 from morembs.multibody.contact.surfaces import GridSurface, Path, Plane, Sphere
 from morembs.multibody.system import Assembly
+from morembs.problem import Problem
+from morembs.reducers import FreeInterface, Gramian
+from tests.support.meshes import box, where
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)
@@ -371,8 +377,8 @@ def test_a_frictional_impact_turns_a_ball_that_rolls_on():
     assert impact.loss == pytest.approx(0.5 * (9 + 1) - 0.5 * (2.7**2 + 0.25) - 0.5 * 0.4 * 0.75**2)
 
 
-@pytest.mark.parametrize("friction, facets, seed", [(0.3, 4, 2), (0.4, 8, 4)])
-def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, facets, seed):
+@pytest.mark.parametrize("friction, seed", [(0.3, 2), (0.4, 4)])
+def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, seed):
     """Several points at once, redundant where a face lies flat, sliding in changing directions."""
     rng, half = np.random.default_rng(seed), np.array([0.1, 0.07, 0.05])
     signs = [(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
@@ -384,7 +390,7 @@ def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, facets, seed):
         )
     )  # fmt: skip
     contact = Contact(
-        list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, facets=facets, restitution=0.2
+        list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, restitution=0.2
     )
     result = simulate_contact(system, [contact], end=1.5, step=4e-3)
     assert np.abs(result.configuration(box)[-1, 2] - half).min() < 1e-9
@@ -478,6 +484,75 @@ def test_rod_on_a_rigid_stop_against_the_wave_solution():
         assert 1e3 * sum(i.impulse[0] for i in result.impacts) < 0.6 / elements
     # Mean over a twentieth of the duration; the ripple behind the front is as short as the elements.
     assert peaks[1] == pytest.approx(1.0, abs=0.02) and abs(peaks[1] - 1) < 0.6 * abs(peaks[0] - 1)
+
+
+class SolidRod(VectorComponent):
+    """A reduced model that moves with ``rate``, and points of it on the end face."""
+
+    name = "rod"
+
+    def __init__(self, reduced, rate):
+        self.M, self.K, self.rate = reduced.M, reduced.K, rate
+        self.size = self.configuration_size = len(self.M)
+
+    def start(self):
+        return np.zeros(self.size), self.rate
+
+    def dynamics(self, t, x, v, gravity):
+        return self.M.copy(), self.K @ x
+
+    def energy(self, x, v, gravity):
+        return 0.5 * v @ self.M @ v, 0.5 * x @ self.K @ x
+
+    def power(self, x, v):
+        return 0.0
+
+    def marker(self, name):
+        raise KeyError(name)
+
+
+class Corner(Marker):
+    name = "corner"
+
+    def __init__(self, rod, point, rows):
+        self.component, self.point, self.rows = rod, point, rows
+
+    def place(self, x):
+        jacobian = np.vstack((self.rows, np.zeros((3, len(x)))))
+        return MarkerState(position=self.point + self.rows @ x, axes=np.eye(3), jacobian=jacobian)
+
+
+def solid_rod_on_stop(reducer, elements=40, side=0.025):
+    """Largest mean of the force over a twentieth and a tenth of the duration, and the steady force, per plateau."""
+    mesh = box("hex8", (elements, 1, 1), (1.0, side, side))
+    model = assemble(mesh, [isotropic(set="all", young=1.0, poisson=0.3, density=1.0)])
+    end = where(model, 0, 0.0)
+    face = make_interface(model, name="end", nodes=end, coupling="average", components=[0])
+    with Problem(model, [face]) as problem:
+        reduced = reducer.reduce(problem)
+        V = problem.coupling.T @ reduced.V
+    along = (model.dofs.component == 0).astype(float)
+    rod = SolidRod(reduced, -1e-3 * np.linalg.lstsq(V, along, rcond=None)[0])
+    rows, system = model.dofs.table(len(model.nodes)), System()
+    system.add(rod)
+    points = [Corner(rod, model.nodes.xyz[i] + (1e-5, 0, 0), V[rows[i, :3]]) for i in end]
+    contact = Contact(points, Plane((0, 0, 0), (1, 0, 0)), on=ground.marker_at())
+    result = simulate_contact(system, [contact], end=2.3, step=1 / elements, rho=1.0)
+    t, scale = result.time - 0.01, 1e-3 * side**2
+    force = result.force(contact).sum(axis=1) / scale
+    impulse = np.concatenate(([0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(t))))
+    impulse += result.impacts[0].impulse.sum() / scale * (result.time >= result.impacts[0].time)
+    means = [((np.interp(t + w, t, impulse) - np.interp(t, t, impulse)) / w)[t < 2.0].max() for w in (0.1, 0.2)]
+    return *means, force[(t > 0.5) & (t < 1.5)].mean()
+
+
+def test_a_solid_rod_overshoots_only_where_its_basis_lacks_modes_that_the_stop_drives():
+    """All 486 modes have 1.023, 1.014 and 1.000 here: what directions of the response to a push of the end reach with
+    40 coordinates. Most of the lowest modes bend or twist; 40 of them, with the static response, overshoot by 25 %."""
+    short, long, steady = solid_rod_on_stop(Gramian(band_hz=[0.0, 25.0], order=40))
+    assert (short, long, steady) == pytest.approx((1.023, 1.014, 1.0), abs=2e-3)
+    short, long, _ = solid_rod_on_stop(FreeInterface(modes=40))
+    assert short > 1.3 and long > 1.2
 
 
 def test_rod_on_a_compliant_stop_against_the_wave_solution():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.multibody.contact.kinematics import Contacts, ContactState
-from morembs.multibody.contact.lcp import ContactLCP, Responses
+from morembs.multibody.contact.lcp import ContactProblem, Forces, Responses
 from morembs.multibody.reactions import least_norm, saddle
 from morembs.multibody.system import Assembly
 
@@ -18,6 +19,9 @@ Ints = NDArray[np.int_]
 # A crossing this near to the start of a step, as part of it, is the one that the step starts from.
 _BEGIN = 1e-9
 _SHORTEST = 1e-4
+# Work of impulses above this part of twice the kinetic energy is no round-off.
+_GAIN = 1e-12
+_HALVINGS = 30
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +43,8 @@ def resolve_impact(
 ) -> ImpactSolution:  # fmt: skip
     """Velocities after an impact of all points that touch, with ``restitution`` (m,) of each.
 
-    What forces change within a millionth of a step of size ``h`` is round-off of velocities.
+    Newton's law may add energy where friction turns the sliding round (Kane 1984): restitution is then reduced to where
+    none is added. What forces change within a millionth of a step of size ``h`` is round-off of velocities.
 
     Raises:
         RayError: no impulses keep the points apart.
@@ -55,12 +60,22 @@ def resolve_impact(
     impulse, friction, closed = np.zeros(group.count), np.zeros((group.count, 2)), np.zeros(group.count, dtype=bool)
     if not r:
         return ImpactSolution(v=y, impulse=impulse, friction=friction, closed=closed, limit=least)
-    forces = ContactLCP.of(
-        N=N, T=T, XN=responses.YN, XT=responses.YT, gap=N @ y + restitution[rows] * np.minimum(N @ v, 0.0), slip=T @ y,
+    problem = ContactProblem.of(
+        N=N, T=T, XN=responses.YN, XT=responses.YT, gap=N @ y, slip=T @ y,
         friction=group.friction[rows], compliance=np.zeros((r, r)), noise=(1e-2 * least, 1e-2 * least),
-        pyramid=[group.pyramid(i) for i in rows],
-    ).solve(rows, group.count)  # fmt: skip
-    after = responses.total(forces)
+    )  # fmt: skip
+    rebound = restitution[rows] * np.minimum(N @ v, 0.0)
+
+    def solved(part: float) -> tuple[Forces, Floats, float]:
+        """Impulses, velocity and work of the impulses with a part of the restitution."""
+        forces = replace(problem, gap=problem.gap + part * rebound).solve(rows, group.count)
+        after = responses.total(forces)
+        mean = 0.5 * (v + after)
+        return forces, after, float(forces.normal @ (N @ mean) + np.einsum("ia,ia->", forces.friction, T @ mean))
+
+    forces, after, work = solved(1.0)
+    if rebound.any() and work > _GAIN * abs(float(v @ M @ v)):
+        forces, after, work = _without_gain(solved)
     impulse[rows], friction[rows] = forces.normal, forces.friction
     # A rebound that would last less than a thousandth of a step is none.
     slow = N @ after <= 1e5 * least
@@ -68,9 +83,16 @@ def resolve_impact(
         bent = np.concatenate((np.zeros(k), assembly.driven(1, t) - B @ after, -N[slow] @ after))
         after = after + least_norm(saddle(M, np.vstack((B, N[slow]))), bent)[:k]
     closed[rows] = slow
-    mean = 0.5 * (v + after)
-    work = float(forces.normal @ (N @ mean) + np.einsum("ia,ia->", forces.friction, T @ mean))
     return ImpactSolution(v=after, impulse=impulse, friction=friction, closed=closed, work=work, limit=least)
+
+
+def _without_gain(solved: Callable[[float], tuple[Forces, Floats, float]]) -> tuple[Forces, Floats, float]:
+    """The impact with the largest part of the restitution that adds no energy; without restitution none is added."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if solved(middle)[2] <= 0 else (low, middle)
+    return solved(low)
 
 
 def project_positions(assembly: Assembly, group: Contacts, t: float, x: Floats, touching: Bools) -> Floats:

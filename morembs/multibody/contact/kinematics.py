@@ -1,8 +1,8 @@
-"""Unilateral contact of points with a surface, frictionless or with a pyramid in place of Coulomb's cone.
+"""Unilateral contact of points with a surface, with Coulomb's friction or without.
 
 A point touches where its gap g to the surface is zero. On the normal 0 <= g, 0 <= force, g force = 0; with a
-compliance R of the points g + R force takes the place of g. Friction acts along the directions of a pyramid with at
-most ``friction`` times the normal force and opposes sliding.
+compliance R of the points g + R force takes the place of g. Friction is at most ``friction`` times the normal
+force, in any direction of the tangent plane, and opposes sliding.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from morembs.multibody.system import Assembly, State
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_LARGEST_FACETS = 64
 _AT_REST = 1e-8
 
 
@@ -47,8 +46,8 @@ class Contact:
             body of ``on``, which should not deform itself.
         friction: coefficient of Coulomb's law, not negative.
         restitution: Newton's, 0 to 1: approach and rebound of an impact.
-        axis: (3,) in the axes of ``on``: the first direction of the pyramid is along its part in the tangent plane.
-        facets: even number of directions of the pyramid, 4 or more.
+        axis: (3,) in the axes of ``on``: the first of the two components of friction and slip in results is along its
+            part in the tangent plane.
         compliance: (m, m) m/N along the normals, (3 m, 3 m) along the axes of the markers, or an object with
             ``flexibility(points)``. Contact is then without impact; friction does not move the points by it.
 
@@ -58,20 +57,17 @@ class Contact:
 
     def __init__(
         self, points: Sequence[Marker], surface: Surface, *, on: Marker, vertices: Sequence[Marker] = (),
-        friction: float = 0.0, restitution: float = 0.0, axis: ArrayLike = (1.0, 0.0, 0.0), facets: int = 4,
+        friction: float = 0.0, restitution: float = 0.0, axis: ArrayLike = (1.0, 0.0, 0.0),
         compliance: ArrayLike | Compliant | None = None, name: str = "contact",
     ) -> None:  # fmt: skip
         self.name, self.surface, self.on = name, surface, on
         self.points, self.vertices = tuple(points), tuple(vertices)
         self.friction, self.restitution = float(friction), float(restitution)
         self.axis = direction(f"contact {name!r}: axis", axis)
-        self._check(facets)
-        angles = 2 * np.pi * np.arange(facets) / facets
-        # Exact integers for the four directions: a block on a slope then sticks up to the exact angle.
-        self.directions = np.round(np.stack((np.cos(angles), np.sin(angles)), axis=1), 15)
+        self._check()
         self.compliance = None if compliance is None else self._checked_compliance(compliance)
 
-    def _check(self, facets: int) -> None:
+    def _check(self) -> None:
         what = f"contact {self.name!r}"
         if not self.points:
             raise InputError(f"{what}: no points were given; expected one marker or more")
@@ -83,8 +79,6 @@ class Contact:
             raise InputError(f"{what}: friction = {self.friction} was given; expected a number that is not negative")
         if not 0 <= self.restitution <= 1:
             raise InputError(f"{what}: restitution = {self.restitution} was given; expected 0 to 1")
-        if facets % 2 or not 4 <= facets <= _LARGEST_FACETS:
-            raise InputError(f"{what}: facets = {facets} were given; expected an even number of 4 to {_LARGEST_FACETS}")
         if self.vertices:
             known = len(self.surface.points) if isinstance(self.surface, NodalSurface) else 0
             if known != len(self.vertices):
@@ -170,10 +164,6 @@ class Contacts:
             for marker in contact.markers:
                 if marker.component.size and self.assembly.index(marker.component) is None:
                     raise InputError(f"contact {contact.name!r}: {marker.label} is not in the system; add its body")
-
-    def pyramid(self, i: int | np.integer) -> Floats | None:
-        """(f, 2): directions of friction of a point, None where it has none."""
-        return np.asarray(self.contacts[self._of[i]].directions) if self.friction[i] > 0 else None
 
     def named(self, i: int) -> tuple[str, int]:
         """The contact of a point, and its number there."""

@@ -1,28 +1,29 @@
-"""Complementarity of contact: forces or impulses that keep points apart and obey a pyramid of friction.
+"""Complementarity of contact: forces or impulses that keep points apart and obey Coulomb's law of friction.
 
-With response y = y0 + X (forces), the unknowns are normal forces l, friction along the directions of the pyramid b
-and sliding s of each point: 0 <= gap(y) _|_ l >= 0, 0 <= D v(y) + s _|_ b >= 0, 0 <= friction l - sum b _|_ s >= 0
-(Stewart and Trinkle 1996).
+With response y = y0 + X (forces), 0 <= gap(y) _|_ normal >= 0, and friction lies in the cone (``cone.py``). That starts
+from a pyramid with friction b along four directions D and sliding s of each point, 0 <= D v(y) + s _|_ b >= 0 and
+0 <= friction normal - sum b _|_ s >= 0 (Stewart and Trinkle 1996), whose method of Lemke also tells where there are no
+forces at all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import SolverError
-from morembs.multibody.contact.lemke import Complementary, RayError, lemke
+from morembs.multibody.contact.cone import coulomb
+from morembs.multibody.contact.lemke import RayError, lemke
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-# A problem that is not solved is tried with these parts of its diagonal added: round-off of redundant points.
-_REGULAR = (1e-10, 1e-6, 1e-3)
-_REPEATS = 8
-_BROKEN = 1e-8
 _NEAR = 1e-4
+# Slip below this part of the largest entry of the problem is none.
+_STICKS = 1e-11
+_PYRAMID = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,13 +61,12 @@ class Responses:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ContactLCP:
+class ContactProblem:
     """The problem of r points.
 
     ``gap`` (r,) and ``slip`` (r, 2): values without contact forces; ``NN`` (r, r), ``NT`` (r, r, 2), ``TN`` (r, 2, r)
-    and ``TT`` (r, 2, r, 2): their change per normal and friction force; ``friction`` (r,) coefficients; ``pyramid``
-    directions (f, 2) per point, none for points without friction of their own; ``noise``: gaps and slips of less are
-    round-off and taken as zero.
+    and ``TT`` (r, 2, r, 2): their change per normal and friction force; ``friction`` (r,) coefficients;
+    ``noise``: gaps and slips of less are round-off and taken as zero.
     """
 
     gap: Floats
@@ -76,21 +76,20 @@ class ContactLCP:
     TN: Floats
     TT: Floats
     friction: Floats
-    pyramid: Sequence[Floats | None]
     noise: tuple[float, float]
 
     @classmethod
     def of(
         cls, *, N: Floats, T: Floats, XN: Floats, XT: Floats, gap: Floats, slip: Floats, friction: Floats,
-        pyramid: Sequence[Floats | None], compliance: Floats, noise: tuple[float, float],
-    ) -> ContactLCP:  # fmt: skip
+        compliance: Floats, noise: tuple[float, float],
+    ) -> ContactProblem:  # fmt: skip
         """The problem of rows N (r, k), T (r, 2, k) with the responses XN (k, r) and XT (k, r, 2) to unit forces."""
         return cls(
             gap=gap, slip=slip, NN=N @ XN + compliance, NT=np.einsum("ik,kjc->ijc", N, XT), TN=T @ XN,
-            TT=np.einsum("iak,kjc->iajc", T, XT), friction=friction, pyramid=pyramid, noise=noise,
+            TT=np.einsum("iak,kjc->iajc", T, XT), friction=friction, noise=noise,
         )  # fmt: skip
 
-    def given(self, known: NDArray[np.int_], force: Floats) -> ContactLCP:
+    def given(self, known: NDArray[np.int_], force: Floats) -> ContactProblem:
         """The same problem with some normal forces given: those of compliant points follow from their gaps."""
         if not len(known):
             return self
@@ -107,48 +106,36 @@ class ContactLCP:
             SolverError: numerical failure.
         """
         M, q, scale, owner = self._matrix()
+        W, free = self._delassus()
+        r, f = len(self.gap), len(owner)
+        p, failure = np.zeros((r, 3)), None
         try:
-            solution = self._solved(M, q)
-        except RayError as error:
-            direction = np.zeros(count)
-            direction[rows] = (error.direction * scale)[: len(rows)]
-            raise RayError(str(error), direction=direction) from None
-        z, r = solution.z * scale, len(self.gap)
-        friction, sliding = np.zeros((r, 2)), np.zeros(r, dtype=bool)
-        end = r
-        for i in owner:
-            D = self.pyramid[i]
-            if D is not None:
-                friction[i] = z[end : end + len(D)] @ D
-                end += len(D)
-        for k, i in enumerate(owner):
-            sliding[i] = solution.basic[end + k] and z[end + k] > 0
-        return Forces(normal=z[:r], friction=friction, sliding=sliding)
+            z = lemke(M, q).z * scale
+            p[:, 0], p[owner, 1:] = z[:r], z[r : r + 4 * f].reshape(f, 4) @ _PYRAMID
+        except SolverError as error:
+            failure = error
+        if f or failure:
+            try:
+                p = coulomb(W, free, self.friction, p)
+            except SolverError:
+                if not isinstance(failure, RayError):
+                    raise
+                direction = np.zeros(count)
+                direction[rows] = (failure.direction * scale)[:r]
+                raise RayError(str(failure), direction=direction) from None
+        slip = np.linalg.norm((W @ p.ravel() + free).reshape(r, 3)[:, 1:], axis=1)
+        moves = slip > max(self.noise[1], _STICKS * float(np.abs(free).max(initial=0.0)))
+        return Forces(normal=p[:, 0], friction=p[:, 1:], sliding=(self.friction > 0) & (p[:, 0] > 0) & moves)
 
-    @staticmethod
-    def _solved(M: Floats, q: Floats) -> Complementary:
-        try:
-            return lemke(M, q)
-        except SolverError:
-            # Redundant points have no unique forces, and round-off of their gaps may leave none. A little compliance
-            # about the last forces (a proximal point) gives some; it counts only where it solves the problem itself.
-            diagonal = np.diag(M).copy()
-            unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-            for part in _REGULAR:
-                z = np.zeros(len(q))
-                try:
-                    for _ in range(_REPEATS):
-                        solution = lemke(M + part * np.diag(diagonal), q - part * diagonal * z)
-                        # Huge forces in a problem without solution would pass a check against their own size.
-                        change = part * np.abs(diagonal * (solution.z - z)) * unit
-                        if (change <= _BROKEN * np.abs(q * unit).max()).all():
-                            return solution
-                        z = solution.z
-                except SolverError:
-                    continue
-            raise
+    def _delassus(self) -> tuple[Floats, Floats]:
+        """W (3r, 3r) and q (3r,): gap and slip of each point by its normal force and friction."""
+        r = len(self.gap)
+        W, q = np.zeros((r, 3, r, 3)), np.column_stack((self.gap, self.slip))
+        W[:, 0, :, 0], W[:, 0, :, 1:], W[:, 1:, :, 0], W[:, 1:, :, 1:] = self.NN, self.NT, self.TN, self.TT
+        noise = np.array([self.noise[0], self.noise[1], self.noise[1]])
+        return W.reshape(3 * r, 3 * r), np.where(np.abs(q) > noise, q, 0.0).ravel()
 
-    def near(self, normal: Floats, friction: Floats) -> ContactLCP:
+    def near(self, normal: Floats, friction: Floats) -> ContactProblem:
         """The same problem with a little compliance about given forces (r,), (r, 2): of the many solutions with
         redundant points it has one near to them, and where they solve the problem they are the solution."""
         r = np.arange(len(self.gap))
@@ -159,29 +146,23 @@ class ContactLCP:
             TT[r, a, r, a] += t
         return replace(self, gap=self.gap - n * normal, slip=self.slip - t[:, None] * friction, NN=NN, TT=TT)
 
-    def _matrix(self) -> tuple[Floats, Floats, Floats, list[int]]:
-        """M, q, the scales of the unknowns, and the points with friction."""
-        r = len(self.gap)
-        owner = [i for i in range(r) if self.pyramid[i] is not None]
-        pyramids = [D for D in self.pyramid if D is not None]
-        counts = [len(D) for D in pyramids]
-        b, f = sum(counts), len(owner)
-        of = np.repeat(owner, counts).astype(int)
-        D = np.concatenate([*pyramids, np.zeros((0, 2))])
-        E = np.zeros((b, f))
-        E[np.arange(b), np.repeat(np.arange(f), counts)] = 1.0
-        M, q = np.zeros((r + b + f, r + b + f)), np.zeros(r + b + f)
-        M[:r, :r] = self.NN
-        M[:r, r : r + b] = np.einsum("ijc,jc->ij", self.NT[:, of], D)
-        M[r : r + b, :r] = np.einsum("jc,jci->ji", D, self.TN[of])
-        M[r : r + b, r : r + b] = np.einsum("ia,iajc,jc->ij", D, self.TT[of][:, :, of], D)
-        M[r : r + b, r + b :] = E
-        M[r + b :, r : r + b] = -E.T
-        M[np.arange(r + b, r + b + f), owner] = self.friction[owner]
-        slip = np.einsum("ja,ja->j", D, self.slip[of])
-        q[:r] = np.where(np.abs(self.gap) > self.noise[0], self.gap, 0.0)
-        q[r : r + b] = np.where(np.abs(slip) > self.noise[1], slip, 0.0)
-        scale = np.ones(r + b + f)
+    def _matrix(self) -> tuple[Floats, Floats, Floats, NDArray[np.int_]]:
+        """M, q of the pyramid, the scales of the unknowns, and the points with friction."""
+        W, free = self._delassus()
+        r, owner = len(self.gap), np.flatnonzero(self.friction > 0)
+        f = len(owner)
+        # Unknowns by those of the cone: forces along the directions of each pyramid.
+        G = np.zeros((3 * r, r + 4 * f))
+        G[3 * np.arange(r), np.arange(r)] = 1.0
+        E = np.kron(np.eye(f), np.ones((4, 1)))
+        for k, i in enumerate(owner):
+            G[3 * i + 1 : 3 * i + 3, r + 4 * k : r + 4 * k + 4] = _PYRAMID.T
+        n = r + 4 * f
+        M, q = np.zeros((n + f, n + f)), np.zeros(n + f)
+        M[:n, :n], q[:n] = G.T @ W @ G, G.T @ free
+        M[r:n, n:], M[n:, r:n] = E, -E.T
+        M[np.arange(n, n + f), owner] = self.friction[owner]
+        scale = np.ones(n + f)
         # Sliding is a velocity: in the units of friction forces all of its rows are of order one.
-        scale[r + b :] = np.sqrt(np.maximum(np.diag(self.NN)[owner], 1e-300))
+        scale[n:] = np.sqrt(np.maximum(np.diag(self.NN)[owner], 1e-300))
         return M * np.outer(scale, scale), q * scale, scale, owner

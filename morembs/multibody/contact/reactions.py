@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from morembs.multibody.contact.impact import resolve_impact
 from morembs.multibody.contact.kinematics import ContactKinematics, Contacts, ContactState
-from morembs.multibody.contact.lcp import NO_FORCES, ContactLCP, Forces, Responses
+from morembs.multibody.contact.lcp import NO_FORCES, ContactProblem, Forces, Responses
 from morembs.multibody.contact.lemke import lemke
 from morembs.multibody.reactions import LU, HeldRows, Iterate, Reactions, saddle
 from morembs.multibody.system import Assembly, State
@@ -81,35 +81,30 @@ class ContactReactions(Reactions):
             self._hold()
             return responses.y[:k], responses.y[k:]
         y, YN, YT = responses.y[:k], responses.YN.copy(), responses.YT
-        against, pyramid = self._sliding_friction(rows, T @ v, kinematics.round_off(v, h * float(np.abs(T @ y).max())))
-        for number in np.flatnonzero(against.any(axis=1)):
+        # What free fall reaches in a step, also at right angles to the surface, is the scale of round-off at rest.
+        fall = h * max(float(np.abs(N @ y).max()), float(np.abs(T @ y).max()))
+        against = self._sliding_friction(rows, T @ v, kinematics.round_off(v, fall))
+        moving = against.any(axis=1)
+        for number in np.flatnonzero(moving):
             YN[:, number] += YT[:, number] @ against[number]
         normal, tangential = group.rates(x, v, h, rows)
-        problem = ContactLCP.of(
+        problem = ContactProblem.of(
             N=N, T=T, XN=YN[:k], XT=YT[:k], gap=N @ y + normal, slip=T @ y + tangential,
-            friction=group.friction[rows], pyramid=pyramid, compliance=np.zeros((len(rows), len(rows))),
+            friction=np.where(moving, 0.0, group.friction[rows]), compliance=np.zeros((len(rows), len(rows))),
             noise=(_round_off(N, y), _round_off(T, y)),
         )  # fmt: skip
         forces = problem.given(np.flatnonzero(group.compliant[rows]), given[rows]).solve(rows, group.count)
         friction = forces.friction + against * forces.normal[:, None]
-        moving = np.abs(against).max(axis=1) > 0
         self._take(rows, Forces(normal=forces.normal, friction=friction, sliding=forces.sliding | moving))
         self._hold()
         total = replace(responses, YN=YN).total(forces)
         return total[:k], total[k:]
 
-    def _sliding_friction(
-        self, rows: NDArray[np.int_], slip: Floats, limit: float
-    ) -> tuple[Floats, list[Floats | None]]:
-        """Friction (r, 2) per normal force of points sliding faster than ``limit``; friction pyramids of the others."""
-        against, pyramid = np.zeros((len(rows), 2)), list[Floats | None]()
-        for number, i in enumerate(rows):
-            D = self.contacts.pyramid(i)
-            if D is not None and np.linalg.norm(slip[number]) > limit:
-                against[number] = self.contacts.friction[i] * D[int(np.argmin(D @ slip[number]))]
-                D = None
-            pyramid.append(D)
-        return against, pyramid
+    def _sliding_friction(self, rows: NDArray[np.int_], slip: Floats, limit: float) -> Floats:
+        """Friction (r, 2) per normal force of points that slide faster than ``limit``, zero for others."""
+        speed = np.linalg.norm(slip, axis=1)
+        ratio = np.where(speed > limit, self.contacts.friction[rows] / np.where(speed > 0, speed, 1.0), 0.0)
+        return -ratio[:, None] * slip
 
     def _take(self, rows: NDArray[np.int_], forces: Forces) -> None:
         m = self.contacts.count
@@ -181,11 +176,10 @@ class ContactReactions(Reactions):
         responses = Responses.solved(lambda columns: sl.lu_solve(lu, columns, check_finite=False), -residual, N, T)
         turned, y = self.assembly.tangent(N, iterate.step), responses.y[:k]
         sliding = float((np.abs(T) @ np.abs(iterate.v)).max())
-        problem = ContactLCP.of(
+        problem = ContactProblem.of(
             N=turned, T=T, XN=responses.YN[:k], XT=responses.YT[:k],
             gap=kinematics.gap[rows] / iterate.c_q + turned @ y,
             slip=T @ (iterate.v / iterate.c_v + y), friction=group.friction[rows],
-            pyramid=[group.pyramid(i) for i in rows],
             compliance=group.flexibility(x, kinematics)[np.ix_(rows, rows)] / iterate.c_q,
             noise=(_ROUND * self.size / iterate.c_q, _ROUND * sliding / iterate.c_v),
         )  # fmt: skip

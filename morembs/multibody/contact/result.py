@@ -89,7 +89,7 @@ class ContactResult(Result):
         return np.concatenate([s.force[:, self._rows(contact)] for s in self.touches])
 
     def friction(self, contact: Contact) -> Floats:
-        """(s, m, 2) N on the points, along the directions of the pyramid."""
+        """(s, m, 2) N on the points, along the tangents: the part of ``axis`` in the tangent plane, and across."""
         return np.concatenate([s.friction[:, self._rows(contact)] for s in self.touches])
 
     def slip(self, contact: Contact) -> Floats:
