@@ -1,6 +1,7 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
 from morembs.moved import renamed
+from morembs.nonlinear.chain import Chain, Link
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
@@ -20,9 +21,11 @@ _OLD_NAMES = {
 
 __all__ = [
     "Angle",
+    "Chain",
     "EquilibriumPath",
     "FullMember",
     "LeftTablesError",
+    "Link",
     "Mechanism",
     "MechanismMotion",
     "Member",
