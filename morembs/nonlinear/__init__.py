@@ -11,6 +11,7 @@ from morembs.nonlinear.planar_beam import PlanarBeam, Section
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from morembs.nonlinear.statics import equilibrium
+from morembs.nonlinear.tube import BeamInTube, Tube
 
 _OLD_NAMES = {
     "Moment": "MemberState",
@@ -21,6 +22,7 @@ _OLD_NAMES = {
 
 __all__ = [
     "Angle",
+    "BeamInTube",
     "Chain",
     "EquilibriumPath",
     "FullMember",
@@ -37,6 +39,7 @@ __all__ = [
     "Section",
     "SpatialBeam",
     "SpatialSection",
+    "Tube",
     "equilibrium",
     "follow_equilibrium",
     "simulate",

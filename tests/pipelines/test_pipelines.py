@@ -106,6 +106,16 @@ def moves_as_a_ring(text):
     assert still < 0.03 and moving < 0.7
 
 
+def presses_with_two_forces_at_each_end(text):
+    rows = [[float(x) for x in line.split()] for line in re.findall(r"^ +0\.\d+ .*", text, re.MULTILINE)]
+    assert len(rows) == 3
+    for play, _, tip, _, distance, total, moment, inside in rows:
+        # What is left out is of the order of a / R.
+        order = (6e-3 * play * 0.2) ** 0.5 / 0.2
+        assert abs(tip - 1) < 3e-3 and abs(distance - 1) < order and abs(total - 1) < order
+        assert abs(moment - 1) < 0.03 and inside < 0.02
+
+
 def shares_the_load_as_springs_do(text):
     rows = re.findall(r"^ +\d +(?:\S+ +){3}(\S+) N +(\S+) /s$", text, re.MULTILINE)
     # With rigid links it falls as exp(sqrt(P / (m l + m_link l)) t), elastic ones are a little faster.
@@ -158,6 +168,7 @@ PROMISES = {
     "parallelogram": shares_the_load_as_springs_do,
     "slider_crank": runs_in_exudyn,
     "two_link_manipulator": needs_two_modes_of_the_start,
+    "wire_in_tube": presses_with_two_forces_at_each_end,
     "studies.flexible_rail": is_as_good_as_all_dofs,
     "studies.gear_teeth": needs_few_candidates,
     "studies.moving_load": has_the_moment_with_static_modes_alone,
