@@ -122,6 +122,8 @@ def shares_the_load_as_springs_do(text):
     falls = (1000 / ((2.0 + 0.9) * 0.5)) ** 0.5
     assert len(rows) == 3 and all(float(gap) < 1e-5 for gap, _ in rows)
     assert all(falls < float(growth) < 1.01 * falls for _, growth in rows)
+    assert re.search(r"^ +3 +7 of 30 joint equations are redundant: .*link 0\.ROOT.*link 2\.TIP", text, re.MULTILINE)
+    assert re.search(r"^ +1 +1000\.000 +-?0\.000 +-?0\.000 N$", text, re.MULTILINE)
 
 
 def shares_the_load_as_stribeck_says(text):
