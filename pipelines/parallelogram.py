@@ -61,7 +61,7 @@ def stand(links: Sequence[morembs.FloatingFrame | None]) -> tuple[Equilibrium, F
     for i, (x, frame) in enumerate(zip(PLACES, links, strict=True)):
         foot = np.array([x, 0.0, 0.0])
         if frame is None:
-            at, ends = foot + [0, 0, LENGTH / 2], {"ROOT": (0, 0, -LENGTH / 2), "TIP": (0, 0, LENGTH / 2)}
+            at, ends = (x, 0.0, LENGTH / 2), {"ROOT": (0, 0, -LENGTH / 2), "TIP": (0, 0, LENGTH / 2)}
             body = system.add(RigidBody(0.9, (0.02, 0.02, 1e-4), position=at, markers=ends, name=f"link {i}"))
         else:
             at = foot - up @ frame.markers["ROOT"].point

@@ -80,6 +80,13 @@ def needs_few_candidates(text):
     assert number(r"from all of the model by (\S+) of it", text) < 1e-8
 
 
+def meshes_as_with_all_static_modes(text):
+    error, force = map(float, re.search(r"differ by (\S+) of the .* and (\S+) of the force", text).groups())
+    assert error < 1e-3 and force < 2e-3
+    switched, whole = map(int, re.findall(r"(\d+) coordinates", text))
+    assert whole > 4 * switched
+
+
 def needs_two_modes_of_the_start(text):
     # Of the deformation coordinates of three elements per link, by another program.
     frequencies = re.search(r"start (\S+), (\S+) \.\. (\S+) Hz, end (\S+), (\S+) Hz", text).groups()
@@ -172,6 +179,7 @@ PROMISES = {
     "two_link_manipulator": needs_two_modes_of_the_start,
     "wire_in_tube": presses_with_two_forces_at_each_end,
     "studies.flexible_rail": is_as_good_as_all_dofs,
+    "studies.gear_dynamics": meshes_as_with_all_static_modes,
     "studies.gear_teeth": needs_few_candidates,
     "studies.moving_load": has_the_moment_with_static_modes_alone,
     "studies.rotating_beam": has_the_coefficient_of_southwell,
