@@ -72,6 +72,19 @@ def test_velocities_are_too_where_a_motion_starts_with_an_acceleration():
     assert (first - second) / (second - third) == pytest.approx(4, abs=0.2)
 
 
+def test_links_on_free_joints_fall_and_keep_their_energy():
+    chain, mechanism = Chain(LINKS), Mechanism(gravity=(0, -9.81))
+    mechanism.chain(chain, [mechanism.angle(0.0), mechanism.angle(0.4)])
+    motion = simulate(mechanism, end=0.3, step=1e-3, rho=1.0)
+    total = motion.kinetic + motion.potential
+    assert motion.kinetic.max() > 5 and np.ptp(total) < 1e-4 * motion.kinetic.max()
+    # All of it by hand: the masses of beams act at the middles of elements, those of the tips at the tips.
+    nodes = chain.nodes(motion.x[0][:, -1])[:, 1]
+    mass = SECTION.mass * np.repeat([0.5 / 3, 0.7 / 2], (3, 2))
+    fallen = 9.81 * (mass @ (nodes[1:] + nodes[:-1]) / 2 + 1.0 * nodes[3] + 0.3 * nodes[5])
+    assert motion.potential[-1] == pytest.approx(fallen, rel=2e-3)
+
+
 def test_the_example_of_the_documentation():
     text = (Path(__file__).parents[2] / "docs" / "gmp.md").read_text()
     (code,) = re.findall(r"```python chain\n(.*?)```", text, re.DOTALL)
