@@ -92,7 +92,13 @@ class Chain:
 
     def start(self, angles: ArrayLike) -> Floats:
         """Configuration without strain at the angles (links,) of the joints."""
-        return np.concatenate((np.asarray(angles, dtype=float), np.zeros(self.V.shape[1])))
+        given = np.asarray(angles, dtype=float)
+        if given.shape != (len(self.links),) or not np.isfinite(given).all():
+            raise InputError(
+                f"angles of joints of shape {given.shape} were given; expected a finite one for each of the "
+                f"{len(self.links)} links"
+            )
+        return np.concatenate((given, np.zeros(self.V.shape[1])))
 
     def at(self, q: Floats) -> MemberState:
         x, J = self._moved(q)
@@ -118,7 +124,11 @@ class Chain:
         return x.ravel(), J.reshape(x.size, -1)
 
     def modes(self, angles: ArrayLike, count: int | None = None) -> tuple[Floats, Floats]:
-        """Angular frequencies squared (m,) with the joints held, and their modes (2 elements, m) of end angles."""
+        """Angular frequencies squared (m,) with the joints held, and their modes (2 elements, m) of end angles.
+
+        Raises:
+            InputError: another number of angles than of links.
+        """
         J = self._moved(self.start(angles))[1]
         free = slice(len(self.links), None)
         squares, shapes = sl.eigh(self._K[free, free], (J.T @ (self.M @ J))[free, free])

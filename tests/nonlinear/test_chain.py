@@ -103,6 +103,8 @@ def test_bad_chains_are_named():
         Chain(LINKS, np.ones((3, 1)))
     with pytest.raises(InputError, match="0 elements"):
         Link(length=1.0, section=SECTION, elements=0)
+    with pytest.raises(InputError, match=r"shape \(1,\) were given.*each of the 2 links"):
+        Chain(LINKS).modes([0.0])
     mechanism = Mechanism()
     with pytest.raises(InputError, match="1 joints of a chain"):
         mechanism.chain(Chain(LINKS), [mechanism.angle(0.0)])
