@@ -41,18 +41,6 @@ def slider_crank(elements: tuple[int, int], model: str, quick: bool) -> Row:
     return {"coordinates": run.coordinates, "step_seconds": run.step, "offline_seconds": run.offline or None}
 
 
-def two_links(modes: int, step: float, quick: bool) -> Row:
-    """Of the manipulator; 0 ``modes``: all coordinates. The motion up to its end, which takes the most."""
-    from studies import two_link_manipulator as study
-
-    elements = study.QUICK_ELEMENTS if quick else study.ELEMENTS
-    options: dict[str, Any] = {"end": study.MOVE, "step": step, "elements": elements}
-    if not modes:
-        return {"step_seconds": study.full(**options).step}
-    run = study.reduced(study.prepare(modes, **options))
-    return {"step_seconds": run.step, "offline_seconds": run.offline}
-
-
 def pendulum(body: bool, quick: bool) -> Row:
     """The flexible pendulum, by the mechanism of morembs.nonlinear or as a body of morembs.multibody."""
     import numpy as np
@@ -151,14 +139,9 @@ _SLIDER = {
     "full, 240 elements": (MEDIUM, "full"), "GMP, 240 elements": (MEDIUM, "GMP"), "full, 960 elements": (FINE, "full"),
     "GMP, 960 elements": (FINE, "GMP"), "Exudyn, 48 elements": (COARSE, "Exudyn"),
 }  # fmt: skip
-_LINKS = {
-    "full, 1 ms": (0, 1e-3), "full, 4 ms": (0, 4e-3), "one mode, 1 ms": (1, 1e-3), "two modes, 1 ms": (2, 1e-3),
-    "two modes, 4 ms": (2, 4e-3),
-}  # fmt: skip
 STEP_ROWS: dict[str, Callable[[bool], Row]] = {
     **{f"slider-crank: {name}": lambda quick, given=given: slider_crank(*given, quick)
        for name, given in _SLIDER.items()},
-    **{f"two links: {name}": lambda quick, given=given: two_links(*given, quick) for name, given in _LINKS.items()},
     "pendulum: mechanism": lambda quick: pendulum(False, quick), "pendulum: body": lambda quick: pendulum(True, quick),
     "moving load": moving_load, "rail": rail,
 }  # fmt: skip

@@ -181,9 +181,6 @@ TABLES: dict[str, Table] = {
             "full, 240 elements", "GMP, 240 elements", "full, 960 elements", "GMP, 960 elements", "Exudyn, 48 elements",
         )
     )),
-    "manipulator": Table("steps", "manipulator", (_STEP, _OFFLINE), tuple((words, f"two links: {words}") for words in (
-        "full, 1 ms", "full, 4 ms", "one mode, 1 ms", "two modes, 1 ms", "two modes, 4 ms",
-    ))),
     "pendulum": Table("steps", "pendulum", (_STEP,), (
         ("mechanism of `morembs.nonlinear`", "pendulum: mechanism"),
         ("body of `morembs.multibody`", "pendulum: body"),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import meshio
@@ -15,13 +17,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from morembs.exporters.exudyn_system import ExudynBody
+from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import save
 from morembs.jobs.run import run_job
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.grid import box_mesh
 from morembs.multibody import Result, SlidingSwitch, System, UnfinishedRunError, simulate_sliding
+from morembs.nonlinear import Section
 from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
@@ -139,3 +142,74 @@ def write_run(path: Path, result: Result) -> None:
     """Times and configurations of a run, whole or not at all."""
     with replacing(path) as file:
         np.savez(file, time=result.time, x=np.concatenate([segment.x for segment in result.segments]))
+
+
+class ExudynBeams:
+    """Planar mechanisms of geometrically exact beams in Exudyn, which must be installed."""
+
+    def __init__(self) -> None:
+        self.system = ExudynSystem()
+        self.items, self.mbs = self.system.items, self.system.mbs
+        self.ground = self.at(self.mbs.AddNode(self.items.NodePointGround()), 0)
+
+    def at(self, node: int, k: int) -> int:
+        """A marker on a coordinate of a node."""
+        return int(self.mbs.AddMarker(self.items.MarkerNodeCoordinate(nodeNumber=node, coordinate=k)))
+
+    def bar(self, start: Sequence[float], length: float, count: int, section: Section) -> list[int]:
+        """Nodes of ``count`` elements along x from ``start`` (2,)."""
+        places = start[0] + length * np.arange(count + 1) / count
+        nodes = [self.mbs.AddNode(self.items.NodeRigidBody2D(referenceCoordinates=[x, start[1], 0])) for x in places]
+        for pair in pairwise(nodes):
+            self.mbs.AddObject(self.items.ObjectBeamGeometricallyExact2D(
+                nodeNumbers=list(pair), length=length / count, massPerLength=section.mass,
+                crossSectionInertia=section.rotary, bendingStiffness=section.EI, axialStiffness=section.EA,
+                shearStiffness=section.GA,
+            ))  # fmt: skip
+        return nodes
+
+    def _constrain(self, first: int, second: int, **options: object) -> None:
+        self.mbs.AddObject(self.items.CoordinateConstraint(markerNumbers=[first, second], **options))
+
+    def join(self, first: int, second: int, coordinates: Sequence[int] = (0, 1)) -> None:
+        """Two nodes with common coordinates."""
+        for k in coordinates:
+            self._constrain(self.at(first, k), self.at(second, k))
+
+    def hold(self, node: int, coordinates: Sequence[int], motion: Callable[[float], float] | None = None) -> None:
+        """Coordinates of a node that stay, or move as told."""
+        given = {} if motion is None else {"offsetUserFunction": lambda _mbs, t, _item, _offset: motion(t)}
+        for k in coordinates:
+            self._constrain(self.ground, self.at(node, k), **given)
+
+    def mass(self, node: int, mass: float) -> None:
+        """A point mass at a node."""
+        place = self.mbs.GetNode(node)["referenceCoordinates"][:2]
+        point = self.mbs.AddNode(self.items.NodePoint2D(referenceCoordinates=list(place)))
+        self.mbs.AddObject(self.items.ObjectMassPoint2D(mass=mass, nodeNumber=point))
+        self.join(node, point)
+
+    def turn(self, node: int, torque: Callable[[float], float]) -> None:
+        """A torque over time on a node."""
+        self.mbs.AddLoad(self.items.LoadCoordinate(
+            markerNumber=self.at(node, 2), load=1.0, loadUserFunction=lambda _mbs, t, _load: torque(t)))  # fmt: skip
+
+    def solve(
+        self, end: float, step: float, rho: float, watch: Sequence[int], floor: float = 1e-10
+    ) -> tuple[Floats, list[Floats], float]:
+        """Times (T,), positions (T, 2) of the watched nodes, processor seconds per step; residuals end at ``floor``."""
+        position = self.system.exu.OutputVariableType.Position
+        sensors = [self.mbs.AddSensor(self.items.SensorNode(nodeNumber=n, outputVariableType=position, storeInternal=True)) for n in watch]  # noqa: E501  # fmt: skip
+        self.mbs.Assemble()
+        settings, count = self.system.exu.SimulationSettings(), round(end / step)
+        integration = settings.timeIntegration
+        integration.numberOfSteps, integration.endTime, integration.verboseMode = count, end, 0
+        integration.generalizedAlpha.spectralRadius, integration.newton.absoluteTolerance = rho, floor
+        settings.linearSolver.solverType = self.system.exu.LinearSolverType.EigenSparse
+        settings.solution.file.write = False
+        settings.solution.sensors.writePeriod = step
+        begin = time.process_time()
+        self.mbs.SolveDynamic(settings)
+        seconds = (time.process_time() - begin) / count
+        data = [np.array(self.mbs.GetSensorStoredData(sensor)) for sensor in sensors]
+        return data[0][:, 0], [samples[:, 1:3] for samples in data], seconds

@@ -52,16 +52,20 @@ def on_springs(stiffness: Sequence[float]) -> Floats:
     return np.asarray(k * (sinking + turning * x))
 
 
-def stand(links: Sequence[morembs.FloatingFrame]) -> tuple[Equilibrium, Floats]:
-    """The equilibrium, and the vertical forces (3,) of the ground on the links."""
+def stand(links: Sequence[morembs.FloatingFrame | None]) -> tuple[Equilibrium, Floats]:
+    """The equilibrium, and the vertical forces (3,) of the ground on the links, of which None is a rigid one."""
     system, up = System(), rotation((0, 1, 0), -math.pi / 2)
     markers = {f"joint {i}": (x - 0.5, 0, 0) for i, x in enumerate(PLACES)}
     bar = system.add(RigidBody(2.0, (0.01, 0.2, 0.2), position=(0.5, 0, LENGTH), markers=markers, name="bar"))
     joints = []
     for i, (x, frame) in enumerate(zip(PLACES, links, strict=True)):
         foot = np.array([x, 0.0, 0.0])
-        body = FlexibleBody(frame, name=f"link {i}", rotation=up, position=foot - up @ frame.markers["ROOT"].point)
-        system.add(body)
+        if frame is None:
+            at, ends = (x, 0.0, LENGTH / 2), {"ROOT": (0, 0, -LENGTH / 2), "TIP": (0, 0, LENGTH / 2)}
+            body = system.add(RigidBody(0.9, (0.02, 0.02, 1e-4), position=at, markers=ends, name=f"link {i}"))
+        else:
+            at = foot - up @ frame.markers["ROOT"].point
+            body = system.add(FlexibleBody(frame, name=f"link {i}", rotation=up, position=at))
         joints.append(system.add(RevoluteJoint(ground.marker_at(foot), body.marker("ROOT"), axis=(0, 1, 0))))
         system.add(RevoluteJoint(body.marker("TIP"), bar.marker(f"joint {i}"), axis=(0, 1, 0)))
     system.add(PointLoad(bar.marker("joint 0"), force=(0, 0, -LOAD)))
@@ -79,6 +83,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gap = np.abs(forces - on_springs([0.1 if i == which else 1.0 for i in range(3)])).max()
         words = "  ".join(f"{force:10.4f}" for force in forces)
         print(f"{which + 1:9d}   {words}   {gap:.1e} N              {still.linear.growth:.3f} /s")
+    print("rigid links   what is said")
+    for count in (3, 2, 1):
+        try:
+            print(f"{count:11d}   {'  '.join(f'{force:.3f}' for force in stand([None] * count + [stiff] * (3 - count))[1])} N")  # noqa: E501  # fmt: skip
+        except morembs.MorembsError as error:
+            print(f"{count:11d}   {error}")
     shares = np.array([stand([stiff, stiff, link(ratio * YOUNG)])[1] for ratio in ratios])
     exact = np.array([on_springs([1.0, 1.0, ratio]) for ratio in ratios])
     curves = [Curve(ratios, shares[:, i], f"link {i + 1}", f"C{i}") for i in range(3)]

@@ -1,13 +1,9 @@
 #!/usr/bin/env python3
 """A slider-crank with a flexible connecting rod in two simulators, morembs.multibody and Exudyn.
 
-Reduces the rod by slider_crank.toml and turns the crank at constant speed, without gravity, from the stretched position
-with the rod undeformed. The picture slider_crank.png compares both without geometric stiffening, which Exudyn does not
-have, and shows what stiffening changes.
-
-Crank: on the ground by a revolute joint, its angle driven. Rod: a revolute joint at the crank pin, a spherical one at
-the slider (a second revolute joint would only constrain again what the first does, through the stiffness of the rod).
-Slider: a prismatic joint with the ground.
+Reduces the rod by slider_crank.toml and turns the crank at constant speed from the stretched position, without gravity.
+Draws slider_crank.png: both without geometric stiffening, which Exudyn does not have, and what it changes. The rod has
+a spherical joint at the slider; a revolute one would constrain again, through its stiffness, what that at the pin does.
 """
 
 from __future__ import annotations
@@ -30,7 +26,6 @@ SLIDER_MASS, SLIDER_INERTIA = 0.05, (1e-5, 1e-5, 1e-5)
 TURN = 2 * np.pi / SPEED
 STEP, RHO = TURN / 1600, 0.9
 FAR_END, POINTS = (CRANK + LENGTH, 0, 0), ("crank_pin", "middle", "wrist_pin")
-# How crank and rod start.
 SPIN = {"angular_velocity": (0, 0, SPEED)}
 SWEEP = {"position": (CRANK, 0, 0), "velocity": (0, SPEED * CRANK, 0),
          "angular_velocity": (0, 0, -SPEED * CRANK / LENGTH)}  # fmt: skip
@@ -97,7 +92,6 @@ def run_theirs(source: ExudynBody, end: float, step: float) -> Run:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Makes body and picture, prints the figures. Returns the exit code."""
     options = parse(arguments, "A slider-crank with a flexible rod in morembs.multibody and in Exudyn.", __file__)
     source = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
     end = TURN / 4 if options.quick else 2 * TURN
@@ -107,14 +101,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     largest, with_stiffening = (1e3 * np.abs(run.deflection).max() for run in (ours, stiff))
     print(f"rod of {source.floating.count} elastic coordinates, {len(ours.time) - 1} steps of {STEP:.3g} s")
     print(f"largest deflection {largest:.4f} mm ({1e-3 * largest / LENGTH:.2%} of the length)")
-    print(f"with geometric stiffening {with_stiffening:.4f} mm")
+    print(f"with geometric stiffening {with_stiffening:.4f} mm. {exudyn_missing()}")
     if theirs is not None:
         print(f"in Exudyn {1e3 * np.abs(theirs.deflection).max():.4f} mm; largest difference of pins and middle "
               f"{ours.gap(theirs).max() / LENGTH:.2g} of the length")  # fmt: skip
         runs.insert(1, (theirs, "Exudyn", THEIRS, "--"))
         gap = [difference(ours.time, ours.gap(theirs), LENGTH)]
-    else:
-        print(f"{exudyn_missing()}. One simulator is shown alone.")
     deflection = [Curve(run.time / TURN, 1e3 * run.deflection, *look) for run, *look in runs]
     lead = [Curve(run.time / TURN, 1e6 * run.lead, *look) for run, *look in runs]
     draw(options.folder / "slider_crank.png", "Slider-crank with a flexible connecting rod", [

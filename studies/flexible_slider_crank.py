@@ -13,12 +13,11 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
+from common import OURS, THEIRS, THIRD, Curve, ExudynBeams, Floats, Panel, draw, parse
 
-from morembs.exporters.exudyn_system import ExudynSystem, exudyn_missing
+from morembs.exporters.exudyn_system import exudyn_missing
 from morembs.gmp import Formulation, ReducedMember
 from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
@@ -115,60 +114,19 @@ def reduced(
 
 def exudyn(factor: float = 1.0, *, elements: tuple[int, int] = ELEMENTS, end: float = END, step: float = STEP) -> Run:
     """All degrees of freedom in Exudyn: its geometrically exact beams of two nodes."""
-    system = ExudynSystem()
-    items, mbs = system.items, system.mbs
-
-    def bar(start: float, length: float, count: int, E: float) -> list[int]:
-        section = Section.of(E=factor * E, A=A, I=I, density=DENSITY)
-        places = start + length * np.arange(count + 1) / count
-        nodes = [mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[x, 0, 0])) for x in places]
-        for pair in pairwise(nodes):
-            mbs.AddObject(
-                items.ObjectBeamGeometricallyExact2D(
-                    nodeNumbers=list(pair), length=length / count, massPerLength=section.mass,
-                    crossSectionInertia=section.rotary, bendingStiffness=section.EI, axialStiffness=section.EA,
-                    shearStiffness=section.GA,
-                )
-            )  # fmt: skip
-        return nodes
-
-    crank, rod = bar(0, CRANK, elements[0], E_CRANK), bar(CRANK, ROD, elements[1], E_ROD)
-    slider = mbs.AddNode(items.NodePoint2D(referenceCoordinates=[CRANK + ROD, 0]))
-    mbs.AddObject(items.ObjectMassPoint2D(mass=SLIDER, nodeNumber=slider))
-
-    def at(node: int, k: int) -> int:
-        return int(mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=node, coordinate=k)))
-
-    ground = at(mbs.AddNode(items.NodePointGround()), 0)
-    pairs = [(ground, at(crank[0], 0)), (ground, at(crank[0], 1)), (ground, at(rod[-1], 1))]
-    pairs += [(at(node, k), at(other, k)) for node, other in ((crank[-1], rod[0]), (slider, rod[-1])) for k in (0, 1)]
-    for pair in pairs:
-        mbs.AddObject(items.CoordinateConstraint(markerNumbers=list(pair)))
-    mbs.AddLoad(
-        items.LoadCoordinate(markerNumber=at(crank[0], 2), load=1.0, loadUserFunction=lambda _, t, load: torque(t))
-    )
-    position = system.exu.OutputVariableType.Position
-    sensors = [
-        mbs.AddSensor(items.SensorNode(nodeNumber=node, outputVariableType=position, storeInternal=True))
-        for node in (rod[0], rod[len(rod) // 2], rod[-1])
-    ]
-    mbs.Assemble()
-    settings, count = system.exu.SimulationSettings(), round(end / step)
-    integration = settings.timeIntegration
-    integration.numberOfSteps, integration.endTime, integration.verboseMode = count, end, 0
-    integration.generalizedAlpha.spectralRadius = 0.9
-    settings.linearSolver.solverType = system.exu.LinearSolverType.EigenSparse
-    settings.solution.file.write = False
-    settings.solution.sensors.writePeriod = step
-    begin = time.process_time()
-    mbs.SolveDynamic(settings)
-    seconds = time.process_time() - begin
-    data = [np.array(mbs.GetSensorStoredData(sensor)) for sensor in sensors]
-    times, points = data[0][:, 0], [samples[:, 1:4] for samples in data]
-    first, middle, last = (p[:, :2] for p in points)
+    beams, (crank_section, rod_section) = ExudynBeams(), (bar.section for bar in bars(factor, (1, 1)))
+    crank = beams.bar((0, 0), CRANK, elements[0], crank_section)
+    rod = beams.bar((CRANK, 0), ROD, elements[1], rod_section)
+    beams.hold(crank[0], (0, 1))
+    beams.hold(rod[-1], (1,))
+    beams.join(crank[-1], rod[0])
+    beams.mass(rod[-1], SLIDER)
+    beams.turn(crank[0], torque)
+    times, points, seconds = beams.solve(end, step, 0.9, [rod[0], rod[len(rod) // 2], rod[-1]])
+    first, middle, last = points
     return Run(
         time=times, slider=last[:, 0], deflection=across(first, middle, last), coordinates=3 * (sum(elements) + 2) + 2,
-        step=seconds / (len(times) - 1),
+        step=seconds,
     )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ def reduce(gear: Gear, modes: int = MODES, cells: Sequence[int] = CELLS) -> Redu
         base="craig-bampton", base_options={"modes": modes}, candidates=f"ids:{ids}", directions="normals",
         kind="surface",
     )  # fmt: skip
-    with Problem(teeth.model, [make_interface(teeth.model, name="hub", nodes=teeth.bore)]) as problem:
+    with Problem(teeth.model, [make_interface(teeth.model, name="hub", nodes=teeth.bore, point=(0, 0, 0))]) as problem:
         reduced = reducer.reduce(problem)
         return Reduced(sector=teeth, reduced=reduced, tables=reducer.switching(problem, reduced))
 

@@ -1,6 +1,7 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
 from morembs.moved import renamed
+from morembs.nonlinear.chain import Chain, Link
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
@@ -10,6 +11,7 @@ from morembs.nonlinear.planar_beam import PlanarBeam, Section
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from morembs.nonlinear.statics import equilibrium
+from morembs.nonlinear.tube import BeamInTube, Tube
 
 _OLD_NAMES = {
     "Moment": "MemberState",
@@ -20,9 +22,12 @@ _OLD_NAMES = {
 
 __all__ = [
     "Angle",
+    "BeamInTube",
+    "Chain",
     "EquilibriumPath",
     "FullMember",
     "LeftTablesError",
+    "Link",
     "Mechanism",
     "MechanismMotion",
     "Member",
@@ -34,6 +39,7 @@ __all__ = [
     "Section",
     "SpatialBeam",
     "SpatialSection",
+    "Tube",
     "equilibrium",
     "follow_equilibrium",
     "simulate",

@@ -9,13 +9,14 @@ motion = simulate(mechanism, end=0.5, step=5e-4)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
+from morembs.nonlinear.chain import Chain
 from morembs.nonlinear.member import Member
 
 Floats = NDArray[np.float64]
@@ -87,8 +88,8 @@ class Mechanism:
     ) -> Point:
         """A point at ``position`` (2,) m at the start; ``fixed``: "", "x", "y" or "xy".
 
-        With a ``motion`` (2,) m, a function of the time that starts at zero, at rest and without acceleration, it is
-        moved by that much from its position.
+        With a ``motion`` (2,) m, a function of the time that starts at zero and at rest, it is moved by that much from
+        its position.
 
         Raises:
             InputError: another word, or a motion that does not start at zero and at rest.
@@ -110,7 +111,7 @@ class Mechanism:
 
     def driven(self, value: float, motion: Callable[[float], float], *, seen_from: Angle | None = None) -> Angle:
         """A direction that a joint drives: ``value`` at the start, then with ``motion`` (rad) more, a function of the
-        time that starts at zero, at rest and without acceleration.
+        time that starts at zero and at rest.
 
         Seen from the ground, or from another angle, with which it then turns as well.
 
@@ -165,8 +166,23 @@ class Mechanism:
         self.numbers.append(np.array(numbers, dtype=np.int64))
         self._configurations.append(q)
 
+    def chain(self, chain: Chain, joints: Sequence[Angle]) -> None:
+        """A chain of links from the origin; ``joints``: the angle of each, seen from the link before.
+
+        Raises:
+            InputError: another number of joints than of links.
+        """
+        if len(joints) != len(chain.links):
+            raise InputError(f"{len(joints)} joints of a chain were given; expected one for each of its links")
+        q = chain.start([joint.value for joint in joints])
+        inner = [self._number(0.0, False) for _ in q[len(joints) :]]
+        self.members.append(chain)
+        self.numbers.append(np.array([*(joint.number for joint in joints), *inner], dtype=np.int64))
+        self.drives.append([(k, a.motion) for k, a in enumerate(joints) if a.motion is not None])
+        self._configurations.append(q)
+
     def ends(self, member: int) -> tuple[int, int]:
-        """Numbers of the angles of a member at its start and end."""
+        """Numbers of the angles of a member between points at its start and end."""
         return int(self.numbers[member][2]), int(self.numbers[member][5])
 
     def mass(self, point: Point, mass: float) -> None:

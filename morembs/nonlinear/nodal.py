@@ -32,6 +32,8 @@ _ITERATIONS, _SLOW = 25, 0.1
 _NEGLECTED = 5e-3
 # s, half the span of the central difference that gives the rate of a prescribed motion.
 _RATE = 1e-6
+# Part of a step: distance of the places whose differences give the accelerations at the start.
+_START = 0.1
 # Entries of J up to which matrices are dense.
 DENSE = 40_000
 
@@ -240,13 +242,22 @@ class _Integration:
         self.past = [self.q] * 3
         self.x, states, J = run.at(self.q, 0.0)
         self.iterations = 0
-        # At rest: the acceleration of the nodes is J d2q/dt2, and its rate is zero unless a torque jumps. A little
-        # of the stiffness stands in where a coordinate has no mass.
-        scale = (1e4 / h) ** 2
-        self.rate = J @ (scale * run.factor(states, J, scale)(J.T @ run.weight - run.forces(0.0, states)))
+        # At rest: the acceleration of the nodes is J d2q/dt2 and that of prescribed motions, and its rate is zero
+        # unless one of them or a torque jumps. A little of the stiffness stands in where a coordinate has no mass.
+        scale, prescribed = (1e4 / h) ** 2, self._prescribed()
+        load = J.T @ (run.weight - run.inertia(prescribed)) - run.forces(0.0, states)
+        self.rate = prescribed + J @ (scale * run.factor(states, J, scale)(load))
         self.v, self.auxiliary = np.zeros_like(self.x), self.rate.copy()
         self.states = states
         self.drag, self.loss = np.zeros_like(self.q), 0.0
+
+    def _prescribed(self) -> Floats:
+        """Accelerations of the nodes by prescribed motions alone, from after the start: none is known before it."""
+        mechanism, d = self.run_.mechanism, _START * self.h
+        if not any(mechanism.drives) and all(point.motion is None for point, _ in mechanism.masses):
+            return np.zeros_like(self.x)
+        x = [self.run_.at(self.q, k * d)[0] for k in range(4)]
+        return np.asarray((2 * x[0] - 5 * x[1] + 4 * x[2] - x[3]) / d**2)
 
     def run(self, steps: int) -> MechanismMotion:
         size, run = self.run_.mechanism.size, self.run_
