@@ -148,11 +148,18 @@ def _run(
     preload, preload_notes = preload_of(job), {}
     if preload is not None:
         with watch.stage("preload"), problem:
-            stressed = preloaded(problem, preload, progress)
-            model, preload_notes = stressed.model, dict(stressed.notes)
-            problem = Problem(
-                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress,
-                workers=workers,
+            found = preloaded(problem, preload, progress)
+            preload_notes = dict(found.notes)
+            if varied is None:
+                model = found.model
+            else:
+                # Not at the top: most jobs have no parameters.
+                from morembs.jobs.parameters import stressed
+
+                varied = stressed(varied, model, preload, found)
+                model = varied.model(varied.box.nominal, budget)
+            problem = _coupled(
+                job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
             )
     with problem:
         rotation = rotation_of(job)

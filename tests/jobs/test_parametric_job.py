@@ -1,17 +1,27 @@
 """Jobs with [[parameter]]: what they take, what they refuse, and the page that shows them."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
+import scipy.linalg as sl
+from typer.testing import CliRunner
 
+from morembs.body.file import read_body
+from morembs.cli import app
 from morembs.errors import InputError
+from morembs.interface import make_interface
 from morembs.jobs.check import check_job
 from morembs.jobs.inputs import mesh_of
 from morembs.jobs.job import load_job
 from morembs.jobs.parameters import parameters_of
+from morembs.model.assembly import assemble
 from morembs.parametric.terms import AffineProblem, varied_model
+from morembs.problem import Problem
+from tests.support.meshes import box
 from tests.support.parametric import BRACKET, STEEL, bracket, interfaces, longer, parameters, parametric_file
 
 PAGE = (Path(__file__).parents[2] / "docs" / "parametric.md").read_text()
@@ -87,7 +97,11 @@ def test_elements_may_be_chosen_by_the_place_of_their_centres(folder):
     ("change", "message"),
     [
         (('property = "young"', 'property = "yong"'), "did you mean 'young'"),
-        (('property = "young"', 'property = "spring"'), "not supported yet"),
+        (('property = "young"', 'property = "speed"'), r"a table \[spin\] gives one body for all speeds"),
+        (('property = "young"', 'property = "spring"'), "a spring needs interface and stiffness"),
+        (('property = "young"', 'property = "preload"'), "set was given beside property = 'preload'"),
+        (("range = [-3.0, 3.0]", 'range = [-3.0, 3.0]\nto = "TIP"'), "to was given .*morph.* belongs to a spring"),
+        (("[[reduce]]", "[preload]\nwrench = { TIP = [1, 0, 0, 0, 0, 0] }\n[[reduce]]"), "0 parameters with property"),
         (('"Volume2", ', '"Volume22", '), "did you mean 'Volume2'"),
         (("range = [1.5e5, 2.7e5]", "range = [2.7e5, 1.5e5]"), r"expected \[LOW, HIGH\]"),
         (("range = [1.5e5, 2.7e5]", "range = [0, 2.7e5]"), "positive values"),
@@ -151,3 +165,79 @@ def test_another_mesh_must_have_the_same_nodes(folder):
     (folder / "block.msh").write_bytes((BRACKET.parent / "block.msh").read_bytes())
     with pytest.raises(InputError, match=r"block.msh has \d+ nodes, bracket.inp 844; a morph needs the same labels"):
         parameters_in(folder, ('displacement = "longer.csv"', 'mesh = "block.msh"'))
+
+
+BEAM = """
+[model]
+mesh = "beam.vtk"
+units = "mm-t-s"
+[[material]]
+young = {young}
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "root"
+nodes = "box:0,0,0,0,20,20"
+[[interface]]
+name = "tip"
+nodes = "box:500,0,0,500,20,20"
+{more}
+[[reduce]]
+name = "beam"
+method = "{method}"
+{options}
+[output]
+path = "{method}.h5"
+"""
+YOUNG = """
+[[parameter]]
+name = "E"
+property = "young"
+range = [1.5e5, 2.5e5]
+"""
+SEARCH = "band_hz = [0, 3000]\ntolerance = 1e-2\ntraining = 8"
+PULLED = "[preload]\nwrench = {{ root = [{0}, 0, 0, 0, 0, 0], tip = [{1}, 0, 0, 0, 0, 0] }}\n"
+
+
+def beam(folder, method, options, more, young=2.1e5):
+    """The body file of a beam, written by the command line."""
+    mesh = box("hex20", (6, 1, 1), (500.0, 20.0, 20.0))
+    cells = [("hexahedron20", mesh.blocks[0].nodes)]
+    meshio.Mesh(np.array(mesh.nodes.xyz), cells).write(folder / "beam.vtk", binary=True)
+    (folder / f"{method}.toml").write_text(BEAM.format(method=method, options=options, more=more, young=young))
+    result = CliRunner().invoke(app, ["reduce", str(folder / f"{method}.toml")])
+    assert result.exit_code == 0, result.stderr
+    return folder / f"{method}.h5"
+
+
+def at_values(path, values):
+    result = CliRunner().invoke(app, ["evaluate", str(path), "--at", values, "-o", str(path.with_name("at.h5"))])
+    assert result.exit_code == 0, result.stderr
+    return next(iter(read_body(path.with_name("at.h5")).bodies.values()))
+
+
+def test_a_preload_is_a_factor_of_the_loads_of_the_job(tmp_path):
+    load = '[[parameter]]\nname = "f"\nproperty = "preload"\nrange = [0, 2]\n'
+    path = beam(tmp_path, "parametric", SEARCH, PULLED.format(-4e4, 4e4) + YOUNG + load)
+    found = at_values(path, "f=1.75,E=1.8e11")
+    plain = beam(tmp_path, "craig-bampton", "modes = 40", PULLED.format(-7e4, 7e4), young=1.8e5)
+    expected = next(iter(read_body(plain).bodies.values()))
+    np.testing.assert_allclose(found.frequencies_hz[6:9], expected.frequencies_hz[6:9], rtol=1e-4)
+    assert found.floating is not None
+    rest = at_values(path, "f=0,E=1.8e11")
+    assert expected.frequencies_hz[6] > 1.02 * rest.frequencies_hz[6]
+
+
+def test_the_spring_of_the_page_holds_a_body(tmp_path):
+    spring = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[1].replace("FOOT", "root")
+    found = at_values(beam(tmp_path, "parametric", SEARCH, YOUNG + spring), "k=3,E=1.8e11")
+    model = assemble(box("hex20", (6, 1, 1), (0.5, 0.02, 0.02)), [replace(STEEL, stiffness=STEEL.stiffness * 6 / 7)])
+    ends = [
+        make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(model.nodes.xyz[:, 0], x)))
+        for name, x in (("root", 0.0), ("tip", 0.5))
+    ]
+    with Problem(model, ends) as free:
+        F = free.coupling.frames[:, free.coupling.frame_columns["root"]].toarray()
+        K = free.K.toarray() + 3.0 * F @ np.diag([3e7, 3e7, 3e7, 1e3, 1e3, 1e3]) @ F.T
+        true = np.sqrt(sl.eigh(K, free.M.toarray(), eigvals_only=True, subset_by_index=[0, 4])) / (2 * np.pi)
+    np.testing.assert_allclose(found.frequencies_hz[:5], true, rtol=1e-4)
