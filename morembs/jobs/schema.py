@@ -85,6 +85,9 @@ class SubstructureTable(Table):
     )
     body: str = Field(min_length=1, description='the path of a body file such as "link.h5"')
     reduction: str | None = Field(default=None, description="the body of the file, where it has several")
+    at: dict[str, float] = Field(
+        default_factory=dict, description="values of its parameters in SI units such as { E = 2.0e11 }"
+    )
     position: Three = Field(default=[0.0, 0.0, 0.0], description="[x, y, z] of the origin of its model")
     rotation: RotationTable | None = Field(default=None, description="a table { axis = [x, y, z], degrees = ... }")
 

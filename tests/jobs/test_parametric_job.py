@@ -1,9 +1,12 @@
 """Jobs with [[parameter]]: what they take, what they refuse, and the page that shows them."""
 
+import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -61,14 +64,21 @@ def test_the_job_of_the_page_has_its_parameters_in_si_units(folder):
     assert check_job(loaded).coupled_dofs == 1839
 
 
-def test_the_program_of_the_page_runs(folder, monkeypatch):
-    monkeypatch.chdir(folder)
+@pytest.fixture(scope="module")
+def bracket_file(tmp_path_factory):
     mesh = bracket()
     varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
-        parametric_file("bracket.h5", problem, name="parametric", nodes="skin")
+        return parametric_file(
+            tmp_path_factory.mktemp("bracket") / "bracket.h5", problem, name="parametric", nodes="skin"
+        )
+
+
+def test_the_program_of_the_page_runs(bracket_file, tmp_path, monkeypatch):
+    shutil.copyfile(bracket_file, tmp_path / "bracket.h5")
+    monkeypatch.chdir(tmp_path)
     exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
-    assert (folder / "at.h5").exists()
+    assert (tmp_path / "at.h5").exists()
 
 
 def test_a_morph_may_be_another_mesh(folder):
@@ -241,3 +251,73 @@ def test_the_spring_of_the_page_holds_a_body(tmp_path):
         K = free.K.toarray() + 3.0 * F @ np.diag([3e7, 3e7, 3e7, 1e3, 1e3, 1e3]) @ F.T
         true = np.sqrt(sl.eigh(K, free.M.toarray(), eigvals_only=True, subset_by_index=[0, 4])) / (2 * np.pi)
     np.testing.assert_allclose(found.frequencies_hz[:5], true, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """The file of a beam with its modulus as a parameter, and what its comparison with another reduction says."""
+    folder = tmp_path_factory.mktemp("compared")
+    second = '\n[[reduce]]\nname = "fixed"\nmethod = "craig-bampton"\nmodes = 30'
+    path = beam(folder, "parametric", SEARCH + second + "\n[certify]\nband_hz = [0, 3000]", YOUNG)
+    result = CliRunner().invoke(app, ["compare", str(path.with_suffix(".toml")), "--json"])
+    assert result.exit_code == 0, result.stderr
+    return path, json.loads(result.stdout)
+
+
+def test_a_comparison_is_of_nominal_values(compared):
+    found = {each["name"]: each for each in compared[1][0]["contenders"]}
+    assert found["beam"]["bound"] < 1e-2 and found["fixed"]["method"] == "craig-bampton"
+
+
+def test_a_part_of_an_assembly_takes_values(compared, tmp_path):
+    path, _ = compared
+    parts = '[[substructure]]\nname = "{}"\nbody = "{}"\nreduction = "beam"\nposition = [{}, 0, 0]\n{}\n'
+    job = """[[couple]]
+between = ["a:tip", "b:root"]
+[model]
+units = "mm-t-s"
+[[reduce]]
+method = "modal"
+modes = 6
+[output]
+path = "two.h5"
+"""
+
+    def frequencies(first, given):
+        text = parts.format("a", first, 0, given) + parts.format("b", path, 500, "") + job
+        (tmp_path / "two.toml").write_text(text)
+        result = CliRunner().invoke(app, ["reduce", str(tmp_path / "two.toml")])
+        if result.exit_code:
+            return result.stderr
+        return next(iter(read_body(tmp_path / "two.h5").bodies.values())).frequencies_hz
+
+    at = tmp_path / "soft.h5"
+    command = ["evaluate", str(path), "--body", "beam", "--at", "E=1.6e11", "-o", str(at)]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    soft = frequencies(path, "at = { E = 1.6e11 }")
+    np.testing.assert_allclose(soft[6:], frequencies(at, "")[6:], rtol=1e-9)
+    assert soft[6] < 0.97 * frequencies(path, "")[6]
+    error = " ".join(frequencies(path, "at = { E = 1e11 }").split())
+    assert "substructure 'a': at was given: E = 1e+11 lies outside [1.5e+11, 2.5e+11]" in error
+    error = " ".join(frequencies(at, "at = { E = 1.6e11 }").split())
+    assert "substructure 'a': at was given: body 'beam' has no parameters" in error
+
+
+def test_motions_are_recovered_on_the_mesh_of_a_value(bracket_file, tmp_path):
+    body = read_body(bracket_file).bodies["parametric"].parametric
+    n = len(body.at().M)
+    q = np.random.default_rng(4).standard_normal((2, n)) * 1e-9
+    np.savez(tmp_path / "motion.npz", times=[0.0, 1.0], coordinates=q)
+    out = tmp_path / "motion.vtkhdf"
+    command = ["recover", str(bracket_file), str(tmp_path / "motion.npz"), "-o", str(out), "--at", "t=2"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2 and "give --no-stress too" in " ".join(result.stderr.split())
+    result = CliRunner().invoke(app, [*command, "--no-stress"])
+    assert result.exit_code == 0, result.stderr
+    with h5py.File(out) as file:
+        points, shown = file["VTKHDF/Points"][()], file["VTKHDF/PointData/displacement"][()]
+    places, nominal = body.at(t=2.0).bodies.coordinates, body.source.coordinates
+    np.testing.assert_allclose(points[: len(places)], places, atol=1e-7)
+    assert np.abs(places - nominal).max() == pytest.approx(2e-3)
+    basis = np.asarray(body.stored.basis()).reshape(len(places), 3, n)
+    np.testing.assert_allclose(shown[: len(places)], basis @ q[0], rtol=1e-5, atol=1e-15)
