@@ -189,6 +189,11 @@ def _run(
             warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered), progress=progress,
         )  # fmt: skip
         _write_state_space(job, bodies)
+        if varied is not None:
+            # Not at the top: most jobs have no parameters.
+            from morembs.parametric.steps import clear_steps
+
+            clear_steps(job.output)
     if job.picture is not None:
         from morembs.jobs.picture import draw
 
@@ -226,7 +231,7 @@ def _coupled(
     # Not at the top: most jobs have no parameters.
     from morembs.parametric.terms import AffineProblem
 
-    return AffineProblem(varied, interfaces, damping=damping, model=model, **options)
+    return AffineProblem(varied, interfaces, damping=damping, model=model, output=job.output, **options)
 
 
 def _reduce(

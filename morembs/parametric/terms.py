@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ class AffineProblem(Problem):
     """The coupled problem at nominal values of parameters, with the terms of which all others of its box are sums.
 
     ``K_terms``, ``M_terms`` (Nc, Nc) and ``law_K``, ``law_M`` give K(p) and M(p); B and the coupling are one for all.
-    ``rigid_terms`` (Nc, 6, 1 + morphs): the geometric rigid motions are R0 + sum_i t_i R_i, about a fixed pole.
+    Beside ``output``, the body file that is to be written, searches keep their steps. ``rigid_terms`` (Nc, 6, 1 +
+    morphs): the geometric rigid motions are R0 + sum_i t_i R_i, about a fixed pole.
 
     >>> with AffineProblem(varied, interfaces) as problem:
     ...     problem.at(problem.box.point({"E": 2e11})).K.shape
@@ -41,11 +43,12 @@ class AffineProblem(Problem):
 
     def __init__(
         self, varied: VariedModel, interfaces: Sequence[Interface] = (), *, damping: Damping | None = None,
-        budget: Budget | None = None, model: FEModel | None = None, **options: Any,
+        budget: Budget | None = None, model: FEModel | None = None, output: Path | None = None, **options: Any,
     ) -> None:  # fmt: skip
         nominal = varied.box.nominal
         bare, varied = varied, with_springs(varied, interfaces)
         model = varied.model(nominal, budget or UNLIMITED) if model is None or varied is not bare else model
+        self.output = output
         self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
         _refuse_bent(varied, interfaces)
         given = self.box.damping(damping or Damping(), nominal)
