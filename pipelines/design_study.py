@@ -117,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seen = [Measured(modes=np.arange(1, COUNT + 1), frequencies_hz=hz, sigma_hz=NOISE * exact) for hz in draws]
     updated = [body.update(each, fixed=["rho"]) for each in seen]
     print(f"order {len(design.M)}, bound over the box {body.box_bound:.2e}")
-    print(f"optimum: density {design.values['rho']:.1f} kg/m3, t {best.x[1]:.4f} mm, mass {best.fun:.5f} of the nominal")
+    print(f"optimum: density {design.values['rho']:.1f} kg/m3, t {best.x[1]:.4f} mm, mass {best.fun:.4f} of nominal")
     print(f"first frequency {design.frequencies_hz[0]:.4f} Hz, full model {full[-1, 0]:.4f} Hz, limit {LIMIT} Hz")
     error = np.abs(sampled[:checked] / full[:-1] - 1).max()
     print(f"largest error of {full[:-1].size} frequencies against full models {error:.2e}")
