@@ -41,8 +41,9 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Chosen = dict[int, NDArray[np.bool_]]
-# Part of the tolerance of a body that the stiffness of a morph may take.
-SHARE = 0.01
+# Parts of the tolerance of a body that the stiffness of a morph may take, and that it takes where the terms of one
+# morph can give it: its error counts many times beside a resonance, and a point more costs one term.
+SHARE, FINE = 0.01, 2e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,7 +185,7 @@ def varied_model(
     mesh, regions, young, density = regions_of(mesh, materials, parameters)
     morph = Morph.of(mesh, parameters)
     morph.check(lambda block: (_stiffness_rule(block), _mass_rule(block, mass_integration)))
-    points, eps = morph.points_for(SHARE * tolerance)
+    points, eps = morph.points_for(SHARE * tolerance, (FINE if len(morph.which) == 1 else SHARE) * tolerance)
     make = _Maker(morph, graph, regions, mass_integration, budget, progress)
     return VariedModel(
         parameters=tuple(parameters), box=box, morph=morph, graph=graph, regions=regions, young=young,
