@@ -45,8 +45,6 @@ Floats = NDArray[np.float64]
 MESHES = Path(__file__).parents[1] / "data" / "small_meshes"
 YOUNG, DENSITY = (1.5e11, 2.7e11, 2.1e11), (7000.0, 8700.0, 7850.0)
 STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
-# Part of the tolerance that geometry is interpolated for.
-GEOMETRY = 0.05
 # Values between two reports.
 EVERY = 10
 ARM, REST = ("Volume2", "Volume3", "Volume4", "Volume5"), ("Volume1", "Volume6")
@@ -187,8 +185,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         case = case_of(arguments.case, Path(folder))
-    # Beside light damping the error of the interpolated geometry counts many times.
-    varied = varied_model(case.mesh, [STEEL], case.parameters, tolerance=GEOMETRY * case.method.tolerance)
+    varied = varied_model(case.mesh, [STEEL], case.parameters, tolerance=case.method.tolerance)
     model = varied.model(varied.box.nominal)
     with AffineProblem(varied, interfaces(model, case.sets), model=model, damping=case.damping) as problem:
         start = time.process_time()

@@ -84,5 +84,13 @@ def test_certificates_of_the_tutorial_hold_the_tolerance(site):
     assert limits[2][1] < 1e-4 < limits[1][0] < limits[0][0]
 
 
+def test_the_bound_of_the_tutorial_of_parameters_holds(site):
+    text = printed(site, "parameters")
+    least, largest = map(float, re.search(r"bound: (\S+) to (\S+) times the error", text).groups())
+    assert 1 <= least < largest < 100
+    # 0.2642 kg of the mesh that is moved by 2 mm.
+    assert "at.h5 has 0.26422 kg" in text
+
+
 def test_both_simulators_of_the_tutorial_agree(site):
     assert float(re.search(r"m, (\S+) of the length", printed(site, "exudyn"))[1]) < 2e-6

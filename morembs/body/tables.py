@@ -286,7 +286,7 @@ FRAME_TERMS = Table((
 PARAMETRIC = Table((
     Row("names", "text", "P", "names of the parameters"),
     Row("kinds", "text", "P", "what each changes",
-        doc="what each changes: `young`, `density`, `morph`, `alpha` or `beta`"),
+        doc="what each changes: `young`, `density`, `morph`, `spring`, `preload`, `alpha` or `beta`"),
     Row("units", "text", "P", "units of the values", read=False, doc="SI units of the values"),
     Row("low", "real", "P", "least values"),
     Row("high", "real", "P", "largest values"),

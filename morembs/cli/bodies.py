@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -152,18 +154,38 @@ def recover(
     no_stress: Annotated[bool, typer.Option("--no-stress", help="Displacements only.")] = False,
     scale: Annotated[float, typer.Option(help="Magnify deformations.")] = 1.0,
     every: Annotated[int, typer.Option(help="Take every n-th step.")] = 1,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, with --no-stress.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Expand a reduced motion to all nodes, with stresses, for ParaView."""
     from morembs.recovery.recover import recover as recover_series
 
     with messages():
-        with progress_line() as progress:
+        if at is not None and not no_stress:
+            raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
+        if at is not None and out.resolve() == file.resolve():
+            raise InputError(f"--out {out} would overwrite the body file; give another name")
+        with progress_line() as progress, _evaluated(file, body, at) as source:
             done = recover_series(
-                file, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
+                source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
             )
         with printing([str(done.path)]):
             _print_recovered(done, as_json)
+
+
+@contextmanager
+def _evaluated(file: Path, body: str | None, at: str | None) -> Iterator[Path]:
+    """The body file, or that of other values of its parameters for as long as it is needed."""
+    if at is None:
+        yield file
+        return
+    # Not at the top: few bodies have parameters.
+    from morembs.cli.families import parametric_of
+
+    with TemporaryDirectory(prefix="morembs-") as folder:
+        yield parametric_of(file, body).at(**values_of(at)).write(Path(folder) / file.name)
 
 
 def _print_recovered(done: Recovered, as_json: bool) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from morembs.body.parametric import BodyAt, ParametricBody
+    from morembs.parametric.model import ModelAt
 
 app = typer.Typer()
 At = Annotated[
@@ -28,6 +32,7 @@ At = Annotated[
 Values = Annotated[Path | None, typer.Option("--table", metavar="FILE.csv", help="Values, a row for each body.")]
 # Frequencies that are printed.
 SHOWN = 6
+KIND = {"bound": "proven bound", "estimate": "estimate of a bound", "none": "no bound"}
 
 
 @app.command(epilog=EPILOG)
@@ -39,6 +44,9 @@ def evaluate(
         Path | None, typer.Option("--out", "-o", help="A body file for --at; a .csv or .h5 file for --table.")
     ] = None,
     frequencies: Annotated[int, typer.Option(help="How many elastic frequencies.")] = SHOWN,
+    bound_hz: Annotated[
+        str | None, typer.Option("--bound", metavar="HZ,...", help="Bounds of the error of H at these frequencies.")
+    ] = None,
     sensitivity: Annotated[bool, typer.Option("--sensitivity", help="Derivatives of the frequencies too.")] = False,
     matrices: Annotated[bool, typer.Option("--matrices", help="K, M and D of each row too, in a .h5 file.")] = False,
     body: BodyName = None,
@@ -47,11 +55,25 @@ def evaluate(
     """Evaluate a body with parameters at other values."""
     with messages():
         _refuse_mixed(file, at, table, out, sensitivity, matrices)
+        if frequencies < 1:
+            raise InputError(f"--frequencies {frequencies} was given; expected a number, 1 or more")
+        at_hz = _frequencies_of(bound_hz)
         parametric = parametric_of(file, body)
         if table is not None:
-            _evaluate_table(parametric, table, out, frequencies, matrices, as_json)
+            _evaluate_table(parametric, table, out, frequencies, at_hz, matrices, as_json)
         else:
-            _evaluate_one(parametric.at(**values_of(at)), out, frequencies, sensitivity, as_json)
+            _evaluate_one(parametric.at(**values_of(at)), out, frequencies, at_hz, sensitivity, as_json)
+
+
+def _frequencies_of(text: str | None) -> list[float]:
+    """Frequencies in Hz of --bound."""
+    try:
+        given = [float(part) for part in (text or "").split(",") if part.strip()]
+    except ValueError:
+        given = [math.nan]
+    if not all(math.isfinite(f) and f >= 0 for f in given) or (text is not None and not given):
+        raise InputError(f"--bound {text} was given; expected frequencies in Hz, zero or more: HZ,HZ,...")
+    return given
 
 
 def _refuse_mixed(
@@ -69,8 +91,14 @@ def _refuse_mixed(
         raise InputError(f"--out {out} would overwrite an input; give another name")
 
 
-def _evaluate_one(at: BodyAt, out: Path | None, count: int, sensitivity: bool, as_json: bool) -> None:
-    hz = at.frequencies_hz[: max(count, 0)]
+def _evaluate_one(
+    at: BodyAt, out: Path | None, count: int, at_hz: list[float], sensitivity: bool, as_json: bool
+) -> None:
+    # Not at the top: help needs no numbers.
+    import numpy as np
+
+    hz = at.frequencies_hz[:count]
+    bounds = dict(zip(at_hz, at.bound(np.array(at_hz)).tolist(), strict=True)) if at_hz else {}
     written = [str(at.write(out))] if out is not None else []
     slopes: dict[str, Any] = {}
     clustered: list[bool] = []
@@ -82,11 +110,14 @@ def _evaluate_one(at: BodyAt, out: Path | None, count: int, sensitivity: bool, a
         if as_json:
             document = {"at": at.values, "written": written, "frequencies_hz": hz.tolist()}
             more = {"frequency_slopes": slopes, "clustered": clustered} if sensitivity else {}
-            print_json([{**document, "bound_kind": at.bound_kind, **more}])
+            known = {"bound_hz": list(bounds), "bound": list(bounds.values())} if bounds else {}
+            print_json([{**document, "bound_kind": at.bound_kind, **known, **more}])
             return
         units = zip(at.values.items(), at.parent.units, strict=True)
         typer.echo("at " + ", ".join(f"{name} = {value:.6g} {unit}".rstrip() for (name, value), unit in units))
         typer.echo("elastic frequencies in Hz: " + ", ".join(f"{f:,.7g}" for f in hz))
+        for f, bound in bounds.items():
+            typer.echo(f"error of H at {f:g} Hz, {KIND[at.bound_kind]}: {bound:.3g} m/N")
         for name, values in slopes.items():
             typer.echo(f"Hz per unit of {name}: " + ", ".join(f"{value:.5g}" for value in values))
         if any(clustered):
@@ -97,54 +128,79 @@ def _evaluate_one(at: BodyAt, out: Path | None, count: int, sensitivity: bool, a
 
 
 def _evaluate_table(
-    parametric: ParametricBody, table: Path, out: Path | None, count: int, matrices: bool, as_json: bool
-) -> None:
+    parametric: ParametricBody, table: Path, out: Path | None, count: int, at_hz: list[float], matrices: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    # Not at the top: help needs no numbers.
+    import numpy as np
+
     values = read_values(table, parametric)
     hz = parametric.frequencies_hz(values, count)
+    bodies = [parametric.model.at(p) for p in values] if matrices or at_hz else []
+    bounds = np.array([each.bound(np.array(at_hz)) for each in bodies]).reshape(len(values), len(at_hz))
+    kinds = [each.bound_kind for each in bodies] if at_hz else []
+    result = _Table(names=parametric.names, values=values, hz=hz, at_hz=at_hz, bounds=bounds, kinds=kinds)
     written = []
     if out is not None:
-        _write_table(out, parametric, values, hz, matrices)
+        _write_table(out, result, bodies if matrices else [])
         written = [str(out)]
     with printing(written):
         if as_json:
+            known = {"bound_hz": at_hz, "bound": bounds.tolist(), "bound_kind": kinds} if at_hz else {}
             print_json([{
-                "table": str(table), "written": written, "values": values.tolist(), "frequencies_hz": hz.tolist()
+                "table": str(table), "written": written, "values": values.tolist(), "frequencies_hz": hz.tolist(),
+                **known,
             }])  # fmt: skip
         elif out is None:
-            typer.echo(_csv(parametric.names, values, hz), nl=False)
+            typer.echo(_csv(result), nl=False)
         else:
             typer.echo(f"written: {out}, {len(values)} values with {hz.shape[1]} frequencies each")
 
 
-def _csv(names: tuple[str, ...], values: NDArray[np.float64], hz: NDArray[np.float64]) -> str:
-    # Not at the top: help needs no numbers.
-    import numpy as np
+@dataclass(frozen=True, kw_only=True)
+class _Table:
+    """Rows of ``values`` (k, P) with frequencies ``hz`` (k, c), ``bounds`` (k, f) at ``at_hz`` and their ``kinds``."""
 
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    hz: NDArray[np.float64]
+    at_hz: list[float]
+    bounds: NDArray[np.float64]
+    kinds: list[str]
+
+
+def _csv(table: _Table) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow([*names, *(f"frequency_{k + 1}_hz" for k in range(hz.shape[1]))])
-    rows.writerows([repr(x) for x in row] for row in np.hstack([values, hz]).tolist())
+    last = ["bound_kind"] if table.kinds else []
+    columns = [f"frequency_{k + 1}_hz" for k in range(table.hz.shape[1])]
+    rows.writerow([*table.names, *columns, *(f"bound_at_{f:g}_hz" for f in table.at_hz), *last])
+    for k, numbers in enumerate(zip(table.values.tolist(), table.hz.tolist(), table.bounds.tolist(), strict=True)):
+        rows.writerow([*(repr(x) for part in numbers for x in part), *table.kinds[k : k + 1]])
     return text.getvalue()
 
 
-def _write_table(
-    out: Path, parametric: ParametricBody, values: NDArray[np.float64], hz: NDArray[np.float64], matrices: bool
-) -> None:
+def _write_table(out: Path, table: _Table, bodies: list[ModelAt]) -> None:
     if out.suffix == ".csv":
         from morembs.storage.safefile import replacing
 
-        with replacing(out) as file:
-            file.write(_csv(parametric.names, values, hz).encode())
+        with replacing(out) as text:
+            text.write(_csv(table).encode())
         return
     import numpy as np
 
     from morembs.storage.writer import writing
 
+    def words(given: Iterable[str]) -> NDArray[np.bytes_]:
+        return np.array([each.encode() for each in given])
+
     with writing(out) as file:
-        file.put("names", np.array([name.encode() for name in parametric.names]), "names of the parameters")
-        file.put("values", values, "a row for each body, SI units")
-        file.put("frequencies_hz", hz, "elastic eigenfrequencies", "Hz")
-        if matrices:
-            bodies = [parametric.model.at(p) for p in values]
-            for name in ("M", "K", "D"):
-                file.put(name, np.stack([getattr(each, name) for each in bodies]), "reduced matrices, one for each row")
+        file.put("names", words(table.names), "names of the parameters")
+        file.put("values", table.values, "a row for each body, SI units")
+        file.put("frequencies_hz", table.hz, "elastic eigenfrequencies", "Hz")
+        if table.at_hz:
+            file.put("bound_hz", np.array(table.at_hz), "where the bounds hold", "Hz")
+            file.put("bound", table.bounds, "of the Frobenius norm of the error of H, a row for each body", "m/N")
+            file.put("bound_kind", words(table.kinds), "bound, estimate or none")
+        for name in ("M", "K", "D") if bodies else ():
+            file.put(name, np.stack([getattr(each, name) for each in bodies]), "reduced matrices, one for each row")

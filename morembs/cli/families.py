@@ -57,13 +57,15 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
 
     result = np.empty((len(rows) - 1, len(parametric.names)))
     for number, row in enumerate(rows[1:]):
+        where = f"the table {path}, row {number + 1} below its header"
+        if len(row) != len(header):
+            raise InputError(f"{where} has {len(row)} values; expected {len(header)}: {','.join(header)}")
         try:
-            values = dict(zip(header, map(float, row), strict=True))
-            result[number] = parametric.model.box.point(values)
+            result[number] = parametric.model.box.point(dict(zip(header, map(float, row), strict=True)))
         except InputError as error:
-            raise InputError(f"the table {path}, row {number + 1}: {error}") from error
+            raise InputError(f"{where}: {error}") from error
         except ValueError as error:
-            raise InputError(f"the table {path}, row {number + 1}: {error}; expected {len(header)} numbers") from error
+            raise InputError(f"{where}: {error}; expected {len(header)} numbers") from error
     return result
 
 
@@ -87,6 +89,7 @@ def export_family(
         raise InputError(f"the export writes {index} and would overwrite the table; give the table another name")
     parametric = parametric_of(file, body)
     values = read_values(table, parametric)
+    _refuse_other_family(index, first.stem)
     digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
     for number, p in enumerate(values, 1):
         path = first.with_name(f"{first.name.removesuffix(first.suffix)}_{number:0{digits}d}{first.suffix or suffix}")
@@ -106,3 +109,22 @@ def export_family(
             print_json([{"file": str(file), "to": to, "written": paths}])
         else:
             typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix}, and {index}")
+
+
+def _refuse_other_family(index: Path, stem: str) -> None:
+    """Refuse to replace the ``index`` of another family, whose files have no other list; the same one is made anew.
+
+    Raises:
+        InputError: as said.
+    """
+    try:
+        with index.open(newline="", encoding="utf-8") as file:
+            names = [row[0] for row in csv.reader(file) if row][1:]
+    except FileNotFoundError:
+        return
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{index} cannot be read ({error}); give another folder with -o") from error
+    other = next((name for name in names if Path(name).stem.rpartition("_")[0] != stem), None)
+    if other is not None or not names:
+        what = f"tells the values of {other}, of another family" if other else "is no list of files"
+        raise InputError(f"{index} {what}; give this one a folder of its own with -o FOLDER/{stem}")

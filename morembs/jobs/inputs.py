@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.build import BodyOptions, StressOptions
-from morembs.body.file import read_body
+from morembs.body.file import StoredBodies, read_body
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
@@ -266,7 +266,7 @@ def assembly_of(job: Job) -> FEModel:
     files = {table.body: read_body(job.resolve(table.body)) for table in job.tables.substructure}
     parts = [
         Substructure(
-            name=table.name, bodies=files[table.body], reduction=table.reduction,
+            name=table.name, bodies=_at_values(files[table.body], table), reduction=table.reduction,
             position=units.length * np.array(table.position), rotation=_turned(table),
         )
         for table in job.tables.substructure
@@ -280,6 +280,20 @@ def assembly_of(job: Job) -> FEModel:
         for table in job.tables.couple
     ]  # fmt: skip
     return assemble_bodies(parts, couples, name=job.path.stem)
+
+
+def _at_values(bodies: StoredBodies, table: SubstructureTable) -> StoredBodies:
+    """The bodies of a file, or the one of them that has parameters at the values of ``table``."""
+    if not table.at:
+        return bodies
+    # Not at the top: most jobs have a mesh.
+    from morembs.exporters.base import choose_body
+
+    try:
+        evaluated: StoredBodies = choose_body(bodies, table.reduction, table.body).parametric.at(**table.at).bodies
+    except InputError as error:
+        raise InputError(f"substructure {table.name!r}: at was given: {error}") from error
+    return evaluated
 
 
 def _turned(table: SubstructureTable) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
+from morembs.floating.preload import Preload, Preloaded
 from morembs.importers import read_mesh
 from morembs.jobs.inputs import damping_of, materials_of, units_of
 from morembs.jobs.job import Job
@@ -21,7 +22,8 @@ from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import material_of_elements
 from morembs.model.material import Material
 from morembs.model.selection import NUMBERS, select_nodes
-from morembs.parametric.parameter import Parameter
+from morembs.parametric.added import with_preload
+from morembs.parametric.parameter import Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
 from morembs.parametric.terms import VariedModel, varied_model
 from morembs.progress import SILENT, Progress
@@ -67,19 +69,50 @@ def parameters_of(job: Job, mesh: Mesh) -> tuple[Mesh, list[Parameter]]:
 def _parameter(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...]) -> Parameter:
     units = units_of(job)
     scale = {
-        "young": units.stress, "density": units.density, "morph": 1.0, "alpha": 1 / units.time, "beta": units.time
-    }[table.property]  # fmt: skip
+        "young": units.stress, "density": units.density, "alpha": 1 / units.time, "beta": units.time
+    }.get(table.property, 1.0)  # fmt: skip
     nominal = scale * table.nominal if table.nominal is not None else _nominal(job, mesh, table, sets)
     return Parameter(
         name=table.name, kind=table.property, low=scale * table.range[0], high=scale * table.range[1], nominal=nominal,
         sets=sets, displacement=_displacement(job, mesh, table) if table.property == "morph" else None,
+        spring=_spring(job, table),
     )  # fmt: skip
+
+
+def _spring(job: Job, table: ParameterTable) -> Spring | None:
+    if table.stiffness is None or table.interface is None:
+        return None
+    units = units_of(job)
+    along = units.mass / units.time**2
+    scale = [along] * 3 + [along * units.length**2] * 3
+    return Spring(
+        interface=table.interface, to=table.to,
+        stiffness=tuple(k * s for k, s in zip(table.stiffness, scale, strict=True)),
+    )  # fmt: skip
+
+
+def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:
+    """``varied`` with the stress of its ``preload``, ``found`` for the ``bare`` model of nominal values.
+
+    Raises:
+        InputError: other parameters that change the stress, or loads beyond buckling.
+    """
+    inertial = preload.axis is not None or any(preload.acceleration)
+    for parameter in varied.parameters if inertial else ():
+        if parameter.kind == "density":
+            raise InputError(
+                f"parameter {parameter.name} changes the loads of a [preload] with a speed or an acceleration; leave "
+                "one of them out"
+            )
+    return with_preload(varied, sp.csr_array(found.model.K - bare.K), found.critical_factor)
 
 
 def _nominal(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...]) -> float:
     """The value that the job has without the parameter."""
     if table.property == "morph":
         return 0.0
+    if table.property in ("spring", "preload"):
+        return 1.0
     if table.property in ("alpha", "beta"):
         return float(getattr(damping_of(job), table.property))
     materials = materials_of(job)

@@ -148,11 +148,18 @@ def _run(
     preload, preload_notes = preload_of(job), {}
     if preload is not None:
         with watch.stage("preload"), problem:
-            stressed = preloaded(problem, preload, progress)
-            model, preload_notes = stressed.model, dict(stressed.notes)
-            problem = Problem(
-                model, interfaces, solver=solver, damping=problem.damping, budget=budget, progress=progress,
-                workers=workers,
+            found = preloaded(problem, preload, progress)
+            preload_notes = dict(found.notes)
+            if varied is None:
+                model = found.model
+            else:
+                # Not at the top: most jobs have no parameters.
+                from morembs.jobs.parameters import stressed
+
+                varied = stressed(varied, model, preload, found)
+                model = varied.model(varied.box.nominal, budget)
+            problem = _coupled(
+                job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
             )
     with problem:
         rotation = rotation_of(job)
@@ -182,6 +189,11 @@ def _run(
             warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered), progress=progress,
         )  # fmt: skip
         _write_state_space(job, bodies)
+        if varied is not None:
+            # Not at the top: most jobs have no parameters.
+            from morembs.parametric.steps import clear_steps
+
+            clear_steps(job.output)
     if job.picture is not None:
         from morembs.jobs.picture import draw
 
@@ -219,7 +231,7 @@ def _coupled(
     # Not at the top: most jobs have no parameters.
     from morembs.parametric.terms import AffineProblem
 
-    return AffineProblem(varied, interfaces, damping=damping, model=model, **options)
+    return AffineProblem(varied, interfaces, damping=damping, model=model, output=job.output, **options)
 
 
 def _reduce(

@@ -18,8 +18,6 @@ from morembs.responses.band import checked_band
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 Six = Annotated[list[float], Field(min_length=6, max_length=6)]
-# Properties that parameters do not have yet.
-LATER = ("speed", "preload", "spring")
 # Names become groups of the HDF5 file.
 SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
 
@@ -87,6 +85,9 @@ class SubstructureTable(Table):
     )
     body: str = Field(min_length=1, description='the path of a body file such as "link.h5"')
     reduction: str | None = Field(default=None, description="the body of the file, where it has several")
+    at: dict[str, float] = Field(
+        default_factory=dict, description="values of its parameters in SI units such as { E = 2.0e11 }"
+    )
     position: Three = Field(default=[0.0, 0.0, 0.0], description="[x, y, z] of the origin of its model")
     rotation: RotationTable | None = Field(default=None, description="a table { axis = [x, y, z], degrees = ... }")
 
@@ -142,18 +143,31 @@ class ParameterTable(Table):
         default=None, min_length=1, description='the path of a table id,dx,dy,dz such as "longer.csv"'
     )
     mesh: str | None = Field(default=None, min_length=1, description="the path of the mesh at the value 1")
+    interface: str | None = Field(default=None, description="the interface that a spring holds")
+    to: str | None = Field(default=None, description="another interface that it holds to, in place of the ground")
+    stiffness: Six | None = Field(default=None, description="six numbers, zero or more, of a spring at the value 1")
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.property not in PROPERTIES:
-            if self.property in LATER:
-                raise ValueError(f"property = {self.property!r} is not supported yet; it is planned")
+            if self.property == "speed":
+                raise ValueError(
+                    "property = 'speed' was given; a table [spin] gives one body for all speeds, with the Coriolis "
+                    "matrix that no stiffness tells"
+                )
             raise ValueError(f"property = {self.property!r} was given; {nearest(self.property, PROPERTIES)}")
         moves = [key for key in ("displacement", "mesh") if getattr(self, key) is not None]
         if self.property == "morph" and len(moves) != 1:
             raise ValueError(f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given")
         if self.property != "morph" and moves:
             raise ValueError(f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph")
+        springs = [key for key in ("interface", "stiffness") if getattr(self, key) is not None]
+        if self.property == "spring" and (len(springs) != 2 or self.to == self.interface):
+            raise ValueError("a spring needs interface and stiffness = [six numbers], and to, if it has one, another")
+        if self.property != "spring" and (springs or self.to is not None):
+            raise ValueError(
+                f"{(springs or ['to'])[0]} was given beside property = {self.property!r}; it belongs to a spring"
+            )
         if self.property not in ("young", "density") and "set" in self.model_fields_set:
             raise ValueError(f"set was given beside property = {self.property!r}; it belongs to young and density")
         return self
@@ -452,8 +466,12 @@ class JobTables(Table):
             raise ValueError('[[parameter]] was given; add a [[reduce]] with method = "parametric", or leave it out')
         if self.model.mesh is None:
             raise ValueError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
-        if self.preload is not None:
-            raise ValueError("[preload] was given beside [[parameter]], which change its stress; leave one of them out")
+        loads = [table.name for table in self.parameter if table.property == "preload"]
+        if len(loads) != (self.preload is not None):
+            raise ValueError(
+                f"{len(loads)} parameters with property = 'preload' were given {'with' if self.preload else 'without'} "
+                "a table [preload]; expected one of them for that table, whose loads it multiplies"
+            )
         if self.spin is not None:
             raise ValueError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
         return self

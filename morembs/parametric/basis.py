@@ -24,6 +24,7 @@ from morembs.parametric.cells import Proofs
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.parameter import Box
 from morembs.parametric.space import GlobalSpace
+from morembs.parametric.steps import SearchSteps, Step
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -138,6 +139,8 @@ class GreedySearch:
         self.cells = self.proofs.cells()
         self.points: list[Floats] = []
         self.factorisations = 1
+        kind = f"{wanted.band_hz} {wanted.training} {self.floor}"
+        self.steps = SearchSteps(problem, kind, problem.output)
 
     def damping(self, p: Floats) -> Damping:
         """The damping at ``p`` (P,) with its floor."""
@@ -151,22 +154,27 @@ class GreedySearch:
             InputError: the tolerance is not reached.
         """
         wanted = self.wanted
-        self._take(self.problem.box.nominal)
-        model, bound = self._bound(proof=False)
+        self._take(Worst(value=np.inf, p=self.problem.box.nominal, hz=0.0))
         last, stalled = np.inf, 0
         while stalled < STALLED:
-            worst = self.worst(model, bound)
+            worst = self._next()
             stalled = stalled + 1 if np.isfinite(last) and worst.value > SLOW * last else 0
             last = worst.value
             self.progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
             enough = worst.value <= wanted.tolerance
-            if enough or len(self.points) >= POINTS or not self._take(worst.p):
+            if enough or len(self.points) >= POINTS or not self._take(worst):
                 break
-            model, bound = self._bound(proof=False)
         model, bound = self._bound(proof=True)
         return self._cut(model, bound)
+
+    def _next(self) -> Worst:
+        """Where the bound is largest, as an earlier run knows or from the training set."""
+        known = self.steps.known[len(self.points) :]
+        if known:
+            return Worst(value=known[0].value, p=known[0].p, hz=known[0].hz)
+        return self.worst(*self._bound(proof=False))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
         F = np.eye(self.space.size, self.deflated)
@@ -176,17 +184,24 @@ class GreedySearch:
         )
         return self.space.reduced(), bound
 
-    def _take(self, p: Floats) -> bool:
-        """Responses and modes at ``p`` (P,) join the space, more of them where it was taken before; whether there was
-        anything new."""
+    def _take(self, worst: Worst) -> bool:
+        """Responses and modes at the ``worst`` p join the space, more of them where it was taken before; whether there
+        was anything new."""
+        p, number = worst.p, len(self.points)
         before = sum(np.array_equal(p, known) for known in self.points)
         self.points.append(p)
-        if np.array_equal(p, self.problem.box.nominal):
-            return self.space.add(self._responses(self.problem, before)) > 0
-        self.factorisations += 1
-        with self.problem.at(p) as there:
-            X = self._responses(there, before)
-        return self.space.add(X) > 0
+        nominal = np.array_equal(p, self.problem.box.nominal)
+        self.factorisations += not nominal
+        X = self.steps.columns(number)
+        if X is None:
+            if nominal:
+                X = self._responses(self.problem, before)
+            else:
+                with self.problem.at(p) as there:
+                    X = self._responses(there, before)
+            self.steps.add(number, Step(p=p, value=worst.value, hz=worst.hz, columns=X))
+        # Bits of products depend on the order in memory, which files do not tell.
+        return self.space.add(np.array(X, order="F")) > 0
 
     def _responses(self, problem: Problem, before: int) -> Floats:
         """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses

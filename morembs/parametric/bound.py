@@ -129,11 +129,11 @@ class ParametricBound:
         energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
         energy = np.maximum(energy, energy[energy > RIGID * energy.max(initial=0.0)].min(initial=np.inf))
         size = np.linalg.norm(self.residual_B, axis=0)
-        ones = np.ones_like(self.anchor)
+        ones, sizes = np.ones_like(self.anchor), np.where(self.anchor == 0, self.cells.high.max(axis=0), self.anchor)
         parts = (
             (self.residual_B[None], np.ones(1), 1 / np.where(size > 0, size, 1.0)),
-            (self.residual_K, ratio(self.law_K, self.anchor, ones), 1 / energy),
-            (self.residual_M, ratio(self.law_M, self.anchor, ones), energy),
+            (self.residual_K, ratio(self.law_K, sizes, ones), 1 / energy),
+            (self.residual_M, ratio(self.law_M, sizes, ones), energy),
         )
         weighted = np.hstack([np.hstack([*(a[:, None, None] * terms * weight)]) for terms, a, weight in parts])
         U, values, _ = sl.svd(weighted, full_matrices=False)
@@ -168,12 +168,12 @@ class ParametricBound:
         start = self.residual_B - KY @ (b / values[:, None]) - MZ @ b_rigid
         off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         alpha_cell, least, proven = self.cells.at(p)
-        alpha = alpha_cell * ratio(self.law_K, p, self.anchor).min()
+        alpha = alpha_cell * ratio(self.law_K.monotone, p, self.anchor).min()
         gram = np.hstack([start, rho])
         gram = gram.T @ gram / max(alpha, TINY)
         few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
         d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
-        s_K, s_M = ratio(self.law_K, p, self.soft).min(), ratio(self.law_M, p, self.soft).max()
+        s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
         return BoundAt(
             values=values, b=b, gram=gram, off=off / np.sqrt(max(alpha, TINY)),
             off_start=off_start / np.sqrt(max(alpha, TINY)), few=few,
@@ -315,7 +315,7 @@ def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Flo
 
 
 def ratio(law: Law, p: Floats, reference: Floats) -> Floats:
-    """(Q,) by how much the factors of moduli and densities differ from those at ``reference``; morphs do not count."""
+    """(Q,) by how much the factors of moduli, densities, springs and preloads differ from those at ``reference``."""
     powers = np.select([law.factors == LINEAR, law.factors == SQUARE], [1.0, 2.0], 0.0)
     used = (powers > 0).any(axis=0)
     if not used.any():

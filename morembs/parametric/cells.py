@@ -2,7 +2,8 @@ r"""What holds on whole parts of a box: lower bounds of K(p) and of K(p) beside 
 
 On a cell of the morphs t the terms are polynomials of t, K(t) = sum_j beta_j(t) K_j with the Bernstein polynomials
 beta_j >= 0, sum_j beta_j = 1: a quadratic form that is positive for all control matrices K_j is so on the whole cell
-(Garloff 1986). Without a morph the only control matrix is K itself.
+(Garloff 1986). Without a morph the only control matrix is K itself. The stress of a preload may soften, so that no term
+bounds it: beside one t are all parameters of K, and the control matrices those of the corners.
 
 - alpha: K_j - alpha K(p_a) >= 0 with the supports held: no negative pivot.
 - Lam^: K_j - Lam^ M_j + sigma W W' >= 0. By Haynsworth (1968), applied to both diagonal blocks of
@@ -56,9 +57,9 @@ class Cell:
     corner: float
     proven: bool
 
-    def halves(self, morphs: Ints, whole: Floats) -> list[tuple[Floats, Floats]]:
-        """The ends of its halves across its longest side, of the ``morphs`` relative to the ``whole`` box (P,)."""
-        longest = morphs[np.argmax((self.high - self.low)[morphs] / whole[morphs])]
+    def halves(self, curved: Ints, whole: Floats) -> list[tuple[Floats, Floats]]:
+        """The ends of its halves across its longest side, of the ``curved`` relative to the ``whole`` box (P,)."""
+        longest = curved[np.argmax((self.high - self.low)[curved] / whole[curved])]
         below, above = self.high.copy(), self.low.copy()
         below[longest] = above[longest] = 0.5 * (self.low[longest] + self.high[longest])
         return [(self.low, below), (above, self.high)]
@@ -69,26 +70,27 @@ class Proofs:
 
     def __init__(self, space: GlobalSpace, progress: Progress = SILENT) -> None:
         self.space, self.problem, self.progress = space, space.problem, progress
-        self.morphs = np.array(space.problem.morphs, dtype=np.int64)
+        points = space.problem.law_K.points
+        self.curved = np.array([j for j, at in enumerate(points) if len(at)], dtype=np.int64)
         self.count = 0
 
     def controls(self, law: Law, p: Floats, low: Floats, high: Floats) -> Floats:
         """Bernstein coefficients (s, Q) of the terms of ``law`` on a cell, other parameters as in ``p`` (P,)."""
-        morphs, points = self.morphs, self.problem.law_K.points
+        curved, points = self.curved, self.problem.law_K.points
         turn: Floats = np.ones((1, 1))
         at: Floats = p[None]
-        if len(morphs):
-            grid = np.array(list(product(*(points[j] for j in morphs))))
+        if len(curved):
+            grid = np.array(list(product(*(points[j] for j in curved))))
             at = np.tile(p, (len(grid), 1))
-            at[:, morphs] = grid
-        for j in morphs:
+            at[:, curved] = grid
+        for j in curved:
             turn = np.asarray(np.kron(turn, bernstein(points[j], low[j], high[j])), dtype=np.float64)
         return np.asarray(turn @ law(at))
 
     def cells(self) -> list[Cell]:
-        """The box in cells of the morphs with their alpha."""
-        box, morphs = self.problem.box, self.morphs
-        if not len(morphs):
+        """The box in cells of the parameters with points, with their alpha."""
+        box, curved = self.problem.box, self.curved
+        if not len(curved):
             return [Cell(low=box.low, high=box.high, alpha=1.0, corner=1.0, proven=True)]
         cells = [self._cell(box.low, box.high)]
         while len(cells) < MOST:
@@ -97,7 +99,7 @@ class Proofs:
             if not lossy:
                 break
             worst = min(lossy, key=lambda k: cells[k].alpha)
-            halves = cells[worst].halves(morphs, box.high - box.low)
+            halves = cells[worst].halves(curved, box.high - box.low)
             cells[worst : worst + 1] = [self._cell(low, high) for low, high in halves]
         return [cell if cell.alpha > 0 else self._sampled(cell) for cell in cells]
 
@@ -118,7 +120,7 @@ class Proofs:
     def _corners(self, size: int) -> NDArray[np.bool_]:
         """Which of the coefficients on a cell are values at its corners."""
         ends = np.ones(1, dtype=bool)
-        for j in self.morphs:
+        for j in self.curved:
             axis = np.zeros(len(self.problem.law_K.points[j]), dtype=bool)
             axis[[0, -1]] = True
             ends = np.kron(ends, axis)
@@ -126,10 +128,10 @@ class Proofs:
 
     def _sampled(self, cell: Cell) -> Cell:
         problem, values = self.problem, []
-        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.morphs]
+        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.curved]
         for t in product(*axes):
             p = problem.box.nominal.copy()
-            p[self.morphs] = t
+            p[self.curved] = t
             values.append(least_ratio(problem.stiffness_sum(problem.law_K(p)), self.space))
         return replace(cell, alpha=UNPROVEN * max(min(values), 0.0))
 
@@ -184,7 +186,7 @@ class Proofs:
 
     def _words(self, low: Floats, high: Floats) -> str:
         names = self.problem.box.names
-        return ", ".join(f"{names[j]} {low[j]:g} to {high[j]:g}" for j in self.morphs) or "the box"
+        return ", ".join(f"{names[j]} {low[j]:g} to {high[j]:g}" for j in self.curved) or "the box"
 
 
 def is_positive(

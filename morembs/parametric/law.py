@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -64,7 +65,8 @@ class Law:
     """theta_q(p) = prod_j f_qj(p_j) of Q terms and P parameters.
 
     ``factors`` (Q, P): 0 for one, 1 for p, 2 for its square, 3 + k for the Lagrange polynomial of point k; ``points``
-    are those of each parameter, none where there is no such polynomial.
+    are those of each parameter, none where it enters by positive factors only; with points the law is a polynomial in
+    it, known by its values there.
     """
 
     factors: Ints
@@ -82,6 +84,12 @@ class Law:
             others = np.prod(np.delete(values, j, axis=-2), axis=-2)
             result[..., j] = slopes[..., j, :] * others
         return result
+
+    @cached_property
+    def monotone(self) -> Law:
+        """The factors of parameters without points alone: positive ones, of moduli, densities and springs."""
+        pointed = [len(points) > 0 for points in self.points]
+        return Law(factors=np.where(pointed, ONE, self.factors), points=self.points)
 
     def _tables(self, p: Floats) -> tuple[Floats, Floats]:
         """Factors (..., P, Q) and their derivatives."""

@@ -169,8 +169,8 @@ class Morph:
                     largest = max(largest, float(np.abs(det * g - 1).max(initial=0.0)))
         return BETWEEN * largest
 
-    def points_for(self, tolerance: float) -> tuple[int, float]:
-        """Least number of points, and eps with them, that is at most ``tolerance``.
+    def points_for(self, tolerance: float, wanted: float = np.inf) -> tuple[int, float]:
+        """Least number of points, and eps with them, that is at most ``tolerance`` and, where that can be, ``wanted``.
 
         Raises:
             InputError: none is enough.
@@ -180,8 +180,10 @@ class Morph:
         error = np.inf
         for count in range(LEAST_POINTS, MOST_POINTS + 1):
             error = self.error(count)
-            if error <= tolerance:
+            if error <= min(tolerance, wanted):
                 return count, error
+        if error <= tolerance:
+            return MOST_POINTS, error
         names = " and ".join(self.parameters[number].name for number in self.which)
         raise InputError(
             f"the volumes of elements change so much with {names} that {MOST_POINTS} points give them to {error:.1e} "

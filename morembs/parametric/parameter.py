@@ -15,9 +15,21 @@ from morembs.problem.damping import Damping
 
 Floats = NDArray[np.float64]
 # What may vary, and the unit of its values in SI.
-PROPERTIES = {"young": "Pa", "density": "kg/m3", "morph": "", "alpha": "1/s", "beta": "s"}
+PROPERTIES = {
+    "young": "Pa", "density": "kg/m3", "morph": "", "spring": "", "preload": "", "alpha": "1/s", "beta": "s"
+}  # fmt: skip
 DAMPING = ("alpha", "beta")
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spring:
+    """Six ``stiffness`` values along and about the axes of the model, three in N/m and three in Nm, which hold the
+    frame of an ``interface`` to the ground, or to the frame of another (``to``) that carries it along."""
+
+    interface: str
+    stiffness: tuple[float, ...]
+    to: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +37,8 @@ class Parameter:
     """One parameter, in SI units.
 
     ``kind`` is one of ``PROPERTIES``; ``low``, ``high`` its range and ``nominal`` a value in it; ``sets`` names of
-    element sets for "young" and "density"; ``displacement`` (n, 3) of the nodes in m per unit of a "morph".
+    element sets for "young" and "density"; ``displacement`` (n, 3) of the nodes in m per unit of a "morph";
+    ``spring`` at the value 1 of a "spring". A "preload" is a factor of loads.
 
     Raises:
         InputError: an unknown property, a name that cannot be used, or values that do not fit together.
@@ -41,6 +54,7 @@ class Parameter:
     nominal: float
     sets: tuple[str, ...] = ("all",)
     displacement: Floats | None = None
+    spring: Spring | None = None
 
     def __post_init__(self) -> None:
         if not re.match(NAME, self.name):
@@ -53,15 +67,25 @@ class Parameter:
             )
         if not (np.isfinite([self.low, self.high]).all() and self.low < self.high):
             raise self._refuse_range("[LOW, HIGH] with LOW < HIGH")
-        if self.kind in ("young", "density") and not self.low > 0:
+        if self.kind in ("young", "density", "spring") and not self.low > 0:
             raise self._refuse_range("positive values")
-        if self.kind in DAMPING and self.low < 0:
+        if self.kind in (*DAMPING, "preload") and self.low < 0:
             raise self._refuse_range("values of zero or more")
         if not self.low <= self.nominal <= self.high:
             raise InputError(
                 f"parameter {self.name}: nominal = {self.nominal:g} lies outside [{self.low:g}, {self.high:g}]; widen "
                 "the range, or give another nominal value"
             )
+
+        if (self.kind == "spring") != (self.spring is not None):
+            raise InputError(f"parameter {self.name}: a spring needs its stiffness, and only that")
+        if self.spring is not None:
+            k = self.spring.stiffness
+            if len(k) != 6 or not np.isfinite(k).all() or min(k) < 0 or not max(k) > 0:
+                raise InputError(
+                    f"parameter {self.name}: stiffness = {list(k)} was given; expected six numbers of zero or more, "
+                    "some of them above"
+                )
 
     def _refuse_range(self, expected: str) -> InputError:
         return InputError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from morembs.errors import InputError
 from morembs.interface import Interface, couple
 from morembs.linalg.congruence import congruence
 from morembs.model import FEModel, skew
-from morembs.model.assembly import mass_matrix, stiffness_matrix
+from morembs.model.assembly import mass_matrix
+from morembs.parametric.added import with_springs
 from morembs.parametric.law import Law
 from morembs.parametric.varied import VariedModel, varied_model
 from morembs.problem import Problem
@@ -31,7 +33,8 @@ class AffineProblem(Problem):
     """The coupled problem at nominal values of parameters, with the terms of which all others of its box are sums.
 
     ``K_terms``, ``M_terms`` (Nc, Nc) and ``law_K``, ``law_M`` give K(p) and M(p); B and the coupling are one for all.
-    ``rigid_terms`` (Nc, 6, 1 + morphs): the geometric rigid motions are R0 + sum_i t_i R_i, about a fixed pole.
+    Beside ``output``, the body file that is to be written, searches keep their steps. ``rigid_terms`` (Nc, 6, 1 +
+    morphs): the geometric rigid motions are R0 + sum_i t_i R_i, about a fixed pole.
 
     >>> with AffineProblem(varied, interfaces) as problem:
     ...     problem.at(problem.box.point({"E": 2e11})).K.shape
@@ -40,10 +43,12 @@ class AffineProblem(Problem):
 
     def __init__(
         self, varied: VariedModel, interfaces: Sequence[Interface] = (), *, damping: Damping | None = None,
-        budget: Budget | None = None, model: FEModel | None = None, **options: Any,
+        budget: Budget | None = None, model: FEModel | None = None, output: Path | None = None, **options: Any,
     ) -> None:  # fmt: skip
         nominal = varied.box.nominal
-        model = varied.model(nominal, budget or UNLIMITED) if model is None else model
+        bare, varied = varied, with_springs(varied, interfaces)
+        model = varied.model(nominal, budget or UNLIMITED) if model is None or varied is not bare else model
+        self.output = output
         self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
         _refuse_bent(varied, interfaces)
         given = self.box.damping(damping or Damping(), nominal)
@@ -52,7 +57,7 @@ class AffineProblem(Problem):
     @property
     def law_K(self) -> Law:
         """Coefficients a_q(p) of the stiffness."""
-        return self.varied.stiffness.law
+        return self.varied.law_K
 
     @property
     def law_M(self) -> Law:
@@ -62,7 +67,7 @@ class AffineProblem(Problem):
     @cached_property
     def K_terms(self) -> tuple[sp.csr_array, ...]:
         """The terms K_q (Nc, Nc), each on the pattern of its own elements."""
-        return tuple(self.stiffness_sum(theta) for theta in np.eye(len(self.varied.stiffness)))
+        return tuple(self.stiffness_sum(theta) for theta in np.eye(len(self.law_K.factors)))
 
     @cached_property
     def M_terms(self) -> tuple[sp.csr_array, ...]:
@@ -71,8 +76,7 @@ class AffineProblem(Problem):
 
     def stiffness_sum(self, theta: Floats) -> sp.csr_array:
         """sum_q theta_q K_q (Nc, Nc) for any coefficients (Q,)."""
-        terms = self.varied.stiffness
-        return self._coupled(stiffness_matrix(self.varied.graph, terms.combined(theta), self.budget))
+        return self._coupled(self.varied.stiffness_sum(theta, self.budget))
 
     def mass_sum(self, theta: Floats) -> sp.csr_array:
         """sum_j theta_j M_j (Nc, Nc) for any coefficients (J,)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -40,8 +41,9 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Chosen = dict[int, NDArray[np.bool_]]
-# Part of the tolerance of a body that the stiffness of a morph may take.
-SHARE = 0.01
+# Parts of the tolerance of a body that the stiffness of a morph may take, and that it takes where the terms of one
+# morph can give it: its error counts many times beside a resonance, and a point more costs one term.
+SHARE, FINE = 0.01, 2e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +77,8 @@ class VariedModel:
 
     ``morph`` holds the mesh without morphs; its element sets ``regions`` have one material each, and ``young`` and
     ``density`` say which parameter (-1: none) gives that of each region. ``eps`` limits what the interpolation of
-    volumes makes of the stiffness: (1 - eps) x'Kx <= x'K~x <= (1 + eps) x'Kx for the assembled K.
+    volumes makes of the stiffness: (1 - eps) x'Kx <= x'K~x <= (1 + eps) x'Kx for the assembled K. ``added`` are
+    numbers of parameters with matrices (N, N) that join K by their factor: springs and preloads.
     """
 
     parameters: tuple[Parameter, ...]
@@ -92,6 +95,34 @@ class VariedModel:
     mass_integration: str
     seams: bool
     warnings: tuple[str, ...]
+    added: tuple[tuple[int, sp.csr_array], ...] = ()
+
+    @cached_property
+    def law_K(self) -> Law:
+        """Coefficients of the terms of the stiffness: those of elements, then those that are ``added``."""
+        law, P = self.stiffness.law, len(self.parameters)
+        rows = np.full((len(self.added), P), ONE)
+        for row, (number, _) in zip(rows, self.added, strict=True):
+            row[number] = LINEAR
+        factors, points = np.vstack([law.factors, rows]), law.points
+        if "preload" in self.box.kinds:
+            # Its stiffness may be negative: what holds on the box is told by the corners of all that K depends on.
+            ends = np.array([self.box.low, self.box.high]).T
+            linear = (factors == LINEAR).any(axis=0)
+            points = tuple(each if not used else end for each, used, end in zip(points, linear, ends, strict=True))
+        return Law(factors=factors, points=points)
+
+    def stiffness_sum(self, theta: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+        """sum_q theta_q K_q (N, N) for any coefficients (Q,)."""
+        own = len(self.stiffness)
+        K = stiffness_matrix(self.graph, self.stiffness.combined(theta[:own]), budget)
+        return self._with_added(K, theta[own:])
+
+    def _with_added(self, K: sp.csr_array, theta: Floats) -> sp.csr_array:
+        for factor, (_, A) in zip(theta, self.added, strict=True):
+            if factor:
+                K = sp.csr_array(K + factor * A)
+        return K
 
     def materials(self, p: Floats) -> tuple[Material, ...]:
         """The material of each region at ``p`` (P,)."""
@@ -105,7 +136,7 @@ class VariedModel:
 
     def model(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
         """The model at ``p`` (P,) from the terms."""
-        K = stiffness_matrix(self.graph, self.stiffness.combined(self.stiffness.law(p)), budget)
+        K = self.stiffness_sum(self.law_K(p), budget)
         M = mass_matrix(self.graph, self.mass.combined(self.mass.law(p)), budget)
         return replace(self.outline(p), K=K, M=M)
 
@@ -121,10 +152,11 @@ class VariedModel:
 
     def assembled(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
         """The model at ``p`` (P,) by direct integration, of which the terms know nothing."""
-        return assemble(
+        model = assemble(
             self.morph.moved(p), self.materials(p), mass_integration=self.mass_integration, seams=self.seams,
             budget=budget,
         )  # fmt: skip
+        return replace(model, K=self._with_added(model.K, self.law_K(p)[len(self.stiffness) :]))
 
     def volume_ratios(self) -> tuple[Ints, VolumeRatios]:
         """Which parameter (-1: none) gives the density of each group of elements, and how far volumes in it change."""
@@ -153,7 +185,7 @@ def varied_model(
     mesh, regions, young, density = regions_of(mesh, materials, parameters)
     morph = Morph.of(mesh, parameters)
     morph.check(lambda block: (_stiffness_rule(block), _mass_rule(block, mass_integration)))
-    points, eps = morph.points_for(SHARE * tolerance)
+    points, eps = morph.points_for(SHARE * tolerance, (FINE if len(morph.which) == 1 else SHARE) * tolerance)
     make = _Maker(morph, graph, regions, mass_integration, budget, progress)
     return VariedModel(
         parameters=tuple(parameters), box=box, morph=morph, graph=graph, regions=regions, young=young,

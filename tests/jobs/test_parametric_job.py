@@ -1,17 +1,30 @@
 """Jobs with [[parameter]]: what they take, what they refuse, and the page that shows them."""
 
+import json
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
+import meshio
 import numpy as np
 import pytest
+import scipy.linalg as sl
+from typer.testing import CliRunner
 
+from morembs.body.file import read_body
+from morembs.cli import app
 from morembs.errors import InputError
+from morembs.interface import make_interface
 from morembs.jobs.check import check_job
 from morembs.jobs.inputs import mesh_of
 from morembs.jobs.job import load_job
 from morembs.jobs.parameters import parameters_of
+from morembs.model.assembly import assemble
 from morembs.parametric.terms import AffineProblem, varied_model
+from morembs.problem import Problem
+from tests.support.meshes import box
 from tests.support.parametric import BRACKET, STEEL, bracket, interfaces, longer, parameters, parametric_file
 
 PAGE = (Path(__file__).parents[2] / "docs" / "parametric.md").read_text()
@@ -51,14 +64,21 @@ def test_the_job_of_the_page_has_its_parameters_in_si_units(folder):
     assert check_job(loaded).coupled_dofs == 1839
 
 
-def test_the_program_of_the_page_runs(folder, monkeypatch):
-    monkeypatch.chdir(folder)
+@pytest.fixture(scope="module")
+def bracket_file(tmp_path_factory):
     mesh = bracket()
     varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
-        parametric_file("bracket.h5", problem, name="parametric", nodes="skin")
+        return parametric_file(
+            tmp_path_factory.mktemp("bracket") / "bracket.h5", problem, name="parametric", nodes="skin"
+        )
+
+
+def test_the_program_of_the_page_runs(bracket_file, tmp_path, monkeypatch):
+    shutil.copyfile(bracket_file, tmp_path / "bracket.h5")
+    monkeypatch.chdir(tmp_path)
     exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
-    assert (folder / "at.h5").exists()
+    assert (tmp_path / "at.h5").exists()
 
 
 def test_a_morph_may_be_another_mesh(folder):
@@ -87,7 +107,11 @@ def test_elements_may_be_chosen_by_the_place_of_their_centres(folder):
     ("change", "message"),
     [
         (('property = "young"', 'property = "yong"'), "did you mean 'young'"),
-        (('property = "young"', 'property = "spring"'), "not supported yet"),
+        (('property = "young"', 'property = "speed"'), r"a table \[spin\] gives one body for all speeds"),
+        (('property = "young"', 'property = "spring"'), "a spring needs interface and stiffness"),
+        (('property = "young"', 'property = "preload"'), "set was given beside property = 'preload'"),
+        (("range = [-3.0, 3.0]", 'range = [-3.0, 3.0]\nto = "TIP"'), "to was given .*morph.* belongs to a spring"),
+        (("[[reduce]]", "[preload]\nwrench = { TIP = [1, 0, 0, 0, 0, 0] }\n[[reduce]]"), "0 parameters with property"),
         (('"Volume2", ', '"Volume22", '), "did you mean 'Volume2'"),
         (("range = [1.5e5, 2.7e5]", "range = [2.7e5, 1.5e5]"), r"expected \[LOW, HIGH\]"),
         (("range = [1.5e5, 2.7e5]", "range = [0, 2.7e5]"), "positive values"),
@@ -151,3 +175,149 @@ def test_another_mesh_must_have_the_same_nodes(folder):
     (folder / "block.msh").write_bytes((BRACKET.parent / "block.msh").read_bytes())
     with pytest.raises(InputError, match=r"block.msh has \d+ nodes, bracket.inp 844; a morph needs the same labels"):
         parameters_in(folder, ('displacement = "longer.csv"', 'mesh = "block.msh"'))
+
+
+BEAM = """
+[model]
+mesh = "beam.vtk"
+units = "mm-t-s"
+[[material]]
+young = {young}
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "root"
+nodes = "box:0,0,0,0,20,20"
+[[interface]]
+name = "tip"
+nodes = "box:500,0,0,500,20,20"
+{more}
+[[reduce]]
+name = "beam"
+method = "{method}"
+{options}
+[output]
+path = "{method}.h5"
+"""
+YOUNG = """
+[[parameter]]
+name = "E"
+property = "young"
+range = [1.5e5, 2.5e5]
+"""
+SEARCH = "band_hz = [0, 3000]\ntolerance = 1e-2\ntraining = 8"
+PULLED = "[preload]\nwrench = {{ root = [{0}, 0, 0, 0, 0, 0], tip = [{1}, 0, 0, 0, 0, 0] }}\n"
+
+
+def beam(folder, method, options, more, young=2.1e5):
+    """The body file of a beam, written by the command line."""
+    mesh = box("hex20", (6, 1, 1), (500.0, 20.0, 20.0))
+    cells = [("hexahedron20", mesh.blocks[0].nodes)]
+    meshio.Mesh(np.array(mesh.nodes.xyz), cells).write(folder / "beam.vtk", binary=True)
+    (folder / f"{method}.toml").write_text(BEAM.format(method=method, options=options, more=more, young=young))
+    result = CliRunner().invoke(app, ["reduce", str(folder / f"{method}.toml")])
+    assert result.exit_code == 0, result.stderr
+    return folder / f"{method}.h5"
+
+
+def at_values(path, values):
+    result = CliRunner().invoke(app, ["evaluate", str(path), "--at", values, "-o", str(path.with_name("at.h5"))])
+    assert result.exit_code == 0, result.stderr
+    return next(iter(read_body(path.with_name("at.h5")).bodies.values()))
+
+
+def test_a_preload_is_a_factor_of_the_loads_of_the_job(tmp_path):
+    load = '[[parameter]]\nname = "f"\nproperty = "preload"\nrange = [0, 2]\n'
+    path = beam(tmp_path, "parametric", SEARCH, PULLED.format(-4e4, 4e4) + YOUNG + load)
+    found = at_values(path, "f=1.75,E=1.8e11")
+    plain = beam(tmp_path, "craig-bampton", "modes = 40", PULLED.format(-7e4, 7e4), young=1.8e5)
+    expected = next(iter(read_body(plain).bodies.values()))
+    np.testing.assert_allclose(found.frequencies_hz[6:9], expected.frequencies_hz[6:9], rtol=1e-4)
+    assert found.floating is not None
+    rest = at_values(path, "f=0,E=1.8e11")
+    assert expected.frequencies_hz[6] > 1.02 * rest.frequencies_hz[6]
+
+
+def test_the_spring_of_the_page_holds_a_body(tmp_path):
+    spring = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[1].replace("FOOT", "root")
+    found = at_values(beam(tmp_path, "parametric", SEARCH, YOUNG + spring), "k=3,E=1.8e11")
+    model = assemble(box("hex20", (6, 1, 1), (0.5, 0.02, 0.02)), [replace(STEEL, stiffness=STEEL.stiffness * 6 / 7)])
+    ends = [
+        make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(model.nodes.xyz[:, 0], x)))
+        for name, x in (("root", 0.0), ("tip", 0.5))
+    ]
+    with Problem(model, ends) as free:
+        F = free.coupling.frames[:, free.coupling.frame_columns["root"]].toarray()
+        K = free.K.toarray() + 3.0 * F @ np.diag([3e7, 3e7, 3e7, 1e3, 1e3, 1e3]) @ F.T
+        true = np.sqrt(sl.eigh(K, free.M.toarray(), eigvals_only=True, subset_by_index=[0, 4])) / (2 * np.pi)
+    np.testing.assert_allclose(found.frequencies_hz[:5], true, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """The file of a beam with its modulus as a parameter, and what its comparison with another reduction says."""
+    folder = tmp_path_factory.mktemp("compared")
+    second = '\n[[reduce]]\nname = "fixed"\nmethod = "craig-bampton"\nmodes = 30'
+    path = beam(folder, "parametric", SEARCH + second + "\n[certify]\nband_hz = [0, 3000]", YOUNG)
+    result = CliRunner().invoke(app, ["compare", str(path.with_suffix(".toml")), "--json"])
+    assert result.exit_code == 0, result.stderr
+    return path, json.loads(result.stdout)
+
+
+def test_a_comparison_is_of_nominal_values(compared):
+    found = {each["name"]: each for each in compared[1][0]["contenders"]}
+    assert found["beam"]["bound"] < 1e-2 and found["fixed"]["method"] == "craig-bampton"
+
+
+def test_a_part_of_an_assembly_takes_values(compared, tmp_path):
+    path, _ = compared
+    parts = '[[substructure]]\nname = "{}"\nbody = "{}"\nreduction = "beam"\nposition = [{}, 0, 0]\n{}\n'
+    job = """[[couple]]
+between = ["a:tip", "b:root"]
+[model]
+units = "mm-t-s"
+[[reduce]]
+method = "modal"
+modes = 6
+[output]
+path = "two.h5"
+"""
+
+    def frequencies(first, given):
+        text = parts.format("a", first, 0, given) + parts.format("b", path, 500, "") + job
+        (tmp_path / "two.toml").write_text(text)
+        result = CliRunner().invoke(app, ["reduce", str(tmp_path / "two.toml")])
+        if result.exit_code:
+            return result.stderr
+        return next(iter(read_body(tmp_path / "two.h5").bodies.values())).frequencies_hz
+
+    at = tmp_path / "soft.h5"
+    command = ["evaluate", str(path), "--body", "beam", "--at", "E=1.6e11", "-o", str(at)]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    soft = frequencies(path, "at = { E = 1.6e11 }")
+    np.testing.assert_allclose(soft[6:], frequencies(at, "")[6:], rtol=1e-9)
+    assert soft[6] < 0.97 * frequencies(path, "")[6]
+    error = " ".join(frequencies(path, "at = { E = 1e11 }").split())
+    assert "substructure 'a': at was given: E = 1e+11 lies outside [1.5e+11, 2.5e+11]" in error
+    error = " ".join(frequencies(at, "at = { E = 1.6e11 }").split())
+    assert "substructure 'a': at was given: body 'beam' has no parameters" in error
+
+
+def test_motions_are_recovered_on_the_mesh_of_a_value(bracket_file, tmp_path):
+    body = read_body(bracket_file).bodies["parametric"].parametric
+    n = len(body.at().M)
+    q = np.random.default_rng(4).standard_normal((2, n)) * 1e-9
+    np.savez(tmp_path / "motion.npz", times=[0.0, 1.0], coordinates=q)
+    out = tmp_path / "motion.vtkhdf"
+    command = ["recover", str(bracket_file), str(tmp_path / "motion.npz"), "-o", str(out), "--at", "t=2"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2 and "give --no-stress too" in " ".join(result.stderr.split())
+    result = CliRunner().invoke(app, [*command, "--no-stress"])
+    assert result.exit_code == 0, result.stderr
+    with h5py.File(out) as file:
+        points, shown = file["VTKHDF/Points"][()], file["VTKHDF/PointData/displacement"][()]
+    places, nominal = body.at(t=2.0).bodies.coordinates, body.source.coordinates
+    np.testing.assert_allclose(points[: len(places)], places, atol=1e-7)
+    assert np.abs(places - nominal).max() == pytest.approx(2e-3)
+    basis = np.asarray(body.stored.basis()).reshape(len(places), 3, n)
+    np.testing.assert_allclose(shown[: len(places)], basis @ q[0], rtol=1e-5, atol=1e-15)

@@ -139,7 +139,7 @@ def test_rigid_terms_are_the_rigid_motions_of_the_moved_model(morphed):
 
 
 def test_a_morph_has_the_matrices_assembled_on_the_moved_mesh(morphed):
-    assert morphed.varied.points == 8
+    assert morphed.varied.points == 12
     rng = np.random.default_rng(3)
     for p in random_values(morphed, 2):
         with morphed.at(p) as terms, morphed.at(p, assembled=True) as exact:

@@ -156,11 +156,14 @@ def gives_the_restitution_of_each_law(text):
 def keeps_its_limit_in_the_full_model(text):
     # Models assembled at the values know nothing of the basis.
     full = number(r"full model (\S+) Hz", text)
-    assert full == pytest.approx(1365.0, rel=1e-4)
-    assert number(r"mass (\S+) of the nominal one", text) < 0.99
-    assert number(r"against full models (\S+)", text) < 1e-2
-    rows = re.findall(r"updated \S+ = (\S+) \+- (\S+), hidden (\S+)", text)
-    assert len(rows) == 3 and all(abs(float(p) - float(true)) < 3 * float(sigma) for p, sigma, true in rows)
+    assert full == pytest.approx(1325.0, rel=1e-4)
+    assert number(r"mass (\S+) of nominal", text) < 0.98
+    # The frequency ends the depth, not its range.
+    assert -0.19 < number(r"t (\S+) mm", text) < 0.19
+    assert number(r"against full models (\S+)", text) < 1e-4
+    # About 95 of 100 draws are.
+    rows = [tuple(map(int, row)) for row in re.findall(r"hidden \S+; (\d+) of (\d+) draws", text)]
+    assert len(rows) == 3 and all(within >= 0.7 * count for within, count in rows)
 
 
 PROMISES = {

@@ -1,0 +1,97 @@
+"""A search that was killed goes on where it was, and gives the same body."""
+
+import os
+import signal
+
+import h5py
+import numpy as np
+
+from morembs.jobs.job import load_job
+from morembs.jobs.run import run_job
+from tests.support.parametric import BRACKET
+from tests.support.processes import apart
+
+JOB = """
+[model]
+mesh = "bracket.inp"
+units = "mm-t-s"
+[[material]]
+young = 2.1e5
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "TIP"
+nodes = "set:TIP"
+[[parameter]]
+name = "E"
+property = "young"
+set = ["Volume2", "Volume3", "Volume4", "Volume5"]
+range = [0.5e5, 2.7e5]
+[[reduce]]
+method = "parametric"
+band_hz = [0, 12000]
+tolerance = 1e-5
+training = 3
+[output]
+path = "bracket.h5"
+"""
+
+
+class Told:
+    """Progress that keeps what it is told, and calls ``then`` at some text."""
+
+    def __init__(self, text="", then=lambda: None):
+        self.text, self.then, self.told = text, then, []
+
+    def stage(self, name):
+        pass
+
+    def update(self, text):
+        self.told.append(text)
+        if self.text and self.text in text:
+            self.then()
+
+
+def killed():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def reduced(folder, progress=None, job=JOB):
+    folder.mkdir(exist_ok=True)
+    (folder / "bracket.inp").write_bytes(BRACKET.read_bytes())
+    (folder / "job.toml").write_text(job)
+    run_job(load_job(folder / "job.toml"), progress or Told())
+    return datasets(folder / "bracket.h5")
+
+
+def datasets(path):
+    held = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: held.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return {name: np.asarray(value).tobytes() for name, value in held.items() if not name.startswith("provenance")}
+
+
+def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
+    told = Told()
+    straight = reduced(tmp_path / "straight", told)
+    assert any("from 3 values of p" in text for text in told.told)
+    folder = tmp_path / "killed"
+    ended = apart(lambda: reduced(folder, Told("from 3 values of p", killed)), tmp_path)
+    assert ended.code == -signal.SIGKILL, ended.errors
+    kept = sorted(folder.glob("bracket.h5*"))
+    assert len(kept) == 3 and all(".search-" in file.name for file in kept)
+    # What is whole is read and not written again; the last one is damaged, and made anew.
+    kept[2].write_bytes(kept[2].read_bytes()[:-200])
+    before, after = ([file.stat().st_mtime_ns for file in kept], [])
+    again = Told("from 3 values of p", lambda: after.extend(file.stat().st_mtime_ns for file in kept))
+    assert reduced(folder, again) == straight
+    assert after[:2] == before[:2] and after[2] > before[2]
+    assert sorted(file.name for file in folder.iterdir()) == ["bracket.h5", "bracket.inp", "job.toml"]
+
+
+def test_steps_of_another_model_are_not_taken(tmp_path):
+    folder, other = tmp_path / "killed", JOB.replace("7.85e-9", "7.7e-9").replace("1e-5", "1e-2")
+    ended = apart(lambda: reduced(folder, Told("from 1 values of p", killed)), tmp_path)
+    assert ended.code == -signal.SIGKILL, ended.errors
+    assert reduced(folder, job=other) == reduced(tmp_path / "straight", job=other)
+    assert not list(folder.glob("*.search-*"))
