@@ -1,6 +1,7 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
 from morembs.moved import renamed
+from morembs.nonlinear.beam_body import BeamBody, beam_pieces
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
@@ -20,6 +21,7 @@ _OLD_NAMES = {
 
 __all__ = [
     "Angle",
+    "BeamBody",
     "EquilibriumPath",
     "FullMember",
     "LeftTablesError",
@@ -34,6 +36,7 @@ __all__ = [
     "Section",
     "SpatialBeam",
     "SpatialSection",
+    "beam_pieces",
     "equilibrium",
     "follow_equilibrium",
     "simulate",
