@@ -1,6 +1,8 @@
 """Chains of pieces in floating frames: against exact beams in space, beam theory, and themselves moved."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,6 +107,13 @@ def test_a_solid_strip_in_pieces_is_as_flexible_as_a_beam():
         exact = 1e-3 * 0.3**3 / (3 * 1e7 * width * height**3 / 12)
         # Rigid ends and cuts keep the section from contracting.
         assert 0.95 < sign * sag[axis] / exact < 1.0
+
+
+def test_the_example_of_the_document(capsys):
+    text = (Path(__file__).parents[2] / "docs" / "multibody.md").read_text()
+    (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
+    exec(compile(code, "multibody.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("1 [")
 
 
 def test_materials_and_sets_go_with_their_elements():
