@@ -96,6 +96,21 @@ def test_damping_takes_what_its_power_says_and_nothing_of_rigid_motion():
     assert thrown.power(*thrown.start()) == pytest.approx(0, abs=1e-20)
 
 
+@pytest.mark.parametrize("elements", [1, 5])
+def test_slopes_are_derivatives_of_the_forces(elements):
+    rng = np.random.default_rng(4)
+    body = BeamBody(SpatialBeam.arc(1.0, 1.2, elements, SOFT), damping=0.02)
+    x = body.moved(body.start()[0], 0.3 * rng.standard_normal(body.size))
+    v, d = rng.standard_normal((2, body.size))
+
+    def force(a, b):
+        return body.dynamics(0.0, body.moved(x, a * d), v + b * d, np.zeros(3))[1]
+
+    for slope, (a, b) in zip(body.slopes(0.0, x, v), ((1e-5, 0), (0, 1e-5)), strict=True):
+        exact = (force(a, b) - force(-a, -b)) / 2e-5
+        assert np.abs(slope @ d - exact).max() < 1e-4 * np.abs(exact).max()
+
+
 def test_bad_input_is_named():
     beam = SpatialBeam.straight(1.0, 2, SOFT)
     with pytest.raises(InputError, match=r"damping = -1"):
