@@ -1,16 +1,18 @@
-"""A long member as a chain of equal pieces that share one table, and runs that find out how many are needed."""
+"""A long, curved or bent member as a chain of pieces, and runs that find out how many are needed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.gmp.data import Formulation
 from morembs.gmp.member import ReducedMember
 from morembs.nonlinear.mechanism import Angle, Mechanism, Point
 from morembs.nonlinear.nodal import LeftTablesError, MechanismMotion, simulate
@@ -23,65 +25,159 @@ _WITHIN = 0.75
 
 @dataclass(frozen=True, eq=False)
 class DividedMember:
-    """``pieces`` of one ``member``, end to end with common frames; from ``divided_member``."""
+    """``members`` end to end with common frames, equal ones the same; from ``divided_member``.
 
-    member: ReducedMember
-    pieces: int
+    ``places`` (pieces + 1, 2) m of their ends and ``directions`` (pieces,) rad of their chords without load, along the
+    chord of the whole, which leaves the origin along x.
+    """
+
+    members: tuple[ReducedMember, ...]
+    places: Floats
+    directions: Floats
+
+    @property
+    def pieces(self) -> int:
+        """Their number."""
+        return len(self.members)
 
     @property
     def length(self) -> float:
         """Distance of its ends without load, m."""
-        return self.pieces * self.member.length
+        return float(self.places[-1, 0])
 
     def add(
         self, mechanism: Mechanism, first: Point, second: Point, *, start: Angle | None = None, end: Angle | None = None
     ) -> range:
         """Put the chain from point to point, as ``Mechanism.add`` does a member; the numbers of its members.
 
+        ``start`` and ``end`` are those of the chord from point to point, as for one member.
+
         Raises:
             InputError: points or angles at which it would have strain at the start.
         """
         step = second.position - first.position
-        direction = math.atan2(step[1], step[0])
+        direction, distance = math.atan2(step[1], step[0]), float(np.hypot(*step))
+        if abs(distance - self.length) > 1e-6 * self.length:
+            raise InputError(
+                f"the points of a divided member are {distance:.6g} m apart; expected {self.length:.6g} m, the "
+                "distance of its ends"
+            )
+        for given in (start, end):
+            if given is not None and abs(given.value - direction) > 1e-6:
+                raise InputError(
+                    f"an angle of {given.value:.6g} rad was given for a divided member whose chord is along "
+                    f"{direction:.6g} rad; expected the same number, also where its axis leaves the chord"
+                )
+        c, s = math.cos(direction), math.sin(direction)
+        placed = first.position + self.places @ np.array([[c, s], [-s, c]])
+        points = [first, *(mechanism.point(place) for place in placed[1:-1]), second]
+        turns = direction + self.directions
+        angles = [start, *(mechanism.angle(float(turn)) for turn in turns[1:]), end]
         count = len(mechanism.members)
-        inner = [mechanism.point(first.position + step * k / self.pieces) for k in range(1, self.pieces)]
-        points = [first, *inner, second]
-        angles = [start, *(mechanism.angle(direction) for _ in range(1, self.pieces)), end]
-        for k in range(self.pieces):
-            mechanism.add(self.member, points[k], points[k + 1], start=angles[k], end=angles[k + 1])
+        for k, (member, turn) in enumerate(zip(self.members, turns.tolist(), strict=True)):
+            ends = [None if angle is None else _seen(angle, turn) for angle in angles[k : k + 2]]
+            mechanism.add(member, points[k], points[k + 1], start=ends[0], end=ends[1])
         return range(count, count + self.pieces)
 
     def nodes(self, motion: MechanismMotion, numbers: range) -> Floats:
-        """(T, n, 3) x, y in m and rotation in rad of all nodes of the beam, from the ``numbers`` that ``add`` gave."""
-        parts = [self.member.nodes(motion.x[k]).T.reshape(len(motion.times), -1, 3) for k in numbers]
+        """(T, n, 3) x, y in m and rotation in rad of all nodes of the beam, from the ``numbers`` that ``add`` gave.
+
+        Rotations count from the chord of their piece without load.
+        """
+        parts = [
+            member.nodes(motion.x[k]).T.reshape(len(motion.times), -1, 3)
+            for k, member in zip(numbers, self.members, strict=True)
+        ]
         return np.concatenate([parts[0], *(part[:, 1:] for part in parts[1:])], axis=1)
 
 
-def divided_member(beam: PlanarBeam, pieces: int, **options: Any) -> DividedMember:
-    """A straight beam of equal elements as a chain of equal pieces, which share one table.
+def _seen(angle: Angle, value: float) -> Angle:
+    """The same angle for a member along ``value``: both turn as one, rigidly joined."""
+    offset, motion = value - angle.value, angle.motion
+    if offset == 0 or angle.number < 0:
+        return Angle(value, angle.number, motion)
+    return Angle(value, angle.number, lambda t: offset + (0.0 if motion is None else motion(t)))
+
+
+def divided_member(
+    beam: PlanarBeam, pieces: int, *, formulation: Formulation | Literal["auto"] = "auto", **options: Any
+) -> DividedMember:
+    """A beam as a chain of pieces; equal ones share one table.
+
+    It is cut at its corners, and between them where the part of the length plus the part of the turning angle has
+    grown by equal amounts: a circle at equal angles, a straight beam at equal lengths.
 
     Args:
-        beam: straight, with a number of elements that ``pieces`` divides.
-        pieces: one or more; ``divide_until_within`` finds how many.
-        options: of ``ReducedMember``, for one piece.
+        beam: straight or curved, its elements at least as many as ``pieces``; ``PlanarBeam.along`` makes one of a line.
+        pieces: one or more, and more than there are corners; ``divide_until_within`` finds how many.
+        formulation: "auto" is "foreshortened". Curved pieces have no "membrane".
+        options: of ``ReducedMember``, for each piece.
 
     Raises:
-        InputError: a beam that is not straight and even, or that does not divide.
+        InputError: a number of pieces that is too small or too large; of ``ReducedMember``.
     """
-    elements, lengths = len(beam.lengths), beam.lengths
-    nodes = beam.reference.reshape(-1, 3)
-    if np.abs(nodes[:, 1:]).max() > 1e-9 * lengths.sum() or np.ptp(lengths) > 1e-9 * lengths.max():
+    kind: Formulation = "foreshortened" if formulation == "auto" else formulation
+    line, cuts = _line(beam), _cuts(beam, pieces)
+    made: dict[bytes, ReducedMember] = {}
+    members = []
+    for a, b in pairwise(cuts):
+        piece = _piece(beam, a, b)
+        # Pieces that differ by less than round-off are one.
+        shape = (piece.reference / beam.lengths.sum(), piece.directions.ravel())
+        key = (np.round(np.concatenate(shape) / 1e-9).astype(np.int64)).tobytes()
+        if key not in made:
+            made[key] = ReducedMember(piece, formulation=kind, **options)
+        members.append(made[key])
+    steps = np.diff(line[cuts], axis=0)
+    return DividedMember(tuple(members), line[cuts], np.arctan2(steps[:, 1], steps[:, 0]))
+
+
+def _piece(beam: PlanarBeam, a: int, b: int) -> PlanarBeam:
+    """Elements ``a`` to ``b``, the last one excluded."""
+    nodes = np.repeat(beam.reference.reshape(-1, 3)[a : b + 1], 2, axis=0)[1:-1]
+    nodes[:, 2] = beam.directions[a:b].ravel()
+    return PlanarBeam.along(nodes, beam.section, corrected=beam.corrected)
+
+
+def _line(beam: PlanarBeam) -> Floats:
+    """Nodes (n, 2) from the start, x along the chord."""
+    nodes = beam.reference.reshape(-1, 3)[:, :2]
+    step = nodes[-1] - nodes[0]
+    c, s = step / np.hypot(*step)
+    return np.asarray((nodes - nodes[0]) @ np.array([[c, -s], [s, c]]))
+
+
+def _cuts(beam: PlanarBeam, pieces: int) -> list[int]:
+    """Numbers of the nodes where pieces end, the first and the last included."""
+    elements, turns = len(beam.lengths), beam.directions
+    bends = np.abs(turns[:, 1] - turns[:, 0])
+    corners = np.flatnonzero(np.abs(turns[1:, 0] - turns[:-1, 1]) > 1e-6) + 1
+    if not len(corners) < pieces <= elements:
         raise InputError(
-            "a beam that is curved, or has elements of different lengths, was given; expected a straight one"
+            f"{pieces} pieces of a beam of {elements} elements with {len(corners)} corners were asked for; expected "
+            f"{len(corners) + 1} to {elements}"
         )
-    if pieces < 1 or elements % pieces:
-        fitting = [str(k) for k in range(1, elements + 1) if elements % k == 0]
-        raise InputError(
-            f"{pieces} pieces of {elements} elements were asked for; expected a number that divides them: "
-            f"{', '.join(fitting)}"
-        )
-    piece = PlanarBeam.straight(float(lengths.sum()) / pieces, elements // pieces, beam.section)
-    return DividedMember(ReducedMember(piece, **options), pieces)
+    share = beam.lengths / beam.lengths.sum()
+    if bends.sum() > 1e-6:
+        share = (share + bends / bends.sum()) / 2
+    along = np.concatenate(([0.0], np.cumsum(share)))
+    fixed = [0, *corners.tolist(), elements]
+    # To each part between corners at least one piece, the next one where pieces are longest.
+    spans = [along[b] - along[a] for a, b in pairwise(fixed)]
+    counts = [1] * len(spans)
+    for _ in range(pieces - len(spans)):
+        room = [
+            span / count if count < b - a else 0.0
+            for span, count, (a, b) in zip(spans, counts, pairwise(fixed), strict=True)
+        ]
+        counts[int(np.argmax(np.round(room, 9)))] += 1
+    cuts = [0]
+    for (a, b), count in zip(pairwise(fixed), counts, strict=True):
+        for k in range(1, count + 1):
+            target = along[a] + (along[b] - along[a]) * k / count
+            nearest = int(np.abs(along - target).argmin())
+            cuts.append(min(max(nearest, cuts[-1] + 1), b - (count - k)))
+    return cuts
 
 
 def divide_until_within(

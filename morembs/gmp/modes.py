@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
@@ -28,8 +29,10 @@ class BendingModes:
     excluded: Floats
 
 
-def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
+def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | None = None) -> BendingModes:
     """The lowest ``count`` modes of bending; modes of stretching are left out.
+
+    With ``stretch`` A (N,) they are those of K - K A A'K / A'KA, which that shape does not strain.
 
     Raises:
         InputError: the component has fewer, or is not stable without load.
@@ -38,14 +41,18 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
     free = np.setdiff1d(np.arange(component.size), held)
     if not isinstance(count, (int, np.integer)) or count < 0:
         raise InputError(f"{count!r} modes were given; expected a number of them, zero or more")
-    K, M = component.tangent(component.reference)[free][:, free], component.M[free][:, free]
+    full_K = component.tangent(component.reference)
+    K, M = full_K[free][:, free], component.M[free][:, free]
+    g = np.zeros(len(free))
+    if stretch is not None:
+        g = np.asarray((full_K @ stretch)[free] / np.sqrt(stretch @ (full_K @ stretch)))
     tried = count + max(4, count // 2)
     while True:
         if tried + 1 >= len(free) or len(free) <= _DENSE:
-            omega_squared, shapes = sl.eigh(K.toarray(), M.toarray())
+            omega_squared, shapes = sl.eigh(K.toarray() - np.outer(g, g), M.toarray())
         else:
             start = np.random.default_rng(7).standard_normal(len(free))
-            omega_squared, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start)
+            omega_squared, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start, OPinv=_inverse(K, g))
         if len(omega_squared) and omega_squared[0] <= 0:
             raise InputError("the component is not stable without load; expected a stable reference")
         full = np.zeros((component.size, len(omega_squared)))
@@ -69,3 +76,11 @@ def bending_modes(component: NonlinearComponent, count: int) -> BendingModes:
     last = omega_squared[kept[-1]] if count else 0.0
     excluded = omega_squared[(share >= _ALONG) & (omega_squared < last)]
     return BendingModes(Psi=Psi, squares=omega_squared[kept], excluded=excluded)
+
+
+def _inverse(K: sp.spmatrix, g: Floats) -> spl.LinearOperator:
+    """(K - g g')^-1 (Sherman and Morrison 1950)."""
+    solve = spl.splu(sp.csc_matrix(K)).solve
+    y = solve(g)
+    y /= np.sqrt(1 - g @ y)
+    return spl.LinearOperator(K.shape, matvec=lambda b: solve(b) + y * (y @ b), dtype=float)

@@ -7,9 +7,12 @@ e is the mean strain along the member. It enters as one square, so that V is bou
 the bent shape, H how they stretch any shape, which is tension stiffening. Four formulations:
 
 - linear: X linear in t, no c and H: the floating frame with component modes in the frame of the chord;
-- foreshortened: X to second order by static derivatives, c and H at the straight shape; no nonlinear solves;
-- membrane: X from the manifold, c and H from the geometry of the axis of a beam;
+- foreshortened: X to second order by static derivatives, c to first, H at the reference; no nonlinear solves;
+- membrane: X from the manifold, c and H from the geometry of the axis of a beam, straight without load;
 - tangent: X from the manifold, c, H and k from the tangent stiffness alone.
+
+A beam that is curved without load is stretched by its modes from the start. e holds that, so its modes Psi are those of
+the stiffness K less the part of e, K A A'K / A'KA (but for linear, whose stretch is the static one).
 """
 
 from __future__ import annotations
@@ -75,9 +78,11 @@ def shapes(
             f"formulation 'membrane' was given for a {type(component).__name__}; it needs the axis of a PlanarBeam. "
             "Take 'tangent'"
         )
-    kept, solver = bending_modes(component, modes), Solver(component)
-    available = _with_extra(component, modes, kept)
-    law = _Law(component, solver, available, modes)
+    solver = Solver(component)
+    mean = _mean_stretch(component, formulation)
+    kept = bending_modes(component, modes, mean)
+    available = _with_extra(component, modes, kept, mean)
+    law = _Law(component, solver, available, modes, mean)
     if formulation in ("membrane", "tangent"):
         tables = tabulated(
             BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan, progress
@@ -116,10 +121,36 @@ def _without_equilibria(law: _Law, plan: Plan) -> Report:
     )
 
 
-def _with_extra(component: NonlinearComponent, count: int, kept: BendingModes) -> BendingModes:
+def _mean_stretch(component: NonlinearComponent, formulation: Formulation) -> Floats | None:
+    """Uniform stretch (N,) of a beam that is not straight, None where modes take no part in it.
+
+    Raises:
+        InputError: such a beam with a formulation that knows only straight ones.
+    """
+    if not isinstance(component, PlanarBeam) or formulation == "linear":
+        return None
+    if np.abs(component.directions).max() < 1e-9:
+        return None
+    if formulation == "membrane":
+        raise InputError(
+            "formulation 'membrane' was given for a beam that is not straight; take 'tangent' or 'foreshortened'"
+        )
+    return _scaled(component, component.reference)
+
+
+def _scaled(component: NonlinearComponent, X: Floats) -> Floats:
+    """Uniform stretch of a shape: positions, no rotations."""
+    A, at = np.zeros_like(X), component.translations
+    A[at] = X[at]
+    return A
+
+
+def _with_extra(
+    component: NonlinearComponent, count: int, kept: BendingModes, stretch: Floats | None
+) -> BendingModes:
     for extra in range(EXTRA, 0, -1):
         try:
-            return bending_modes(component, count + extra)
+            return bending_modes(component, count + extra, stretch)
         except InputError:
             continue
     return kept
@@ -128,11 +159,13 @@ def _with_extra(component: NonlinearComponent, count: int, kept: BendingModes) -
 class _Law:
     """Samples of shapes of one component."""
 
-    def __init__(self, component: NonlinearComponent, solver: Solver, modes: BendingModes, count: int) -> None:
+    def __init__(
+        self, component: NonlinearComponent, solver: Solver, modes: BendingModes, count: int, mean: Floats | None
+    ) -> None:
         self.component, self.solver, self.count = component, solver, count
         self.Psi, self.length = modes.Psi, solver.length
         self.start: Equilibrium = solver.straight()
-        self.stretch = self._axial()
+        self.stretch = self._axial() if mean is None else mean
         self.K = component.tangent(self.start.X)
         self.angles = np.asarray(self.start.modes.T @ (self.K @ self.start.modes))
         self.k = float(self.stretch @ (self.K @ self.stretch))
@@ -149,10 +182,7 @@ class _Law:
         return shape
 
     def _along(self, X: Floats) -> Floats:
-        """Uniform stretch of a shape: positions, no rotations."""
-        A, at = np.zeros_like(X), self.component.translations
-        A[at] = X[at]
-        return A
+        return _scaled(self.component, X)
 
     def _slope(self, X: Floats, direction: Floats) -> Any:
         """Derivative of the tangent along a direction.
@@ -173,22 +203,22 @@ class _Law:
 
     def foreshortened(self, t: Floats) -> Sample:
         """With static second derivatives, and stretch by modes to first order in t."""
-        second, c1, H = self._expansion
+        second, c0, c1, H = self._expansion
         X = self.start.X + self.start.modes @ t + 0.5 * (second @ t) @ t
-        return Sample(X=X, A=self._along(X), k=self.k, c=c1 @ t, H=H)
+        return Sample(X=X, A=self._along(X), k=self.k, c=c0 + c1 @ t, H=H)
 
     @cached_property
-    def _expansion(self) -> tuple[Floats, Floats, Floats]:
-        """At t = 0: second derivatives of X (N, 2, 2), first of c (m + EXTRA, 2), and H."""
+    def _expansion(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """At t = 0: second derivatives of X (N, 2, 2), c (m + EXTRA,), its first derivatives (m + EXTRA, 2), and H."""
         free, Y = self.solver.free, self.start.modes
         factor = Factor(self.K[free][:, free])
         second, c1 = np.zeros((self.component.size, 2, 2)), np.zeros((self.Psi.shape[1], 2))
         for i in range(2):
             slope = self._slope(self.start.X, Y[:, i])
             second[free, :, i] = -factor.solve((slope @ Y)[free])
-            c1[:, i] = self.Psi.T @ (slope @ self.stretch) / self.k
-        second = 0.5 * (second + second.transpose(0, 2, 1))
-        return second, c1, self._stiffening(self.start.X, self.stretch, self.k)
+            c1[:, i] = self.Psi.T @ (slope @ self.stretch + self.K @ self._along(Y[:, i])) / self.k
+        second, c0 = 0.5 * (second + second.transpose(0, 2, 1)), self.Psi.T @ (self.K @ self.stretch) / self.k
+        return second, c0, c1, self._stiffening(self.start.X, self.stretch, self.k)
 
     def _stiffening(self, X: Floats, A: Floats, k: float) -> Floats:
         Psi = self.Psi[:, : self.count]

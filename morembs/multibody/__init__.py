@@ -30,6 +30,7 @@ from morembs.multibody.contact import (
     damping_factor,
     simulate_contact,
 )
+from morembs.multibody.divided import DividedBody, divided_body, divided_mesh, largest_turn
 from morembs.multibody.equilibrium import Equilibrium, equilibrium
 from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
 from morembs.multibody.joints import (
@@ -79,6 +80,7 @@ __all__ = [
     "ContactResult",
     "ContactTable",
     "Cylinder",
+    "DividedBody",
     "DrivenAngle",
     "DrivenPosition",
     "Energy",
@@ -125,8 +127,11 @@ __all__ = [
     "VectorComponent",
     "contact_table",
     "damping_factor",
+    "divided_body",
+    "divided_mesh",
     "equilibrium",
     "ground",
+    "largest_turn",
     "linearised",
     "local_response",
     "rotation",

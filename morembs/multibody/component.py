@@ -69,6 +69,13 @@ class Component(ABC):
     def power(self, x: Floats, v: Floats) -> float:
         """Power of inner forces that is not stored, W: minus the damping."""
 
+    def slopes(self, t: float, x: Floats, v: Floats) -> tuple[Floats, Floats] | None:
+        """Derivatives (k, k) of g by steps of x and by v, where M is constant and they come cheaper than one by one.
+
+        Only the speed of Newton's method depends on them. None: the simulator takes differences.
+        """
+        return None
+
     def deflection(self, x: Floats) -> float | None:
         """Largest displacement by linear elastic shapes per length of the body; None for all other components."""
         return None

@@ -57,7 +57,13 @@ def stiffness_and_damping(
                     C[:, column] += slope(faster, step, forces, base)
 
     for i, component in enumerate(assembly.components):
-        add([component], _inner(assembly, i, t, acceleration))
+        at = assembly.in_v[i]
+        own = None if central else component.slopes(t, x[assembly.in_x[i]], v[at])
+        if own is None:
+            add([component], _inner(assembly, i, t, acceleration))
+        else:
+            K[at, at] += own[0]
+            C[at, at] += own[1]
     for force in assembly.forces:
         add([m.component for m in force.markers], _loaded(assembly, force, t))
     for joint, r in zip(assembly.joints, assembly.in_rows, strict=True):

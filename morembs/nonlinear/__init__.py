@@ -1,6 +1,7 @@
 """Geometrically nonlinear components: exact beams, solids, their static equilibria, and motion in the plane."""
 
 from morembs.moved import renamed
+from morembs.nonlinear.beam_body import BeamBody, beam_pieces
 from morembs.nonlinear.chain import Chain, Link
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.continuation import EquilibriumPath, follow_equilibrium
@@ -22,6 +23,7 @@ _OLD_NAMES = {
 
 __all__ = [
     "Angle",
+    "BeamBody",
     "BeamInTube",
     "Chain",
     "EquilibriumPath",
@@ -40,6 +42,7 @@ __all__ = [
     "SpatialBeam",
     "SpatialSection",
     "Tube",
+    "beam_pieces",
     "equilibrium",
     "follow_equilibrium",
     "simulate",

@@ -63,6 +63,8 @@ class PlanarBeam:
         nodes: (n, 3) x, y (m) and direction of the axis (rad) of each node without load; straight or curved.
         section: one for all elements.
         corrected: add the flexibility of bending that varies along an element.
+        directions: (n - 1, 2) rad, of the axis at the start and at the end of each element, less the third numbers of
+            its nodes; see ``along``.
 
     The frames ``start`` and ``end`` are the first and the last node; coordinates are ordered node by node.
 
@@ -70,12 +72,18 @@ class PlanarBeam:
         InputError: fewer than two nodes, an element of no length or whose axis does not follow its nodes.
     """
 
-    def __init__(self, nodes: ArrayLike, section: Section, *, corrected: bool = True) -> None:
+    def __init__(
+        self, nodes: ArrayLike, section: Section, *, corrected: bool = True, directions: ArrayLike | None = None
+    ) -> None:
         table = np.asarray(nodes, dtype=float)
         if table.ndim != 2 or table.shape[1] != 3 or len(table) < 2 or not np.isfinite(table).all():
             raise InputError(f"nodes of a beam: shape {table.shape} was given; expected (n, 3) finite numbers, n >= 2")
-        self._nodes, self.section = table, section
-        step, half, turn = np.diff(table[:, :2], axis=0), (table[:-1, 2] + table[1:, 2]) / 2, np.diff(table[:, 2])
+        ends = np.zeros((len(table) - 1, 2)) if directions is None else np.asarray(directions, dtype=float)
+        if ends.shape != (len(table) - 1, 2) or not np.isfinite(ends).all():
+            raise InputError(f"directions of elements: shape {ends.shape} was given; expected ({len(table) - 1}, 2)")
+        self._nodes, self.section, self.corrected = table, section, corrected
+        self._half0, self._turn0 = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+        step, (half, turn) = np.diff(table[:, :2], axis=0), self._turns(table)
         if np.abs(turn).max() >= np.pi:
             raise InputError(
                 f"nodes of a beam: an element turns by {np.abs(turn).max():.3g} rad; expected less than pi, "
@@ -106,6 +114,37 @@ class PlanarBeam:
         nodes[:, 0] = np.linspace(0, length, elements + 1)
         return cls(nodes, section, corrected=corrected)
 
+    @classmethod
+    def along(cls, line: ArrayLike, section: Section, *, corrected: bool = True) -> PlanarBeam:
+        """A beam along a curved or bent line that can be a member: its chord on x from the origin, rotations zero.
+
+        ``line`` (n, 3) as ``nodes``; a position that is given twice, with two directions, is a rigid corner.
+
+        Raises:
+            InputError: as for ``PlanarBeam``; ends that meet.
+        """
+        table = np.array(line, dtype=float)
+        if table.ndim != 2 or table.shape[1] != 3 or len(table) < 2 or not np.isfinite(table).all():
+            raise InputError(f"line of a beam: shape {table.shape} was given; expected (n, 3) finite numbers, n >= 2")
+        chord = table[-1, :2] - table[0, :2]
+        size = float(np.ptp(table[:, :2], axis=0).max())
+        if not np.hypot(*chord) > 1e-6 * size:
+            raise InputError("the ends of the line of a beam meet; a member needs a chord, divide the line")
+        direction = math.atan2(chord[1], chord[0])
+        moved = _turned(np.full(len(table), direction), table[:, :2] - table[0, :2])
+        moved[-1, 1] = 0.0
+        long = np.hypot(*np.diff(moved, axis=0).T) > 1e-9 * size
+        places = np.concatenate(([True], long))
+        turns = np.column_stack((table[:-1, 2], table[1:, 2]))[long] - direction
+        nodes = np.column_stack((moved[places], np.zeros(places.sum())))
+        return cls(nodes, section, corrected=corrected, directions=turns)
+
+    @property
+    def directions(self) -> Floats:
+        """(elements, 2) rad, of the axis at the start and at the end of each element without load."""
+        half, turn = self._turns(self._nodes)
+        return np.column_stack((half - turn / 2, half + turn / 2))
+
     @property
     def size(self) -> int:
         return self._nodes.size
@@ -131,10 +170,14 @@ class PlanarBeam:
     def _assembled(self, blocks: Floats) -> sp.csr_matrix:
         return sp.coo_matrix((blocks.ravel(), (self._rows, self._columns)), shape=(self.size, self.size)).tocsr()
 
+    def _turns(self, table: Floats) -> tuple[Floats, Floats]:
+        """Per element: direction half way and relative rotation."""
+        return (table[:-1, 2] + table[1:, 2]) / 2 + self._half0, np.diff(table[:, 2]) + self._turn0
+
     def _states(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Per element: rotation half way (e,), relative rotation (e,), step in the turned frame (e, 2), strain."""
         table = np.reshape(x, (-1, 3))
-        half, turn = (table[:-1, 2] + table[1:, 2]) / 2, np.diff(table[:, 2])
+        half, turn = self._turns(table)
         p = _turned(half, np.diff(table[:, :2], axis=0))
         strain = np.column_stack((_screw(turn)[0][:, None] * p, turn)) / self.lengths[:, None] - self._strain0
         return half, turn, p, strain

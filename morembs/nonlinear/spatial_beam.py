@@ -100,7 +100,7 @@ class SpatialBeam:
         square = np.einsum("nij,nik->njk", axes, axes)
         if not (np.isfinite(xyz).all() and np.abs(square - np.eye(3)).max() < 1e-8 and np.linalg.det(axes).min() > 0):
             raise InputError("nodes and frames of a beam: expected finite positions and right-handed orthonormal axes")
-        self.nodes, self.section = xyz, section
+        self.nodes, self.section, self.corrected = xyz, section, corrected
         self._rotation = Rotation.from_matrix(axes)
         self._frames = self._rotation.as_matrix()
         helix = Helix.between(*self._ends(self.reference)[:3])
@@ -262,6 +262,33 @@ class SpatialBeam:
         free = ~np.isin(np.arange(self.size), np.asarray(held)).reshape(-1, 6)[:, 3:].any(axis=1)
         table[free, 3:] = shortened(table[free, 3:])
         return table.ravel()
+
+    def of_frames(
+        self, r: Floats, R: Floats, rates: Floats | None = None, damping: float = 0.0
+    ) -> tuple[float, Floats, float]:
+        """Strain energy (J), forces (n, 6) and power (W) of damping for positions r (n, 3) and sections R (n, 3, 3).
+
+        Forces are derivatives of the energy by steps along the fixed axes and by spins along those of the sections.
+        ``rates`` (n, 6) of both are damped by ``damping`` (s) times the stiffness of strains.
+        """
+        d = np.einsum("eji,ej->ei", R[:-1], np.diff(r, axis=0))
+        phi = Rotation.from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:]).as_rotvec()
+        helix = Helix.between(R[:-1], d, phi)
+        strain = np.hstack((helix.chord, helix.phi)) / self.lengths[:, None] - self._strain0
+        stress, power = self._C * strain, 0.0
+        energy = 0.5 * float(np.sum(self.lengths[:, None] * stress * strain))
+        if damping and rates is not None:
+            rate = helix.rates(rates.ravel()[self._dofs]) / self.lengths[:, None]
+            stress = stress + damping * self._C * rate
+            power = -damping * float(np.sum(self.lengths[:, None] * self._C * rate**2))
+        force = np.zeros(self.size)
+        np.add.at(force, self._dofs, helix.gradient(stress))
+        return energy, force.reshape(-1, 6), power
+
+    @property
+    def sections(self) -> Floats:
+        """Axes (n, 3, 3) of the sections without load, as columns."""
+        return np.array(self._frames)
 
     def moved(self, x: Floats, turn: Floats, step: Floats) -> Floats:
         """The configuration x after a rigid rotation ``turn`` (3, 3) about the origin and a ``step`` (3,) in m."""

@@ -70,12 +70,99 @@ def test_the_example_of_the_document(capsys):
     assert capsys.readouterr().out.startswith("2 [")
 
 
-def test_beams_that_do_not_divide_are_refused():
-    with pytest.raises(InputError, match=r"5 pieces of 24 elements.*1, 2, 3, 4, 6, 8, 12, 24"):
-        chain(5, 2, "linear")
-    bent = PlanarBeam([[0, 0, 0], [0.5, 0.05, 0.2], [1, 0.2, 0.4]], STRIP)
-    with pytest.raises(InputError, match="curved"):
-        divided_member(bent, 2, modes=1)
+def arc(elements, angle=np.pi / 2):
+    """A line of unit length that bends up."""
+    a = np.linspace(0, angle, elements + 1)
+    return np.column_stack((np.sin(a), 1 - np.cos(a), angle * a)) / angle
+
+
+def bent(elements):
+    """Half of a unit length along x, then half of it down."""
+    s, zero = np.linspace(0, 0.5, elements // 2 + 1), np.zeros(elements // 2 + 1)
+    down = np.column_stack((zero + 0.5, -s, zero - np.pi / 2))
+    return np.concatenate((np.column_stack((s, zero, zero)), down))
+
+
+@pytest.mark.parametrize(
+    ("line", "E", "tables", "rms"), [(arc(24), 1.2e7, 1, 1.6e-4), (bent(24), 8e7, 1, 1.6e-4)], ids=["arc", "bent"]
+)
+def test_pieces_follow_curved_and_bent_strips_that_fall(line, E, tables, rms):
+    section = Section.of(E=E, A=1.2e-4, I=0.02 * 0.006**3 / 12, density=1100)
+    beam = PlanarBeam.along(line, section)
+    full = FullMember(beam)
+    paths, divided = [], divided_member(beam, 6, modes=1)
+    assert len({id(member) for member in divided.members}) == tables
+    for add in (lambda m, a, b: m.add(full, a, b), divided.add):
+        mechanism = Mechanism(gravity=(0, -9.81))
+        numbers = add(mechanism, mechanism.point((0, 0), fixed="xy"), mechanism.point((full.length, 0)))
+        motion = simulate(mechanism, end=0.48, step=4e-3)
+        nodes = divided.nodes(motion, numbers) if numbers else None
+        tip = full.nodes(motion.x[0])[-3:-1].T if nodes is None else nodes[:, -1, :2]
+        paths.append(tip)
+    assert nodes[0, :, :2] == pytest.approx(beam.reference.reshape(-1, 3)[:, :2], abs=1e-9)
+    assert np.ptp(paths[0][:, 0]) > 0.3
+    assert np.sqrt(np.mean(np.sum((paths[1] - paths[0]) ** 2, axis=1))) < rms
+
+
+@pytest.mark.parametrize("formulation", ["linear", "foreshortened", "tangent"])
+def test_a_curved_piece_answers_small_loads_as_its_beam(formulation):
+    piece = PlanarBeam.along(arc(8, np.pi / 8), STRIP)
+    member = ReducedMember(piece, modes=3, formulation=formulation, reach=0.4)
+    K = member.at(member.start(np.array([0, 0, 0, member.length, 0, 0]))).stiffness[3:, 3:]
+    load = np.array([1.0, 0.3, 0.2])
+    tip = np.linalg.solve(K, np.concatenate((load, np.zeros(3))))[:3]
+    full = piece.tangent(piece.reference)[3:, 3:].toarray()
+    exact = np.linalg.solve(full, np.concatenate((np.zeros(len(full) - 3), load)))[-3:]
+    assert tip == pytest.approx(exact, rel=1e-9 if formulation == "linear" else 2e-3)
+
+
+def test_a_clamped_corner_keeps_its_angle():
+    """Both parts bend as beams under their weight: w L^4 / 8 EI, and the corner turns by the moment of its arm."""
+    section = Section.of(E=2e11, A=1.2e-4, I=0.02 * 0.006**3 / 12, density=1100)
+    divided = divided_member(PlanarBeam.along(bent(24), section), 4, modes=1)
+    mechanism = Mechanism(gravity=(0, -9.81), damping=0.05)
+    held = mechanism.point((1, 2), fixed="xy")
+    end = np.array([1, 2]) + divided.length * np.array([np.cos(-np.pi / 4), np.sin(-np.pi / 4)])
+    root = mechanism.angle(-np.pi / 4, fixed=True)
+    numbers = divided.add(mechanism, held, mechanism.point(end), start=root)
+    nodes = divided.nodes(simulate(mechanism, end=1.0, step=5e-3), numbers)[-1]
+    # An even load and an end load of the same size on half a metre.
+    flexible = section.mass * 9.81 / section.EI
+    sag, turn = flexible * 0.5**4 * (1 / 8 + 1 / 3), flexible * 0.5**3 * (1 / 6 + 1 / 2)
+    assert nodes[12, :2] == pytest.approx([1.5, 2 - sag], abs=2e-3 * sag)
+    assert nodes[-1, :2] - nodes[12, :2] == pytest.approx([-0.5 * turn, -0.5], abs=2e-3 * sag)
+
+
+def test_cuts_lie_at_corners_and_share_length_and_turning():
+    straight = np.column_stack((np.linspace(-1, 0, 13), np.zeros(13), np.zeros(13)))
+    beam = PlanarBeam.along(np.concatenate((straight, arc(12)[1:])), STRIP)
+    divided = divided_member(beam, 4, modes=1)
+    # A quarter of both for the straight part, three quarters for the arc.
+    places = beam.reference.reshape(-1, 3)[:, :2]
+    assert divided.places == pytest.approx(places[[0, 12, 16, 20, 24]], abs=1e-9)
+    assert divided_member(PlanarBeam.along(bent(8), STRIP), 3, modes=1).places[2, 1] > 0.3
+    chain_of_5 = chain(5, 1, "linear")
+    assert chain_of_5.pieces == 5 and len({id(m) for m in chain_of_5.members}) == 2
+
+
+def test_divisions_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match=r"25 pieces of a beam of 24 elements with 0 corners.*expected 1 to 24"):
+        chain(25, 2, "linear")
+    corner = PlanarBeam.along(bent(8), STRIP)
+    with pytest.raises(InputError, match=r"1 pieces of a beam of 8 elements with 1 corners.*expected 2 to 8"):
+        divided_member(corner, 1, modes=1)
+    with pytest.raises(InputError, match="'membrane' was given for a beam that is not straight"):
+        divided_member(PlanarBeam.along(arc(8), STRIP), 2, modes=1, formulation="membrane")
+    with pytest.raises(InputError, match=r"line of a beam meet"):
+        PlanarBeam.along(arc(24, 2 * np.pi), STRIP)
+    with pytest.raises(InputError, match=r"directions of elements: shape \(3, 2\)"):
+        PlanarBeam(np.zeros((3, 3)), STRIP, directions=np.zeros((3, 2)))
+    divided, mechanism = divided_member(corner, 2, modes=1), Mechanism()
+    points = mechanism.point((0, 0)), mechanism.point((1, 0))
+    with pytest.raises(InputError, match=r"1 m apart; expected 0\.707107 m"):
+        divided.add(mechanism, *points)
+    with pytest.raises(InputError, match=r"angle of 0\.5 rad.*chord is along 0 rad"):
+        divided.add(mechanism, points[0], mechanism.point((divided.length, 0)), start=mechanism.angle(0.5))
 
 
 def beams():
