@@ -111,7 +111,8 @@ def browsed(text: str, clicks: str, folder: Path) -> tuple[Page, str]:
 
 def by(column: str) -> str:
     """A click on the head of a column."""
-    return f"Array.from(document.querySelectorAll('#parts th')).find(h => h.textContent.startsWith('{column}')).click();"
+    heads = "Array.from(document.querySelectorAll('#parts th'))"
+    return f"{heads}.find(head => head.textContent.startsWith('{column}')).click();"
 
 
 @pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
