@@ -71,10 +71,12 @@ class DividedMember:
         c, s = math.cos(direction), math.sin(direction)
         placed = first.position + self.places @ np.array([[c, s], [-s, c]])
         points = [first, *(mechanism.point(place) for place in placed[1:-1]), second]
-        turns = direction + self.directions
-        angles = [start, *(mechanism.angle(float(turn)) for turn in turns[1:]), end]
+        # As the mechanism counts them, from -pi to pi.
+        steps = np.diff([point.position for point in points], axis=0).tolist()
+        turns = [math.atan2(y, x) for x, y in steps]
+        angles = [start, *(mechanism.angle(turn) for turn in turns[1:]), end]
         count = len(mechanism.members)
-        for k, (member, turn) in enumerate(zip(self.members, turns.tolist(), strict=True)):
+        for k, (member, turn) in enumerate(zip(self.members, turns, strict=True)):
             ends = [None if angle is None else _seen(angle, turn) for angle in angles[k : k + 2]]
             mechanism.add(member, points[k], points[k + 1], start=ends[0], end=ends[1])
         return range(count, count + self.pieces)

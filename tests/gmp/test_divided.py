@@ -116,6 +116,21 @@ def test_a_curved_piece_answers_small_loads_as_its_beam(formulation):
     assert tip == pytest.approx(exact, rel=1e-9 if formulation == "linear" else 2e-3)
 
 
+@pytest.mark.parametrize("turn", [2.5, np.pi, -2.6])
+def test_bent_members_may_point_anywhere(turn):
+    """The part before the corner leaves the chord by 45 degrees: seen from x it turns by more than half a turn."""
+    divided = divided_member(PlanarBeam.along(bent(8), STRIP), 2, modes=1)
+    tips = []
+    for angle in (0.0, turn):
+        Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        mechanism = Mechanism(gravity=Q @ (0, -9.81))
+        end = mechanism.point(Q @ (divided.length, 0))
+        numbers = divided.add(mechanism, mechanism.point((0, 0), fixed="xy"), end)
+        motion = simulate(mechanism, end=0.05, step=5e-3)
+        tips.append(divided.nodes(motion, numbers)[:, -1, :2] @ Q)
+    assert np.ptp(tips[0][:, 1]) > 5e-3 and tips[1] == pytest.approx(tips[0], abs=1e-10)
+
+
 def test_a_clamped_corner_keeps_its_angle():
     """Both parts bend as beams under their weight: w L^4 / 8 EI, and the corner turns by the moment of its arm."""
     section = Section.of(E=2e11, A=1.2e-4, I=0.02 * 0.006**3 / 12, density=1100)
