@@ -63,6 +63,23 @@ def test_a_run_that_leaves_its_tables_is_divided():
         divide_until_within(lambda pieces: falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3, most=1)
 
 
+@pytest.mark.parametrize(("reach", "enough"), [(0.25, True), (0.15, False)])
+def test_the_finest_division_is_tried_before_a_run_is_given_up(reach, enough):
+    """Twelve elements do not divide into twice four pieces of two: six it is, or the run left its tables."""
+    beam = PlanarBeam.straight(1.0, 12, STRIP)
+
+    def build(pieces):
+        return falling(divided_member(beam, pieces, modes=1, reach=reach).add)[0]
+
+    if enough:
+        assert divide_until_within(build, end=0.3, step=5e-3, pieces=4)[1] == 6
+    else:
+        with pytest.raises(LeftTablesError, match=r"left its tabulated range of \+-0\.15"):
+            divide_until_within(build, end=0.3, step=5e-3, pieces=4)
+    with pytest.raises(InputError, match="0 of bending"):
+        divide_until_within(build, end=0.3, step=5e-3, pieces=7)
+
+
 def test_the_example_of_the_document(capsys):
     text = (Path(__file__).parents[2] / "docs" / "gmp.md").read_text()
     (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
