@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
@@ -22,8 +23,10 @@ from morembs.multibody.forces import Load, PointLoad
 from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import Result, Segment
+from morembs.multibody.sensitivity import ResultSensitivity, StateSlopes, at_rest
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.tangents import stiffness_and_damping
+from morembs.multibody.variation import Variation, variations
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
@@ -54,11 +57,25 @@ class Equilibrium:
     state: State
     linear: Linearised
     iterations: int
+    variations: Sequence[Variation] = ()
+    slopes: StateSlopes | None = None
 
-    @property
+    @cached_property
     def result(self) -> Result:
         """Places, elastic coordinates and forces, as of a run (1, ...)."""
-        return Result(segments=(Segment.of([self.state]),))
+        segment, slopes = Segment.of([self.state]), self.slopes
+        known = {} if slopes is None else {
+            of.name: ResultSensitivity(segment, of, [slopes], j) for j, of in enumerate(self.variations)
+        }  # fmt: skip
+        return Result(segments=(segment,), sensitivities=known)
+
+    def slopes_of(self, names: Sequence[str]) -> Floats:
+        """(k, P): derivatives of the configuration by parameters, as steps from it.
+
+        Raises:
+            InputError: one that was not asked for.
+        """
+        return np.stack([self.result.sensitivity(name).configuration_step[0] for name in names], axis=1)
 
     @property
     def stable(self) -> bool:
@@ -81,7 +98,7 @@ class Equilibrium:
 
 def equilibrium(
     system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
-    time: float = 0.0,
+    time: float = 0.0, sensitivities: Sequence[str] | bool = False,
 ) -> Equilibrium:  # fmt: skip
     """The static equilibrium nearest to the start of the bodies, or to ``guess``.
 
@@ -90,6 +107,8 @@ def equilibrium(
         tolerance: of the forces that are left, relative to those that balance, in the norm of the mass matrix.
         load_steps: gravity and point loads grow in so many steps, where Newton's method does not converge at once.
         time: of prescribed motions and loads that are functions of time, s.
+        sensitivities: to these parameters of elastic bodies, as "body.parameter", or to all (True):
+            ``equilibrium(...).result.sensitivity("rod.E")``. What nothing resists stays where it is.
 
     An equilibrium that is not stable is a result too: ``stable`` says so. Forces of elastic bodies under redundant
     joints are determined by their elasticity; redundant joints between rigid bodies are refused.
@@ -124,12 +143,15 @@ def equilibrium(
         part = Assembly(_scaled(system, number / load_steps))
         x, multipliers, count = _Search(part, time, tolerance).run(x, multipliers)
         iterations += count
-    x, multipliers, count = _Search(assembly, time, tolerance).run(x, multipliers)
+    search = _Search(assembly, time, tolerance)
+    x, multipliers, count = search.run(x, multipliers)
     iterations += count
     _warn_of_dependent_joints(assembly, time, x)
     still = np.zeros(assembly.size)
     state = State(assembly=assembly, time=time, x=x, v=still, acceleration=still, multipliers=multipliers)
-    return Equilibrium(state=state, linear=linearised(state), iterations=iterations)
+    of = variations(assembly, sensitivities) if sensitivities else []
+    slopes = at_rest(of, state, search.answer(state)) if of else None
+    return Equilibrium(state=state, linear=linearised(state), iterations=iterations, variations=of, slopes=slopes)
 
 
 def _scaled(system: System, part: float) -> System:
@@ -227,6 +249,14 @@ class _Search:
         change = scales * (Vt[kept].T @ ((U[:, kept].T @ right) / s[kept]))
         lost = U[:, ~kept] @ (U[:, ~kept].T @ right)
         return change, (lost[:k] / w) / np.sqrt(mass)
+
+    def answer(self, state: State) -> Callable[[Floats, Floats], Floats]:
+        """How an equilibrium changes (k + m,) with forces (k,) that are left and joints (m,) that are open."""
+        M, _, _, B = self.assembly.equations(self.time, state.x, self.still)
+        K, _ = stiffness_and_damping(
+            self.assembly, self.time, state.x, self.still, self.still, state.multipliers, exact=True
+        )  # fmt: skip
+        return lambda forces, Phi: self._newton(K, M, B, forces, Phi)[0]
 
     def _limits(self, step: Floats) -> Sequence[float]:
         """The parts of a step that turn and move the floating bodies as far as is allowed at once."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction, vector
 from morembs.multibody.joints import frame_about, turn_angle
+from morembs.multibody.rotations import hat
 
 Floats = NDArray[np.float64]
 Load = ArrayLike | Callable[[float], ArrayLike]
@@ -37,6 +38,11 @@ class Force(ABC):
     @abstractmethod
     def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         """One wrench (6,) per marker; a twist (6,) is the velocity and angular velocity of a marker."""
+
+    def bend(self, wrenches: Sequence[Floats]) -> Sequence[Floats] | None:
+        """(6, 6) per marker: derivative of its wrench by its own displacement and rotation where it depends on nothing
+        else; None where only differences tell."""
+        return None
 
     @abstractmethod
     def stored(self, places: Sequence[MarkerState]) -> float:
@@ -85,6 +91,12 @@ class PointLoad(Force):
         if self.follows:
             force, moment = places[0].axes @ force, places[0].axes @ moment
         return (np.concatenate((force, moment)),)
+
+    def bend(self, wrenches: Sequence[Floats]) -> Sequence[Floats] | None:
+        slope = np.zeros((6, 6))
+        if self.follows:
+            slope[:3, 3:], slope[3:, 3:] = -hat(wrenches[0][:3]), -hat(wrenches[0][3:])
+        return (slope,)
 
     def stored(self, places: Sequence[MarkerState]) -> float:
         return 0.0

@@ -151,7 +151,7 @@ def linearised(state: State) -> Linearised:
     L = np.linalg.cholesky(M)
     allowed = _null_space(sl.solve_triangular(L, B.T, lower=True).T)
     Z = sl.solve_triangular(L, allowed, lower=True, trans="T")
-    K, C = stiffness_and_damping(a, state.time, state.x, state.v, state.acceleration, state.multipliers, central=True)
+    K, C = stiffness_and_damping(a, state.time, state.x, state.v, state.acceleration, state.multipliers, exact=True)
     return Linearised(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)
 
 

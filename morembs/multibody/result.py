@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.multibody.bodies import FlexibleBody, FloatingBody
 from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.system import Assembly, State
 from morembs.summary import summarised
+
+if TYPE_CHECKING:
+    from morembs.multibody.sensitivity import ResultSensitivity
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +72,23 @@ class Result:
     """A run as its segments; a time at which it was restarted occurs twice, before and after the switch."""
 
     segments: tuple[Segment, ...]
+    sensitivities: Mapping[str, ResultSensitivity] = field(default_factory=dict)
+
+    def _facts(self) -> dict[str, object]:
+        return {"segments": self.segments, "sensitivities": list(self.sensitivities)}
+
+    def sensitivity(self, name: str) -> ResultSensitivity:
+        """Derivatives with respect to a parameter, "body.parameter".
+
+        Raises:
+            InputError: one that was not asked for.
+        """
+        if name not in self.sensitivities:
+            raise InputError(
+                f"the sensitivity to {name!r} was asked for; {nearest(name, self.sensitivities)} (simulate and "
+                "equilibrium find those in sensitivities=)"
+            )
+        return self.sensitivities[name]
 
     @cached_property
     def time(self) -> Floats:
