@@ -166,7 +166,7 @@ def turn_angle(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> tu
     return math.atan2(sine, cosine), gradient
 
 
-def _bend_turn(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> Floats:
+def bend_turn(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> Floats:
     """``bend`` of a multiplier of one times the gradient of ``turn_angle``."""
     x, y, u = a.axes @ on_a[:, 0], a.axes @ on_a[:, 1], b.axes @ on_b[:, 0]
     cosine, sine, X, Y, U = float(u @ x), float(u @ y), hat(x), hat(y), hat(u)
@@ -273,7 +273,7 @@ class DrivenAngle(_Aligned):
         return np.array([angle]), -G, G
 
     def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
-        return float(multipliers[0]) * _bend_turn(a, b, self.on_a, self.on_b)
+        return float(multipliers[0]) * bend_turn(a, b, self.on_a, self.on_b)
 
 
 @dataclass(frozen=True, eq=False)

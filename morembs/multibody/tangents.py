@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.multibody.component import Component, Marker
@@ -84,9 +83,8 @@ def stiffness_and_damping(
 def _of_force(assembly: Assembly, force: Force, t: float, x: Floats, v: Floats) -> Floats | None:
     places = [assembly.place(m, x) for m in force.markers]
     twists = [assembly.twist(m, place, v) for m, place in zip(force.markers, places, strict=True)]
-    wrenches = force.wrenches(t, places, twists)
-    bends = force.bend(wrenches)
-    return None if bends is None else _pulled(assembly, x, force.markers, wrenches, sl.block_diag(*bends))
+    bend = force.bend(t, places)
+    return None if bend is None else _pulled(assembly, x, force.markers, force.wrenches(t, places, twists), bend)
 
 
 def _of_joint(assembly: Assembly, joint: Constraint, x: Floats, multipliers: Floats) -> Floats | None:

@@ -93,38 +93,52 @@ class Variation:
         forces, Phi = np.zeros(a.size), np.zeros(a.rows)
         forces[self.in_v] = M @ state.acceleration[self.in_v] + g
         for joint, rows in zip(a.joints, a.in_rows, strict=True):
-            ends = joint.first, joint.second
-            if any(marker.component is self.body for marker in ends):
-                self._joint(joint, ends, rows, state, forces, Phi)
+            if any(marker.component is self.body for marker in (joint.first, joint.second)):
+                self._joint(joint, rows, state, forces, Phi)
         for force in a.forces:
             if any(marker.component is self.body for marker in force.markers):
-                forces += slope_at_zero(lambda s, force=force: self._load(force, state, s), self.step)  # type: ignore[misc]
+                self._force(force, state, forces)
         return forces, Phi
 
-    def _joint(
-        self, joint: Constraint, ends: tuple[Marker, Marker], rows: slice, state: State, forces: Floats, Phi: Floats
-    ) -> None:
-        """Adds to ``forces`` and ``Phi`` what the motion of the markers on the body by the parameter changes."""
-        a, multipliers = self.assembly, state.multipliers[rows]
-        first, second = (a.place(marker, state.x) for marker in ends)
+    def _joint(self, joint: Constraint, rows: slice, state: State, forces: Floats, Phi: Floats) -> None:
+        """Adds to ``forces`` and ``Phi`` what a joint changes as its markers move with the parameter."""
+        multipliers, ends = state.multipliers[rows], (joint.first, joint.second)
+        first, second = (self.assembly.place(marker, state.x) for marker in ends)
         _, *G = joint.rows(first, second)
-        moves = np.zeros(12)
-        for number, marker in enumerate(ends):
-            if marker.component is self.body:
-                at = slice(6 * number, 6 * number + 6)
-                moves[at], own = self._marker(marker, state.x[self.in_x], multipliers @ G[number])
-                forces[self.in_v] += own
-                Phi[rows] += G[number] @ moves[at]
         bend = joint.bend(first, second, multipliers)
         if bend is None:
             raise InputError(f"{joint.label} knows no derivatives of its forces; sensitivities need them")
-        self._pull(bend @ moves, ends, (first, second), forces)
+        moves = self._pull(ends, (first, second), [multipliers @ each for each in G], bend, state, forces)
+        Phi[rows] += np.hstack(G) @ moves
 
-    def _pull(self, wrenches: Floats, ends: Sequence[Marker], places: Sequence[MarkerState], forces: Floats) -> None:
-        for number, (marker, place) in enumerate(zip(ends, places, strict=True)):
+    def _force(self, force: Force, state: State, forces: Floats) -> None:
+        """The same of a force, which is on the other side of the equations."""
+        places = [self.assembly.place(marker, state.x) for marker in force.markers]
+        bend = force.bend(state.time, places)
+        if bend is None:
+            forces += slope_at_zero(lambda change: self._load(force, state, change), self.step)
+            return
+        twists = [self.assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
+        wrenches = [-wrench for wrench in force.wrenches(state.time, places, twists)]
+        self._pull(force.markers, places, wrenches, -bend, state, forces)
+
+    def _pull(
+        self, ends: Sequence[Marker], places: Sequence[MarkerState], wrenches: Sequence[Floats], bend: Floats,
+        state: State, forces: Floats,
+    ) -> Floats:  # fmt: skip
+        """Adds to ``forces`` (k,) the change of those of wrenches on markers, which change by ``bend`` with the motions
+        of the markers; the motions (6 e,) by the parameter."""
+        moves = np.zeros(6 * len(ends))
+        for number, (marker, wrench) in enumerate(zip(ends, wrenches, strict=True)):
+            if marker.component is self.body:
+                moves[6 * number : 6 * number + 6], own = self._marker(marker, state.x[self.in_x], wrench)
+                forces[self.in_v] += own
+        bent = (bend @ moves).reshape(-1, 6)
+        for marker, place, change in zip(ends, places, bent, strict=True):
             i = self.assembly.index(marker.component)
             if i is not None:
-                forces[self.assembly.in_v[i]] += wrenches[6 * number : 6 * number + 6] @ place.jacobian
+                forces[self.assembly.in_v[i]] += change @ place.jacobian
+        return moves
 
     def _marker(self, marker: Marker, x: Floats, wrench: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the place of a marker, as displacement and rotation (6,) along the inertial axes, and of the
