@@ -146,6 +146,10 @@ class Result:
         """(s, n): elastic coordinates of a body."""
         return self.configuration(body)[:, 12:]
 
+    def stress(self, body: FloatingBody, shapes: Floats) -> Floats:
+        """(s, points, 6) Pa: stresses that are ``shapes`` (6 points, n) times the elastic coordinates."""
+        return (self.elastic(body) @ shapes.T).reshape(len(self.time), -1, 6)
+
     def multipliers(self, joint: Constraint) -> Floats:
         """(s, m): multipliers of a joint, one per row of its constraints."""
         return np.concatenate([s.multipliers[:, s.assembly.in_rows[_number(joint, s.assembly)]] for s in self.segments])

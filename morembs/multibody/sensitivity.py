@@ -202,9 +202,5 @@ class ResultSensitivity:
     def stress(self, body: FlexibleBody, shapes: Floats, change: Floats | None = None) -> Floats:
         """(s, points, 6) Pa per unit, of stresses that are ``shapes`` (6 points, n) times the elastic coordinates;
         ``change`` is the derivative of the shapes themselves, zero unless given."""
-        q, dq = self._segment_elastic(body), self.elastic(body)
-        values = dq @ shapes.T if change is None else dq @ shapes.T + q @ change.T
-        return np.asarray(values.reshape(len(q), -1, 6))
-
-    def _segment_elastic(self, body: FloatingBody) -> Floats:
-        return Result(segments=(self._segment,)).elastic(body)
+        slope = self.of(lambda result: result.stress(body, shapes))
+        return slope if change is None else slope + Result(segments=(self._segment,)).stress(body, change)

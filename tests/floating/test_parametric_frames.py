@@ -73,7 +73,7 @@ def test_derivatives_of_frames_are_those_of_the_models_assembled_nearby(problem)
             found.append([*mine, frame.markers["TIP"].motion, frame.rigid, frame.De])
         known = [getattr(slopes[name].integrals, each) for each in names] + [slopes[name].Ke]
         known += [slopes[name].markers["TIP"].motion, slopes[name].rigid, slopes[name].De]
-        for what, given, values in zip([*names, "Ke", "TIP", "rigid", "De"], known, zip(*found, strict=True), strict=True):
+        for what, given, *values in zip([*names, "Ke", "TIP", "rigid", "De"], known, *found, strict=True):
             a, b, c, d = (np.asarray(value) for value in values)
             exact = (8 * (c - b) - (d - a)) / (12 * step)
             noise = 1e-10 * np.abs(a).max() / step
