@@ -47,6 +47,7 @@ from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.result import Energy, Result, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import EventHandler, RestartState, simulate
+from morembs.multibody.sensitivity import ResultSensitivity
 from morembs.multibody.sliding import (
     Activation,
     LocalResponse,
@@ -106,6 +107,7 @@ __all__ = [
     "PrismaticJoint",
     "RestartState",
     "Result",
+    "ResultSensitivity",
     "RevoluteJoint",
     "RigidBody",
     "Segment",

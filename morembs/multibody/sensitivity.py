@@ -24,7 +24,7 @@ from morembs.multibody.reactions import saddle
 from morembs.multibody.result import Result, Segment
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import stiffness_and_damping
-from morembs.multibody.variation import CHANGE, Variation, slope_at_zero
+from morembs.multibody.variation import CHANGE, Variation, pulls, slope_at_zero
 
 if TYPE_CHECKING:
     from morembs.multibody.bodies import FlexibleBody
@@ -102,7 +102,8 @@ class DirectDifferentiation:
         K, C = stiffness_and_damping(
             s, state.time, state.x, state.v, state.acceleration, state.multipliers, exact=True
         )  # fmt: skip
-        partials = [of.partials(state) for of in self.variations]
+        at = pulls(s, state)
+        partials = [of.partials(state, at) for of in self.variations]
         forces, Phi = (np.stack(part, axis=1) for part in zip(*partials, strict=True))
         S = saddle(M + iterate.c_v * C + iterate.c_q * K @ T, B)
         S[k:, :k] = B @ T
@@ -122,7 +123,8 @@ def at_rest(variations: Sequence[Variation], state: State, solve: Callable[[Floa
     """Derivatives of an equilibrium; ``solve`` gives the change (k + m,) by which Newton's method answers forces (k,)
     that are left and joints (m,) that are open."""
     k = len(state.v)
-    y = np.stack([solve(*of.partials(state)) for of in variations], axis=1)
+    at = pulls(state.assembly, state)
+    y = np.stack([solve(*of.partials(state, at)) for of in variations], axis=1)
     none = np.zeros((k, len(variations)))
     return StateSlopes(x=y[:k], v=none, acceleration=none, multipliers=y[k:])
 

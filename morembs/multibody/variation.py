@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,43 @@ CHANGE = 1e-3
 def slope_at_zero(values: Callable[[float], Floats], step: float) -> Floats:
     """Derivative at zero of an array that depends on a number, of fourth order in ``step``."""
     return np.asarray((8 * (values(step) - values(-step)) - (values(2 * step) - values(-2 * step))) / (12 * step))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pull:
+    """A joint or force at one state: its ``wrenches`` (6,) on the left side of the equations of motion, at the markers
+    ``ends`` with their ``places``, and how they change with the motions of these, ``bend`` (6 e, 6 e), None where only
+    differences tell. ``G`` (m, 6 e) are the derivatives of the ``rows`` of a joint."""
+
+    part: Constraint | Force
+    ends: Sequence[Marker]
+    places: Sequence[MarkerState]
+    wrenches: Sequence[Floats]
+    bend: Floats | None
+    rows: slice | None = None
+    G: Floats | None = None
+
+
+def pulls(assembly: Assembly, state: State) -> list[Pull]:
+    """Those of all joints and forces."""
+    result: list[Pull] = []
+    for joint, rows in zip(assembly.joints, assembly.in_rows, strict=True):
+        ends, multipliers = (joint.first, joint.second), state.multipliers[rows]
+        first, second = (assembly.place(marker, state.x) for marker in ends)
+        _, *G = joint.rows(first, second)
+        bend, wrenches = joint.bend(first, second, multipliers), [multipliers @ each for each in G]
+        result.append(Pull(
+            part=joint, ends=ends, places=(first, second), wrenches=wrenches, bend=bend, rows=rows, G=np.hstack(G)
+        ))  # fmt: skip
+    for force in assembly.forces:
+        places = [assembly.place(marker, state.x) for marker in force.markers]
+        twists = [assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
+        known, wrenches = force.bend(state.time, places), force.wrenches(state.time, places, twists)
+        bend = None if known is None else -known
+        result.append(Pull(
+            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in wrenches], bend=bend
+        ))  # fmt: skip
+    return result
 
 
 class Variation:
@@ -85,60 +122,35 @@ class Variation:
             markers[id(known)] = moved
         return _Nearby(self.assembly, self.number, body, markers)
 
-    def partials(self, state: State) -> tuple[Floats, Floats]:
+    def partials(self, state: State, pulls: Sequence[Pull]) -> tuple[Floats, Floats]:
         """Derivatives, at a fixed configuration, velocity, acceleration and multipliers, of the equations of motion
-        M dv/dt + g + B' multipliers (k,) and of the joints' Phi (m,)."""
-        a, x = self.assembly, state.x
-        M, g = self._slope_body.dynamics(state.time, x[self.in_x], state.v[self.in_v], a.gravity)
+        M dv/dt + g + B' multipliers (k,) and of the joints' Phi (m,); ``pulls`` are those of the state."""
+        a, x = self.assembly, state.x[self.in_x]
+        M, g = self._slope_body.dynamics(state.time, x, state.v[self.in_v], a.gravity)
         forces, Phi = np.zeros(a.size), np.zeros(a.rows)
         forces[self.in_v] = M @ state.acceleration[self.in_v] + g
-        for joint, rows in zip(a.joints, a.in_rows, strict=True):
-            if any(marker.component is self.body for marker in (joint.first, joint.second)):
-                self._joint(joint, rows, state, forces, Phi)
-        for force in a.forces:
-            if any(marker.component is self.body for marker in force.markers):
-                self._force(force, state, forces)
+        for pull in pulls:
+            if any(marker.component is self.body for marker in pull.ends):
+                self._pulled(pull, state, x, forces, Phi)
         return forces, Phi
 
-    def _joint(self, joint: Constraint, rows: slice, state: State, forces: Floats, Phi: Floats) -> None:
-        """Adds to ``forces`` and ``Phi`` what a joint changes as its markers move with the parameter."""
-        multipliers, ends = state.multipliers[rows], (joint.first, joint.second)
-        first, second = (self.assembly.place(marker, state.x) for marker in ends)
-        _, *G = joint.rows(first, second)
-        bend = joint.bend(first, second, multipliers)
-        if bend is None:
-            raise InputError(f"{joint.label} knows no derivatives of its forces; sensitivities need them")
-        moves = self._pull(ends, (first, second), [multipliers @ each for each in G], bend, state, forces)
-        Phi[rows] += np.hstack(G) @ moves
-
-    def _force(self, force: Force, state: State, forces: Floats) -> None:
-        """The same of a force, which is on the other side of the equations."""
-        places = [self.assembly.place(marker, state.x) for marker in force.markers]
-        bend = force.bend(state.time, places)
-        if bend is None:
-            forces += slope_at_zero(lambda change: self._load(force, state, change), self.step)
+    def _pulled(self, pull: Pull, state: State, x: Floats, forces: Floats, Phi: Floats) -> None:
+        """Adds to ``forces`` and ``Phi`` what a joint or force changes as its markers move with the parameter."""
+        if pull.bend is None:
+            forces += slope_at_zero(lambda change: self._load(pull.part, state, change), self.step)
             return
-        twists = [self.assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
-        wrenches = [-wrench for wrench in force.wrenches(state.time, places, twists)]
-        self._pull(force.markers, places, wrenches, -bend, state, forces)
-
-    def _pull(
-        self, ends: Sequence[Marker], places: Sequence[MarkerState], wrenches: Sequence[Floats], bend: Floats,
-        state: State, forces: Floats,
-    ) -> Floats:  # fmt: skip
-        """Adds to ``forces`` (k,) the change of those of wrenches on markers, which change by ``bend`` with the motions
-        of the markers; the motions (6 e,) by the parameter."""
-        moves = np.zeros(6 * len(ends))
-        for number, (marker, wrench) in enumerate(zip(ends, wrenches, strict=True)):
+        moves = np.zeros(6 * len(pull.ends))
+        for number, (marker, wrench) in enumerate(zip(pull.ends, pull.wrenches, strict=True)):
             if marker.component is self.body:
-                moves[6 * number : 6 * number + 6], own = self._marker(marker, state.x[self.in_x], wrench)
+                moves[6 * number : 6 * number + 6], own = self._marker(marker, x, wrench)
                 forces[self.in_v] += own
-        bent = (bend @ moves).reshape(-1, 6)
-        for marker, place, change in zip(ends, places, bent, strict=True):
+        bent = (pull.bend @ moves).reshape(-1, 6)
+        for marker, place, change in zip(pull.ends, pull.places, bent, strict=True):
             i = self.assembly.index(marker.component)
             if i is not None:
                 forces[self.assembly.in_v[i]] += change @ place.jacobian
-        return moves
+        if pull.rows is not None and pull.G is not None:
+            Phi[pull.rows] += pull.G @ moves
 
     def _marker(self, marker: Marker, x: Floats, wrench: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the place of a marker, as displacement and rotation (6,) along the inertial axes, and of the
@@ -152,8 +164,10 @@ class Variation:
         place = np.concatenate((R @ arm, R @ (T.T @ change[3:])))
         return place, np.concatenate((np.zeros(3), cross(arm, force), shapes))
 
-    def _load(self, force: Force, state: State, change: float) -> Floats:
+    def _load(self, force: Constraint | Force, state: State, change: float) -> Floats:
         nearby, g = self.at(change), np.zeros(self.assembly.size)
+        if isinstance(force, Constraint):
+            raise InputError(f"{force.label} knows no derivatives of its forces; sensitivities need them")
         nearby.load(force, state.time, state.v, [nearby.place(m, state.x) for m in force.markers], g)
         return g
 

@@ -57,7 +57,10 @@ def test_the_program_of_the_page_runs(folder, monkeypatch):
     varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
         parametric_file("bracket.h5", problem, name="parametric", nodes="skin")
-    exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(block, names)
+    assert np.abs(names["slope"].position(names["part"].marker("TIP"))).max() > 0
     assert (folder / "at.h5").exists()
 
 
