@@ -44,10 +44,9 @@ from morembs.multibody.joints import (
 )
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.linearise import Linearised, linearised
-from morembs.multibody.result import Energy, Result, Segment
+from morembs.multibody.result import Energy, Result, ResultSensitivity, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import EventHandler, RestartState, simulate
-from morembs.multibody.sensitivity import ResultSensitivity
 from morembs.multibody.sliding import (
     Activation,
     LocalResponse,

@@ -23,10 +23,11 @@ from morembs.multibody.forces import Load, PointLoad
 from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import Result, Segment
-from morembs.multibody.sensitivity import ResultSensitivity, StateSlopes, at_rest
+from morembs.multibody.result import sensitivities as of_segment
+from morembs.multibody.sensitivity import at_rest
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.tangents import stiffness_and_damping
-from morembs.multibody.variation import Variation, variations
+from morembs.multibody.variation import StateSlopes, Variation, variations
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
@@ -64,9 +65,7 @@ class Equilibrium:
     def result(self) -> Result:
         """Places, elastic coordinates and forces, as of a run (1, ...)."""
         segment, slopes = Segment.of([self.state]), self.slopes
-        known = {} if slopes is None else {
-            of.name: ResultSensitivity(segment, of, [slopes], j) for j, of in enumerate(self.variations)
-        }  # fmt: skip
+        known = {} if slopes is None else of_segment(segment, self.variations, [slopes])
         return Result(segments=(segment,), sensitivities=known)
 
     def slopes_of(self, names: Sequence[str]) -> Floats:

@@ -7,40 +7,20 @@ Sonneville and Bruels 2014).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.multibody.bodies import FloatingBody
-from morembs.multibody.component import Marker
 from morembs.multibody.integrate import Stepper
-from morembs.multibody.joints import Constraint
 from morembs.multibody.reactions import saddle
-from morembs.multibody.result import Result, Segment
+from morembs.multibody.result import ResultSensitivity, Segment, sensitivities
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import stiffness_and_damping
-from morembs.multibody.variation import CHANGE, Variation, pulls, slope_at_zero
-
-if TYPE_CHECKING:
-    from morembs.multibody.bodies import FlexibleBody
+from morembs.multibody.variation import StateSlopes, Variation, pulls, slope_at_zero
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StateSlopes:
-    """Derivatives of states by P parameters: configuration ``x`` as a step (k, P) from it, velocity ``v``,
-    ``acceleration`` (k, P) and ``multipliers`` (m, P)."""
-
-    x: Floats
-    v: Floats
-    acceleration: Floats
-    multipliers: Floats
 
 
 class DirectDifferentiation:
@@ -116,7 +96,7 @@ class DirectDifferentiation:
 
     def result(self, segment: Segment) -> dict[str, ResultSensitivity]:
         """Those of a finished ``segment``, by the names of the parameters."""
-        return {of.name: ResultSensitivity(segment, of, self.motions, j) for j, of in enumerate(self.variations)}
+        return sensitivities(segment, self.variations, self.motions)
 
 
 def at_rest(variations: Sequence[Variation], state: State, solve: Callable[[Floats, Floats], Floats]) -> StateSlopes:
@@ -127,82 +107,3 @@ def at_rest(variations: Sequence[Variation], state: State, solve: Callable[[Floa
     y = np.stack([solve(*of.partials(state, at)) for of in variations], axis=1)
     none = np.zeros((k, len(variations)))
     return StateSlopes(x=y[:k], v=none, acceleration=none, multipliers=y[k:])
-
-
-class ResultSensitivity:
-    """Derivatives of what a ``Result`` tells with respect to one parameter, per unit of it.
-
-    ``position``, ``reaction`` and the others are as those of the result. Angles and rest lengths that joints and
-    springs keep from the start do not change. Elastic coordinates are those of the shapes at the value, which stay.
-    """
-
-    def __init__(self, segment: Segment, of: Variation, motions: Sequence[StateSlopes], number: int) -> None:
-        self.parameter, self._segment, self._of = of.name, segment, of
-        self._motion = [
-            np.array([getattr(each, name)[:, number] for each in motions])
-            for name in ("x", "v", "acceleration", "multipliers")
-        ]  # fmt: skip
-        fastest = float(np.abs(self._motion[0]).max(initial=0.0))
-        self._step = min(of.step, CHANGE / fastest) if fastest else of.step
-
-    @cached_property
-    def _nearby(self) -> Mapping[int, Result]:
-        """Results at values of the parameter that differ by some steps, to first order."""
-        return {number: self._at(number * self._step) for number in (-2, -1, 1, 2)}
-
-    def _at(self, change: float) -> Result:
-        base, (x, v, acceleration, multipliers) = self._segment, self._motion
-        return Result(segments=(Segment(
-            assembly=self._of.at(change), time=base.time,
-            x=np.array([base.assembly.moved(a, change * b) for a, b in zip(base.x, x, strict=True)]),
-            v=base.v + change * v, acceleration=base.acceleration + change * acceleration,
-            multipliers=base.multipliers + change * multipliers,
-        ),))  # fmt: skip
-
-    def of(self, values: Callable[[Result], Floats]) -> Floats:
-        """Derivative of any smooth ``values`` of a result: ``s.of(lambda result: result.energy().total)``."""
-        at = {number: np.asarray(values(result)) for number, result in self._nearby.items()}
-        return np.asarray((8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * self._step))
-
-    @property
-    def configuration_step(self) -> Floats:
-        """(s, k): derivative of the configuration, as a step from it in the velocity coordinates of the components."""
-        return self._motion[0]
-
-    def position(self, marker: Marker) -> Floats:
-        """(s, 3) m per unit."""
-        return self.of(lambda result: result.position(marker))
-
-    def axes(self, marker: Marker) -> Floats:
-        """(s, 3, 3) per unit."""
-        return self.of(lambda result: result.axes(marker))
-
-    def velocity(self, marker: Marker) -> Floats:
-        """(s, 3) m/s per unit, along the inertial axes."""
-        return self.of(lambda result: result.velocity(marker))
-
-    def angular_velocity(self, marker: Marker) -> Floats:
-        """(s, 3) rad/s per unit, along the inertial axes."""
-        return self.of(lambda result: result.angular_velocity(marker))
-
-    def elastic(self, body: FloatingBody) -> Floats:
-        """(s, n) per unit."""
-        return self.of(lambda result: result.elastic(body))
-
-    def multipliers(self, joint: Constraint) -> Floats:
-        """(s, m) per unit."""
-        return self.of(lambda result: result.multipliers(joint))
-
-    def reaction(self, joint: Constraint) -> Floats:
-        """(s, 6) N and Nm per unit, as ``Result.reaction``."""
-        return self.of(lambda result: result.reaction(joint))
-
-    def load(self, marker: Marker) -> Floats:
-        """(s, 6) N and Nm per unit, as ``Result.load``."""
-        return self.of(lambda result: result.load(marker))
-
-    def stress(self, body: FlexibleBody, shapes: Floats, change: Floats | None = None) -> Floats:
-        """(s, points, 6) Pa per unit, of stresses that are ``shapes`` (6 points, n) times the elastic coordinates;
-        ``change`` is the derivative of the shapes themselves, zero unless given."""
-        slope = self.of(lambda result: result.stress(body, shapes))
-        return slope if change is None else slope + Result(segments=(self._segment,)).stress(body, change)

@@ -31,6 +31,17 @@ def slope_at_zero(values: Callable[[float], Floats], step: float) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class StateSlopes:
+    """Derivatives of states by P parameters: configuration ``x`` as a step (k, P) from it, velocity ``v``,
+    ``acceleration`` (k, P) and ``multipliers`` (m, P)."""
+
+    x: Floats
+    v: Floats
+    acceleration: Floats
+    multipliers: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Pull:
     """A joint or force at one state: its ``wrenches`` (6,) on the left side of the equations of motion, at the markers
     ``ends`` with their ``places``, and how they change with the motions of these, ``bend`` (6 e, 6 e), None where only
@@ -59,10 +70,10 @@ def pulls(assembly: Assembly, state: State) -> list[Pull]:
     for force in assembly.forces:
         places = [assembly.place(marker, state.x) for marker in force.markers]
         twists = [assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
-        known, wrenches = force.bend(state.time, places), force.wrenches(state.time, places, twists)
+        known, given = force.bend(state.time, places), force.wrenches(state.time, places, twists)
         bend = None if known is None else -known
         result.append(Pull(
-            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in wrenches], bend=bend
+            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in given], bend=bend
         ))  # fmt: skip
     return result
 
