@@ -102,7 +102,7 @@ class Rod:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments, __doc__, __file__)
-    rod = Rod(prepare(options.folder), 60 if options.quick else 600)
+    rod = Rod(prepare(options.folder), 120 if options.quick else 600)
     p, names = rod.box.nominal, rod.box.names
     goals, stress = rod.goals(p)
     slopes = rod.slopes(p, stress)
