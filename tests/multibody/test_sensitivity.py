@@ -73,7 +73,7 @@ def crank(reduced, p, derivatives=False, spring=()):
     system.add(mb.RevoluteJoint(axle, disc.marker("axle"), axis=axis))
     system.add(mb.DrivenAngle(axle, disc.marker("axle"), axis=axis, motion=mb.Motion.steady(SPEED)))
     pin = system.add(mb.RevoluteJoint(disc.marker("pin"), body.marker("FOOT"), axis=axis))
-    system.add(mb.PointLoad(body.marker("TIP"), force=(5, 3, 20.0), follows=True))
+    system.add(mb.PointLoad(body.marker("TIP"), force=(5, 3, 20.0), moment=(2.0, 3.0, 1.0), follows=True))
     for damping in spring:
         system.add(mb.SpringDamper(axle, body.marker("TIP"), stiffness=3e4, damping=damping, length=0.05))
     return system, body, pin
@@ -95,6 +95,41 @@ def test_each_step_is_differentiated_as_it_stands(reduced, name, spring):
     known.append(slopes.reaction(pin))
     for given, *values in zip(known, *histories, strict=True):
         assert agrees(given, values, step)
+
+
+def test_rotations_in_space(reduced):
+    run = {"end": 4e-4, "step": 2e-5, "tolerance": 1e-11}
+
+    def tumbling(p, derivatives=False):
+        system = mb.System()
+        body = system.add(arm(reduced, p, derivatives, angular_velocity=(400.0, 300.0, -500.0)))
+        system.add(mb.SphericalJoint(mb.ground.marker_at(), body.marker("FOOT")))
+        system.add(mb.PointLoad(body.marker("TIP"), force=(50.0, -30.0, 20.0)))
+        return mb.simulate(system, sensitivities=derivatives, **run), body
+
+    at, step = nearby(reduced[0], "t")
+    values = [result.position(body.marker("TIP")) for result, body in map(tumbling, at)]
+    result, body = tumbling(reduced[0].box.point(VALUES), derivatives=True)
+    assert agrees(result.sensitivity("arm.t").position(body.marker("TIP")), values, step)
+
+
+def test_joints_stay_closed_where_a_parameter_moves_them(reduced):
+    """A body that starts deflected and in motion, on a joint that the parameter would open and tear."""
+    p, rng = reduced[0].box.point(VALUES), np.random.default_rng(4)
+    size = arm(reduced, p).inertia.n
+    moving = {"elastic": 1e-6 * rng.standard_normal(size), "elastic_rate": 1e-2 * rng.standard_normal(size)}
+    turning = np.array([40.0, 30.0, -50.0])
+    body = arm(reduced, p, **moving)
+    place = body.marker("TIP").place(body.start()[0])
+    velocity = -place.jacobian[:3, 3:] @ np.concatenate((turning, moving["elastic_rate"]))
+    system = mb.System()
+    body = system.add(arm(reduced, p, derivatives=True, velocity=velocity, angular_velocity=turning, **moving))
+    system.add(mb.SphericalJoint(mb.ground.marker_at(place.position), body.marker("TIP")))
+    result = mb.simulate(system, end=1e-4, step=2e-5, sensitivities=["arm.t"])
+    slope, free = result.sensitivity("arm.t"), body.derivatives["t"].markers["TIP"].motion[:3]
+    assert np.abs(slope.position(body.marker("TIP"))).max() < 1e-9 * np.abs(free @ moving["elastic"]).max()
+    torn = np.abs(free @ moving["elastic_rate"]).max()
+    assert np.abs(slope.velocity(body.marker("TIP"))[0]).max() < 1e-7 * torn
 
 
 def swing(reduced, p, derivatives=False):
