@@ -52,6 +52,7 @@ class Equilibrium:
     """A system at rest: ``state``, and ``linear``, its small motion about it.
 
     ``result`` has the places, reactions and loads of a run of one instant: ``equilibrium.result.reaction(joint)[0]``.
+    ``slopes`` are its derivatives by the parameters of ``variations``, which ``result.sensitivity`` tells.
     ``stable`` is False where a disturbance grows; ``mobilities`` counts the motions that no stiffness resists.
     """
 

@@ -9,6 +9,7 @@ from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.floating.integrals import PERMUTATION, ShapeIntegrals
 from morembs.floating.parametric import frame_terms
 from morembs.multibody.tangents import stiffness_and_damping
+from morembs.multibody.variation import pulls, variations
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, some_basis
@@ -122,14 +123,34 @@ def test_joints_stay_closed_where_a_parameter_moves_them(reduced):
     body = arm(reduced, p, **moving)
     place = body.marker("TIP").place(body.start()[0])
     velocity = -place.jacobian[:3, 3:] @ np.concatenate((turning, moving["elastic_rate"]))
-    system = mb.System()
-    body = system.add(arm(reduced, p, derivatives=True, velocity=velocity, angular_velocity=turning, **moving))
-    system.add(mb.SphericalJoint(mb.ground.marker_at(place.position), body.marker("TIP")))
-    result = mb.simulate(system, end=1e-4, step=2e-5, sensitivities=["arm.t"])
+
+    def held(body):
+        system = mb.System()
+        system.add(body)
+        return system, system.add(mb.SphericalJoint(mb.ground.marker_at(place.position), body.marker("TIP")))
+
+    run = {"end": 1e-4, "step": 2e-5, "tolerance": 1e-11}
+    body = arm(reduced, p, derivatives=True, velocity=velocity, angular_velocity=turning, **moving)
+    system, pin = held(body)
+    result = mb.simulate(system, sensitivities=["arm.t"], **run)
     slope, free = result.sensitivity("arm.t"), body.derivatives["t"].markers["TIP"].motion[:3]
     assert np.abs(slope.position(body.marker("TIP"))).max() < 1e-9 * np.abs(free @ moving["elastic"]).max()
     torn = np.abs(free @ moving["elastic_rate"]).max()
     assert np.abs(slope.velocity(body.marker("TIP"))[0]).max() < 1e-7 * torn
+    # Runs of nearby bodies in the same shapes, from where their joints put them.
+    (model, terms, options), step, reactions = reduced, 1e-4, []
+    x, v = slope.configuration_step[0], slope.of(lambda result: result.speeds(body))[0]
+    for change in step * np.array([-2, -1, 1, 2]):
+        value = p + change * (np.array(model.box.names) == "t")
+        frame = terms.frame(model.at(value), shapes=model.at(p).Y[:, 6:], **options)
+        system, joint = held(mb.FlexibleBody(frame, name="arm"))
+        start, still = mb.Assembly(system), np.zeros(len(x))
+        state = mb.State(
+            assembly=start, time=0.0, x=start.moved(result.segments[0].x[0], change * x),
+            v=result.segments[0].v[0] + change * v, acceleration=still, multipliers=np.zeros(3),
+        )  # fmt: skip
+        reactions.append(mb.simulate(system, start=state, **run).reaction(joint))
+    assert same(slope.reaction(pin), differences(reactions, step), 1e-5)
 
 
 def swing(reduced, p, derivatives=False):
@@ -223,6 +244,31 @@ def test_exact_tangents_are_those_of_the_equations(damping):
     K, C = stiffness_and_damping(a, 0.0, x, v, acceleration, multipliers, exact=True)
     assert same(K, by_x, 1e-9)
     assert same(C, by_v, 1e-9)
+
+
+def test_partial_derivatives_at_large_deflections():
+    """Of the equations at fixed unknowns, against differences of those of bodies with changed data."""
+    rng, system = np.random.default_rng(3), mb.System(gravity=(1, 2, -9.81))
+    body = system.add(mb.FlexibleBody(cloud(rng), name="body", derivatives={"p": cloud(rng)}))
+    other = system.add(mb.RigidBody(2.0, (1, 2, 2.5), markers={"a": (1, 0.2, 0)}, name="other"))
+    for kind, end in ((mb.FixedJoint, "a"), (mb.PrismaticJoint, "b")):
+        system.add(kind(body.marker(end), other.marker("a"), axis=(1, 2, 3)))
+    system.add(mb.PointLoad(body.marker("c"), force=(1, 2, 3), moment=(3, 2, -1), follows=True))
+    for damping in (0.0, 3.0):
+        system.add(mb.SpringDamper(body.marker("c"), other.marker("a"), stiffness=100.0, damping=damping))
+    a = mb.Assembly(system)
+    state = mb.State(
+        assembly=a, time=0.0, x=a.moved(a.start()[0], 0.3 * rng.standard_normal(a.size)), v=rng.standard_normal(a.size),
+        acceleration=rng.standard_normal(a.size), multipliers=rng.standard_normal(a.rows),
+    )  # fmt: skip
+    of = variations(a, True)[0]
+
+    def equations(change):
+        M, g, Phi, B = of.at(change).equations(0.0, state.x, state.v)
+        return np.concatenate((M @ state.acceleration + g + state.multipliers @ B, Phi))
+
+    expected = differences([equations(k * 1e-3) for k in (-2, -1, 1, 2)], 1e-3)
+    assert same(np.concatenate(of.partials(state, pulls(a, state))), expected, 1e-9)
 
 
 def test_what_allows_no_derivatives_is_refused(reduced):
