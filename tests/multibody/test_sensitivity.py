@@ -295,6 +295,15 @@ def test_what_allows_no_derivatives_is_refused(reduced):
     resting = swing(reduced, p, derivatives=True)[0]
     with pytest.raises(InputError, match=r"'arm\.rho' was asked for; known: none"):
         mb.simulate(resting, sensitivities=["arm.rho"], start=mb.equilibrium(resting), **run)
+
+    class Remembers(mb.PointLoad):
+        def for_run(self):
+            return self
+
+    system.add(Remembers(body.marker("TIP"), name="friction"))
+    with pytest.raises(InputError, match=r"'friction' \(Remembers\) remembers what happened or switches"):
+        mb.simulate(system, sensitivities=True, **run)
+    system.forces.pop()
     loaded = body.marker_at((0, 0, 0.01), np.zeros((3, body.inertia.n)), name="node")
     system.add(mb.PointLoad(loaded, force=(1, 0, 0)))
     with pytest.raises(InputError, match=r"arm.node holds a joint or force, and no derivatives of this marker"):
