@@ -203,7 +203,7 @@ RUN = {
     "gmp.md": {"python": 1, "python divided": 1, "python chain": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 4, "python": 1},
     "multibody.md": {"python": 4, "python divided": 1},
-    "parametric.md": {"toml": 2, "python": 1},
+    "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "simulators.md": {"python": 3},

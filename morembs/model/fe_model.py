@@ -314,7 +314,7 @@ def _sparse(A: Any, name: str) -> sp.csr_array:
 
 def skew(x: Floats) -> Floats:
     """x~ (..., 3, 3) with x~ y = x × y."""
-    result = np.zeros((*x.shape[:-1], 3, 3))
+    result = np.zeros((*x.shape[:-1], 3, 3), dtype=np.result_type(x, np.float64))
     result[..., 0, 1], result[..., 0, 2] = -x[..., 2], x[..., 1]
     result[..., 1, 0], result[..., 1, 2] = x[..., 2], -x[..., 0]
     result[..., 2, 0], result[..., 2, 1] = -x[..., 1], x[..., 0]
@@ -327,7 +327,7 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     ``xyz`` (N, 3) is the point of each dof in m. A displacement row of a point x is [I, -x~], a
     rotation row [0, I], the row of a scalar zero.
     """
-    R = np.zeros((len(component), 6))
+    R = np.zeros((len(component), 6), dtype=np.result_type(xyz, np.float64))
     moves = component < 3
     R[moves, component[moves]] = 1.0
     R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]

@@ -166,7 +166,16 @@ def keeps_its_limit_in_the_full_model(text):
     assert len(rows) == 3 and all(within >= 0.7 * count for within, count in rows)
 
 
+def differentiates_whole_runs(text):
+    rows = re.findall(r"^\w+ .* MPa (\S+) .* N (\S+) .* Hz (\S+)$", text, re.MULTILINE)
+    assert len(rows) == 4
+    assert all(float(stress) < 1e-3 and float(force) < 1e-3 and float(hz) < 1e-6 for stress, force, hz in rows)
+    before, after = number(r"stress (\S+) MPa", text), number(r"expected, (\S+) MPa in the run", text)
+    assert after < 0.95 * before
+
+
 PROMISES = {
+    "rod_design": differentiates_whole_runs,
     "design_study": keeps_its_limit_in_the_full_model,
     "base_excitation": moves_as_the_linear_mast,
     "bearing": shares_the_load_as_stribeck_says,
