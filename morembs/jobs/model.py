@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from morembs.budget import Budget
@@ -13,6 +14,7 @@ from morembs.jobs.preflight import require_room
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
 from morembs.model.assembly import assemble
+from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material
 from morembs.progress import Stopwatch
 
@@ -29,7 +31,7 @@ def model_of(
         with watch.stage("read"):
             model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        return model, None
+        return _without_skew_parts(model, asked.unsymmetric), None
     with watch.stage("read"):
         mesh = mesh_of(job)
     require_room_of_mesh(job, mesh, materials, solver, start)
@@ -42,3 +44,11 @@ def model_of(
             return varied.model(varied.box.nominal, budget), varied
         model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
         return model, None
+
+
+def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
+    """``model`` with the skew parts of K and D in N and G, or without them where they are to be dropped."""
+    if unsymmetric == "refuse":
+        return model
+    parts = split_unsymmetric(model)
+    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)

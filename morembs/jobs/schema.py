@@ -60,6 +60,10 @@ class ModelTable(Table):
     allow_includes_outside: bool = Field(
         default=False, description="true or false: a deck may include files from beyond its folder"
     )
+    unsymmetric: Literal["refuse", "split", "symmetrise"] = Field(
+        default="refuse",
+        description='"refuse", "split" or "symmetrise": what becomes of the skew parts of K and D',
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
