@@ -31,8 +31,7 @@ class Dynamics:
 
     K: sp.csr_array
     M: sp.csr_array
-    D: sp.csr_array | None
-    G: sp.csr_array | None
+    velocity_matrix: sp.csr_array | None
     N: sp.csr_array | None
     rigid: NDArray[Any]
     damping: Damping
@@ -67,8 +66,8 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: 
         return Crew((problem, others))
     own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
     dynamics = Dynamics(
-        K=problem.K, M=problem.M, D=problem.D, G=problem.G, N=problem.N, rigid=problem.rigid, damping=problem.damping,
-        damps_rigid_motion=problem.damps_rigid_motion, stiffness=problem.stiffness.for_worker(own), budget=own,
+        K=problem.K, M=problem.M, velocity_matrix=problem.velocity_matrix, N=problem.N, rigid=problem.rigid,
+        damping=problem.damping, damps_rigid_motion=problem.damps_rigid_motion, stiffness=problem.stiffness.for_worker(own), budget=own,
     )  # fmt: skip
     return Crew((dynamics, others), workers, scratch=budget.scratch)
 
