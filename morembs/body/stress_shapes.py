@@ -182,10 +182,7 @@ def _subtract(single: Reals, mean: Reals, point: Ints) -> None:
 def static_coordinates(reduced: ReducedModel) -> Floats:
     """K_r^+ B (nr, m): elastic coordinates under unit interface loads, free of rigid motion (inertia relief)."""
     r = reduced.rigid_count
-    if reduced.congruent and not reduced.symmetric:
-        E = reduced.modes()[1][:, r:]
-        return np.asarray(E @ np.linalg.solve(E.T @ reduced.K @ E, E.T @ reduced.B))
-    if not reduced.symmetric:
+    if not reduced.congruent:
         coordinates = np.zeros_like(reduced.B)
         coordinates[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
         return coordinates

@@ -116,7 +116,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
     return Delivered(
         M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,
         motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
-        symmetric=bool(np.array_equal(B.T, C)), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
+        symmetric=body.symmetric, hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
         markers={
             name: np.flatnonzero(file.input_interface == which)

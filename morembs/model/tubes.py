@@ -47,7 +47,7 @@ class Tube:
 
     def __post_init__(self) -> None:
         if not 0 <= self.inner < self.outer < math.inf:
-            raise InputError(f"a tube of {self.outer} m outer and {self.inner} m inner diameter was given; expected a wall")
+            raise InputError(f"a tube of {self.outer} m around {self.inner} m was given; expected a wall between them")
         if not (0 < self.young < math.inf and 0 < self.density < math.inf and -1 < self.poisson < 0.5):
             raise InputError("a tube needs young and density above zero, and poisson between -1 and 0.5")
 
@@ -189,10 +189,11 @@ class _Elements:
     def _hermite(self, x: Floats, derivative: int) -> Floats:
         """(ne, points, 3, 12) displacements or their ``derivative`` along the tube at ``x`` (points,) from 0 to 1."""
         L, one = self.length[:, None], np.ones_like(x)
-        powers = np.stack([one, x, x**2, x**3] if derivative == 0 else
-                          [0 * x, one, 2 * x, 3 * x**2] if derivative == 1 else [0 * x, 0 * x, 2 * one, 6 * x])  # fmt: skip
-        bent = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]]) @ powers / L[..., None] ** derivative
-        straight = np.array([[1, -1, 0, 0], [0, 1, 0, 0]]) @ powers / L[..., None] ** derivative
+        none = np.zeros_like(x)
+        rows = [[one, x, x**2, x**3], [none, one, 2 * x, 3 * x**2], [none, none, 2 * one, 6 * x]]
+        powers = np.stack(rows[derivative]) / L[..., None] ** derivative
+        bent = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]]) @ powers
+        straight = np.array([[1, -1, 0, 0], [0, 1, 0, 0]]) @ powers
         N = np.zeros((len(self.length), len(x), 3, 12))
         for node in (0, 1):
             at = 6 * node
@@ -238,7 +239,7 @@ class _Elements:
 
     def integral(self, test: Floats, trial: Floats) -> Floats:
         """(ne, 12, 12) along the elements of test' trial."""
-        return np.einsum("g,e,egai,egaj->eij", WEIGHTS, self.length, test, trial)
+        return np.asarray(np.einsum("g,e,egai,egaj->eij", WEIGHTS, self.length, test, trial))
 
     def assembled(self, A: Floats, dofs: Ints, size: int) -> sp.csr_array:
         """``A`` (ne, 12, 12) in local axes as a matrix on the ``dofs`` (nodes, 6) of the path; those below zero are

@@ -67,7 +67,8 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: 
     own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
     dynamics = Dynamics(
         K=problem.K, M=problem.M, velocity_matrix=problem.velocity_matrix, N=problem.N, rigid=problem.rigid,
-        damping=problem.damping, damps_rigid_motion=problem.damps_rigid_motion, stiffness=problem.stiffness.for_worker(own), budget=own,
+        damping=problem.damping, damps_rigid_motion=problem.damps_rigid_motion,
+        stiffness=problem.stiffness.for_worker(own), budget=own,
     )  # fmt: skip
     return Crew((dynamics, others), workers, scratch=budget.scratch)
 

@@ -404,11 +404,18 @@ class Problem(Closing):
         sigma = MECHANISM * float(np.finfo(float).eps) * lost
         try:
             solver = self.solver.with_memory(self.budget.left())
+            negative = solver.negative_eigenvalues(self.stiffness.shifted(-sigma), "K + sigma M")
             count = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
         except MorembsError:
             return (
                 "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
                 "far from its interface points that double precision does not resolve it; check the mesh and the units"
+            )
+        if negative:
+            return (
+                f"the stiffness matrix has {negative} negative eigenvalues: the body buckles or diverges under its "
+                "load, speed or flow; lower that below the critical one (complex modes of the full model are computed "
+                "above it too)"
             )
         if count <= self.rigid.shape[1]:
             return "the stiffness matrix is singular to working precision; check the units and the material"

@@ -22,6 +22,7 @@ from morembs.linalg.columns import (
     projected,
     without_rigid_motion,
 )  # fmt: skip
+from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
@@ -150,6 +151,18 @@ class ReducedModel:
         Y = np.eye(self.order)
         Y[r:, r:] = vectors[:, order].real
         return np.concatenate([np.zeros(r), values.real[order]]), Y
+
+
+    def complex_modes(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Eigenvalues s (m,) in 1/s of s^2 M + s D + K on or above the real axis, by size, and vectors (n, m).
+
+        Structural damping, which has no place in the time domain, is not in them.
+
+        >>> values, vectors = reduced.complex_modes()
+        >>> vectors.shape == (reduced.order, len(values))
+        True
+        """
+        return small_complex_modes(self.K, self.M, self.D)
 
 
 @dataclass(frozen=True, kw_only=True)

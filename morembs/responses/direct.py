@@ -36,6 +36,19 @@ def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
     )
 
 
+def refuse_skew_parts(problem: Problem) -> None:
+    """Refuse models with a gyroscopic or circulatory matrix, of which there is no reference model.
+
+    Raises:
+        InputError: as said.
+    """
+    if not problem.symmetric:
+        raise InputError(
+            "reference models are of symmetric matrices, and this model has a gyroscopic or circulatory one; take "
+            "direct_response, which solves the full equations at each frequency"
+        )
+
+
 def elastic_states(problem: Problem, s: complex, F: Values, *, transposed: bool = False) -> Values:
     """Elastic part (Nc, p) of A(s)^-1 F, or of A(s)'^-1 F, for loads ``F`` (Nc, p), at complex ``s`` in 1/s, not zero.
 
