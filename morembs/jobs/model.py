@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from morembs.budget import Budget
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
-from morembs.jobs.inputs import matrices_of, mesh_of
+from morembs.jobs.inputs import flows_of, matrices_of, mesh_of
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import require_room
 from morembs.linalg.sparse.solver import LinearSolver
@@ -16,6 +16,7 @@ from morembs.model import FEModel
 from morembs.model.assembly import assemble
 from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material
+from morembs.model.tubes import conveying
 from morembs.progress import Stopwatch
 
 if TYPE_CHECKING:
@@ -31,7 +32,10 @@ def model_of(
         with watch.stage("read"):
             model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        return _without_skew_parts(model, asked.unsymmetric), None
+        model = _without_skew_parts(model, asked.unsymmetric)
+        for path, flow in flows_of(job, model):
+            model = conveying(model, path, flow)
+        return model, None
     with watch.stage("read"):
         mesh = mesh_of(job)
     require_room_of_mesh(job, mesh, materials, solver, start)

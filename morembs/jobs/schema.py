@@ -381,6 +381,18 @@ class SpinTable(Table):
         return self
 
 
+class FlowTable(Table):
+    """``[[flow]]``: fluid that flows through a tube of beam elements, in the declared units."""
+
+    path: str = Field(
+        min_length=1, description='nodes in the order of the flow: "ids:4,7,2", "set:TUBE" or the path of a .csv'
+    )
+    mass_flow: float = Field(description="a number (mass/time)")
+    density: float = Field(gt=0, description="a number above zero")
+    area: float = Field(gt=0, description="the area of the bore")
+    outlet: Literal["held", "free"] = Field(default="held", description='"held" or "free": the last node is a nozzle')
+
+
 class ModesTable(Table):
     """``[modes]``: what ``morembs modes`` computes of the full model."""
 
@@ -427,6 +439,7 @@ class JobTables(Table):
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
     preload: PreloadTable | None = Field(default=None, description="a table [preload]")
     spin: SpinTable | None = Field(default=None, description="a table [spin]")
+    flow: list[FlowTable] = Field(default_factory=list, description="tables [[flow]]")
     modes: ModesTable = Field(default_factory=ModesTable, description="a table [modes]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
@@ -460,6 +473,12 @@ class JobTables(Table):
             raise ValueError("[preload] was given beside [[parameter]], which change its stress; leave one of them out")
         if self.spin is not None:
             raise ValueError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
+        return self
+
+    @model_validator(mode="after")
+    def _flows(self) -> Self:
+        if self.flow and self.model.file is None:
+            raise ValueError("[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements")
         return self
 
     @model_validator(mode="after")

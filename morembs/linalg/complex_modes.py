@@ -185,6 +185,8 @@ def _converged(pencil: _Pencil, V: Floats, count: int, progress: Progress) -> tu
     wanted, history = min(count + BEYOND, len(V)), list[float]()
     for step in range(STEPS):
         Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
+        # To the last bit, by which a body without damping is known.
+        Kv = 0.5 * (Kv + Kv.T)
         values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _projected(V, pencil.N), Mv, Cv)
         # A pair of s and its conjugate has one mode, two real s have one each.
         s, X = values[:wanted], V @ Y[:, :wanted]

@@ -193,7 +193,9 @@ class DofMap:
 
     def of_nodes(self, rows: Ints) -> Ints:
         """Displacement dofs (len(rows), 3) of node rows, -1 where a node lacks one."""
-        table = np.full((int(self.node.max()) + 1 if len(self) else 0, 3), -1, dtype=np.int64)
+        # Nodes behind the last dof have none.
+        count = max(int(self.node.max(initial=-1)), int(np.max(rows, initial=-1))) + 1
+        table = np.full((count, 3), -1, dtype=np.int64)
         translation = self.component < 3
         table[self.node[translation], self.component[translation]] = np.flatnonzero(translation)
         return table[rows]
