@@ -129,7 +129,8 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
     model = arch()
     options = {
         "auto": {"band_hz": [0.0, 500.0], "tolerance": 0.01}, "gramian": {"order": 4, "band_hz": [0.0, 500.0]},
-        "balanced-truncation": {"order": 4}, "irka": {"order": 4, "band_hz": [0.0, 500.0]}, "free-interface": {"modes": 3}, "guyan": {},
+        "balanced-truncation": {"order": 4}, "irka": {"order": 4, "band_hz": [0.0, 500.0]},
+        "free-interface": {"modes": 3}, "guyan": {},
     }  # fmt: skip
     with Problem(model, ports(model)) as problem:
         for method, given in options.items():
