@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.io import mmwrite
 
 from morembs import (
     REDUCERS,
@@ -21,6 +22,7 @@ from morembs import (
     export_body,
     full_response,
     make_part,
+    parse_units,
     read_body,
     reduced_response,
     state_space,
@@ -29,6 +31,7 @@ from morembs import (
 )
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
+from morembs.jobs.import_job import ImportJob, run_import
 from morembs.jobs.job import load_job
 from morembs.jobs.modes import job_modes
 from morembs.jobs.run import run_job
@@ -181,6 +184,20 @@ def test_a_state_space_has_the_complex_modes(stored):
     poles = np.linalg.eigvals(system.A)
     poles = np.sort(poles.imag[poles.imag > 0])
     np.testing.assert_allclose(poles, np.sort(stored[1].complex_modes()[0].imag), rtol=1e-8)
+
+
+def test_matrices_come_in_from_files_in_their_units(tmp_path):
+    """G of Matrix Market and N of npz in mm-t-s, with rotations nowhere: N/mm and Ns/mm are a thousand times SI."""
+    upper = sp.csr_array(np.triu(np.arange(36.0).reshape(6, 6), 1))
+    given = {"K": 9 * sp.eye_array(6), "M": sp.eye_array(6), "G": upper - upper.T, "N": upper}
+    files = {name: tmp_path / f"{name}.mtx" for name in "KMG"} | {"N": tmp_path / "N.npz"}
+    for name, path in files.items():
+        (sp.save_npz if name == "N" else mmwrite)(path, sp.csr_array(given[name]))
+    job = ImportJob(out=tmp_path / "x.model.h5", matrices=files, units=parse_units("mm-t-s"))
+    model = read_model(run_import(job).path)
+    np.testing.assert_allclose(model.G.toarray(), 1e3 * given["G"].toarray())
+    np.testing.assert_allclose((model.K + model.N).toarray(), 1e3 * (given["K"] + given["N"]).toarray())
+    np.testing.assert_array_equal(model.N.toarray(), -model.N.T.toarray())
 
 
 JOB = """
