@@ -75,6 +75,8 @@ def _switching(**values: Any) -> StaticModeTables:
 
 FORMAT = "morembs-body"
 FORMAT_VERSION = 3
+# Of files with gyroscopic and circulatory matrices.
+SKEW_PARTS = 3
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20
 # 2: limits hold at every frequency of a band; files without a version have errors at samples.
