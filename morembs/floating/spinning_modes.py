@@ -60,7 +60,7 @@ def _held_modes(
     if problem.rigid.shape[1] and not len(rows):
         raise InputError(
             f"complex modes need a body that is held; this one has {problem.rigid.shape[1]} rigid-body motions: name "
-            'the interfaces that hold it with held = ["NAME"]'
+            'the interfaces that hold it with held = ["NAME"], in a job in the table [modes]'
         )
     free = np.ones(problem.K.shape[0], dtype=bool)
     free[rows] = False

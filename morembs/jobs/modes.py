@@ -169,5 +169,5 @@ def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
     axes.set_ylabel("frequency in the frame that turns, Hz")
     axes.grid(True, color="#d0d4d8", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, ncols=4)
+    axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
     save(figure, path)
