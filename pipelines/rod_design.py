@@ -106,7 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p, names = rod.box.nominal, rod.box.names
     goals, stress = rod.goals(p)
     slopes = rod.slopes(p, stress)
-    print(f"stress {goals[0] / 1e6:.3f} MPa, force {goals[1]:.2f} N, frequency {goals[2]:.3f} Hz, per range:")
+    print(f"stress {goals[0] / 1e6:.3f} MPa, force {goals[1]:.2f} N, frequency {goals[2]:.3f} Hz")
+    print("slope over the range of each parameter, and its relative gap to central differences of whole runs:")
     for j, step in enumerate(2e-3 * rod.ranges):
         by = (rod.goals(p + step)[0] - rod.goals(p - step)[0]) / 4e-3
         each = zip(slopes[:, j] / [1e6, 1, 1], np.abs(slopes[:, j] / by - 1), ("MPa", "N", "Hz"), strict=True)
