@@ -128,6 +128,19 @@ def test_a_preloaded_body_keeps_its_bound_at_other_loads():
     assert high > 1.05 * low
 
 
+def test_buckling_at_some_value_of_the_box_is_refused():
+    plain, ends = beam([E])
+    varied, _ = beam([E, factor(high=2.5)])
+    load = Preload(wrench={name: -np.array(f) for name, f in LOAD.wrench.items()})
+    with Problem(plain.assembled(plain.box.nominal), ends) as bare:
+        found = preloaded(bare, load)
+    # Only where the beam is softer than the nominal one.
+    assert 2.5 * E.low / E.nominal < 2.5 < found.critical_factor < 2.5 * E.nominal / E.low
+    varied = with_preload(varied, found.model.K - bare.model.K, found.critical_factor)
+    with AffineProblem(varied, ends) as problem, pytest.raises(InputError, match=r"buckles under .* at some of E 1.6e"):
+        search(problem, BAND)
+
+
 def test_derivatives_by_springs_are_those_of_differences():
     varied, ends = beam([E, spring((3e7, 2e7, 2e7, 4e3, 5e3, 6e3))])
     with AffineProblem(varied, ends) as problem:
