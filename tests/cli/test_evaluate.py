@@ -146,6 +146,16 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
     assert "error of H at 10000 Hz, proven bound: " in run("evaluate", proven, "--at", "E_arm=2e11", "--bound", "1e4")
 
 
+def test_where_there_is_no_bound_it_is_said(path, proven, table):
+    for file, hz, kind in ((proven, "1e6,9", "bound"), (path, "9", "none")):
+        text = run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz)
+        assert f"error of H at {float(hz.partition(',')[0]):.12g} Hz, no bound there" in text
+        (document,) = json.loads(run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz, "--json"))
+        assert document["bound"][0] is None and document["bound_kind"] == kind
+    (document,) = json.loads(run("evaluate", path, "--table", table, "--bound", "9,10", "--json"))
+    assert document["bound"] == [[None, None]] * 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -157,6 +167,7 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
         (["--table", "absent.csv"], "cannot be read"),
         (["--at", "t=1", "--table", "absent.csv"], "evaluate needs values"),
         (["--at", "t=1", "--matrices"], "it needs --table"),
+        (["--at", "t=1", "--out", "f.csv"], "--out f.csv was given for --at, which writes a body file"),
         (["--at", "t=1", "--frequencies", "-3"], "--frequencies -3 was given; expected a number, 1 or more"),
         (["--at", "t=1", "--bound", "100,-3"], "--bound 100,-3 was given; expected frequencies in Hz"),
         (["--at", "t=1", "--bound", "nan"], "--bound nan was given; expected frequencies in Hz"),
