@@ -116,6 +116,18 @@ def test_a_family_is_exported_with_an_index(path, table, tmp_path):
     assert (tmp_path / "arm_1.SID_FEM").read_bytes() != (tmp_path / "arm_2.SID_FEM").read_bytes()
 
 
+def test_an_index_never_tells_of_values_that_its_files_no_longer_have(path, table, tmp_path):
+    first = tmp_path / "arm.SID_FEM"
+    assert "3 bodies as arm_N.SID_FEM" in run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm")
+    table.write_text("E_arm,t\n2.6e11,-1\n2.0e11,1\n1.6e11,2\n")
+    # The export ends at its second file.
+    (tmp_path / "arm_2.SID_FEM").unlink()
+    (tmp_path / "arm_2.SID_FEM").mkdir()
+    before = (tmp_path / "arm_1.SID_FEM").read_bytes()
+    run("export", path, "--table", table, "--to", "sid", "-o", first, code=2)
+    assert (tmp_path / "arm_1.SID_FEM").read_bytes() != before and not (tmp_path / "index.csv").exists()
+
+
 def test_a_family_does_not_replace_the_index_of_another(path, table, tmp_path):
     run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm.SID_FEM")
     index = (tmp_path / "index.csv").read_bytes()
