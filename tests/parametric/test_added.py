@@ -150,6 +150,13 @@ def test_derivatives_by_springs_are_those_of_differences():
     np.testing.assert_allclose(slope, (above - below) / 2e-4, rtol=1e-5)
 
 
+@pytest.mark.parametrize("stiffness", [(1.0, 1, 1, 1e-2, 1e-2, 1e-2), (1e-3, 0, 0, 0, 0, 0)])
+def test_springs_below_the_round_off_of_the_elements_are_refused(stiffness):
+    varied, ends = beam([spring(stiffness)])
+    with pytest.raises(InputError, match="springs hold the body so softly that round-off"):
+        AffineProblem(varied, ends)
+
+
 def test_springs_and_preloads_that_do_not_fit_are_refused():
     def made(parameters):
         varied, ends = beam(parameters)
