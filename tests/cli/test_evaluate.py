@@ -158,6 +158,14 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
     assert "error of H at 10000 Hz, proven bound: " in run("evaluate", proven, "--at", "E_arm=2e11", "--bound", "1e4")
 
 
+def test_an_update_names_the_modes_above_the_band_of_the_bound(proven, tmp_path):
+    measured = tmp_path / "measured.csv"
+    measured.write_text("mode,frequency_hz\n1,7800\n2,14500\n")
+    assert "note: modes 2 lie above the band" in run("update", proven, "--measured", measured)
+    (document,) = json.loads(run("update", proven, "--measured", measured, "--json"))
+    assert document["above_band"] == [2]
+
+
 def test_where_there_is_no_bound_it_is_said(path, proven, table):
     for file, hz, kind in ((proven, "1e6,9", "bound"), (path, "9", "none")):
         text = run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz)
