@@ -90,8 +90,8 @@ def _print(result: Updated, units: tuple[str, ...], written: list[str]) -> None:
         )
     if result.above:
         typer.echo(
-            f"note: modes {', '.join(map(str, result.above))} lie above the band for which the body was made, where its "
-            "own error is not known; leave them out, or reduce with a wider band_hz"
+            f"note: modes {', '.join(map(str, result.above))} lie above the band for which the body was made, where "
+            "its own error is not known; leave them out, or reduce with a wider band_hz"
         )
     for name in result.at_end:
         typer.echo(f"note: {name} lies at the end of its range; what was measured may need more")
