@@ -31,6 +31,7 @@ from morembs import (
 )
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
+from morembs.jobs.check import check_job
 from morembs.jobs.import_job import ImportJob, run_import
 from morembs.jobs.job import load_job
 from morembs.jobs.modes import job_modes
@@ -253,6 +254,13 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path):
     whole = replace(arch(), N=extra - extra.T)
     # The fluid at rest is in the file already.
     whole = replace(whole, M=2 * whole.M - _structure(whole).M)
+    assert check_job(job).dofs == plain.size
+    (tmp_path / "irka.toml").write_text(
+        JOB.format(area=BORE).split("[[reduce]]")[0]
+        + '[[reduce]]\nmethod = "irka"\norder = 4\nband_hz = [0.0, 900.0]\n[output]\npath = "irka.h5"\n'
+    )
+    with pytest.raises(InputError, match='"irka" takes symmetric models'):
+        check_job(load_job(tmp_path / "irka.toml"))
     table = job_modes(job, complex_=True, count=4)
     hz = eigenvalues(whole)[:4].imag / (2 * np.pi)
     np.testing.assert_allclose([row.damped_hz for row in table.rows], hz, rtol=1e-6)
