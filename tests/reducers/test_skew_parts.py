@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from rich.console import Console
 from scipy.io import mmwrite
 
 from morembs import (
@@ -29,6 +30,8 @@ from morembs import (
     tube_model,
     write_body,
 )
+from morembs.cli.report_stored import print_stored
+from morembs.diagnostics.findings import Diagnosis
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
 from morembs.jobs.check import check_job
@@ -241,7 +244,7 @@ full_modes = 2
 """
 
 
-def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path):
+def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path, capsys):
     """From a model file whose K is not symmetric, with G of its own; complex modes of it too."""
     plain = arch(mass_flow=0.0)
     extra = 1e-5 * np.triu(plain.K.toarray(), 1)
@@ -251,6 +254,8 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path):
     job = load_job(tmp_path / "tube.toml")
     [body] = run_job(job).bodies
     assert body.certificate.kind == "sampled" and body.certificate.error.max() < 1e-3
+    print_stored(Console(width=300), "tube.h5", read_body(tmp_path / "tube.h5"), {"krylov": Diagnosis()})
+    assert f"krylov: error at most {body.certificate.error.max():.1e} (pointwise) at" in capsys.readouterr().out
     whole = replace(arch(), N=extra - extra.T)
     # The fluid at rest is in the file already.
     whole = replace(whole, M=2 * whole.M - _structure(whole).M)
