@@ -190,7 +190,7 @@ def test_targets_carry_the_skew_parts_or_refuse_the_body(stored, to):
     try:
         paths = export_body(stored[0], to).paths
     except InputError as refusal:
-        assert re.search("gyroscopic|not symmetric|no floating frame|needs|held", str(refusal))
+        assert re.search("gyroscopic|circulatory", str(refusal))
     else:
         assert to in ("op4", "matrix-market", "statespace", "modelica") and all(path.exists() for path in paths)
 
