@@ -13,11 +13,13 @@ from morembs import (
     REDUCERS,
     CraigBampton,
     Damping,
+    Flow,
     InputError,
     Krylov,
     Modal,
     Problem,
     certify,
+    conveying,
     direct_response,
     elastic_body,
     export_body,
@@ -110,6 +112,19 @@ def test_two_blocks_of_both_spaces_match_four_moments():
         H, H_r = direct_response(problem, near), reduced_response(reduced, near)
     off = np.linalg.norm(H_r - H, axis=(1, 2))
     assert 14 < off[1] / off[0] < 17
+
+
+def test_rigid_motion_is_told_from_what_the_flow_makes_softer():
+    """A free tube: its translations are rigid, and the fluid drives its rotations, whose stiffness is negative."""
+    given = arch()
+    flow = Flow(mass_flow=0.4, density=1000.0, area=BORE)
+    model = conveying(tube_model(given.nodes.xyz, STEEL), np.arange(len(given.nodes)), flow)
+    with Problem(model, ports(model)) as problem:
+        reduced = Krylov(shifts_hz=[50.0, 200.0, 400.0], moments=2).reduce(problem)
+        values, r = reduced.modes()[0], problem.rigid.shape[1]
+        assert r == 3 and np.abs(values[:r]).max() < 1.0 and values[r] < -1.0
+        near = 2 * np.pi * np.array([60.0, 300.0])
+        assert error(reduced_response(reduced, near), direct_response(problem, near)) < 1e-6
 
 
 def test_workers_make_the_same_basis():
