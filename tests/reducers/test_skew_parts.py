@@ -281,7 +281,9 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path, capsys):
     )
     with pytest.raises(InputError, match='"irka" takes symmetric models'):
         check_job(load_job(tmp_path / "irka.toml"))
+    assert "symmetric K alone" in job_modes(job, complex_=False, count=4).warnings[0]
     table = job_modes(job, complex_=True, count=4)
+    assert not table.warnings
     hz = eigenvalues(whole)[:4].imag / (2 * np.pi)
     np.testing.assert_allclose([row.damped_hz for row in table.rows], hz, rtol=1e-6)
     assert table.complete[0.0] == "no count of modes: a circulatory matrix"
