@@ -226,8 +226,8 @@ def _measured(
             static_error=float(np.linalg.norm(static - statics) / np.linalg.norm(statics)),
             mode_frequencies_hz=nothing, mode_enclosure_hz=np.empty((0, 2)), mode_deviation=nothing, mode_mac=nothing,
             residue_deviation=nothing, verified_below_hz=0.0,
-            notes=("no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at "
-                   f"{len(hz)} frequencies; modes are not compared",),
+            notes=("no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at the "
+                   "sampled frequencies; modes are not compared",),
         ))  # fmt: skip
     return tuple(certificates)
 

@@ -116,6 +116,10 @@ def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str
 def _notes(certified: Certified) -> list[str]:
     infinite = [name for name in MEASURES if not np.isfinite(certified.values[f"limits/{name}"][1])]
     notes = []
+    if KINDS[certified.text("bound_kind")] == "sampled":
+        hz, error = (np.asarray(certified.values[key], dtype=float) for key in ("frequencies_hz", "error"))
+        at = int(np.argmax(error))
+        notes.append(f"error at most {error[at]:.1e} (pointwise) at {len(hz)} frequencies, worst at {hz[at]:,.6g} Hz")
     if infinite == ["pointwise"] and certified.text("bound_kind") != "none":
         at_hz = float(certified.values["limits/pointwise"][2])
         notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")

@@ -69,8 +69,9 @@ class ExportContext:
             )
         if floating is None:
             raise InputError(
-                f"body {self.body.name!r} has no floating frame (it is held to the ground, or its reduction is "
-                "two-sided); export a body of a free model with a one-sided reduction"
+                f"body {self.body.name!r} has no floating frame (it is held to the ground, or not symmetric: "
+                "two-sided, gyroscopic or circulatory); export a body of a free, symmetric model with a one-sided "
+                "reduction"
             )
         if not floating.elastic.shape[1]:
             raise InputError(f"body {self.body.name!r} has no elastic coordinate; keep at least one mode")

@@ -267,6 +267,11 @@ def frame_about(
 
 def why_not_floating(reduced: ReducedModel) -> str:
     """Why a body has no floating frame; "" where it has one."""
+    if reduced.congruent and not reduced.symmetric:
+        return (
+            f"the body {reduced.name!r} has gyroscopic or circulatory terms, so that its matrices are not symmetric; a "
+            "floating frame needs a body without"
+        )
     if not reduced.symmetric:
         return (
             f"the body {reduced.name!r} comes from a two-sided reduction, whose matrices are not symmetric; a floating "

@@ -32,10 +32,7 @@ def model_of(
         with watch.stage("read"):
             model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        model = _without_skew_parts(model, asked.unsymmetric)
-        for path, flow in flows_of(job, model):
-            model = conveying(model, path, flow)
-        return model, None
+        return equations_of_motion(job, model), None
     with watch.stage("read"):
         mesh = mesh_of(job)
     require_room_of_mesh(job, mesh, materials, solver, start)
@@ -48,6 +45,14 @@ def model_of(
             return varied.model(varied.box.nominal, budget), varied
         model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
         return model, None
+
+
+def equations_of_motion(job: Job, model: FEModel) -> FEModel:
+    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
+    model = _without_skew_parts(model, job.tables.model.unsymmetric)
+    for path, flow in flows_of(job, model):
+        model = conveying(model, path, flow)
+    return model
 
 
 def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:

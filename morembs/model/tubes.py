@@ -88,7 +88,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     """Tube of two-node Bernoulli elements through ``points`` (n, 3) in m, six dofs per node but for those ``held``.
 
     Raises:
-        InputError: fewer than two points, or two in a row at one place.
+        InputError: fewer than two points, two in a row at one place, or rows in ``held`` that are none of them.
 
     >>> line = np.linspace([0.0, 0, 0], [1.0, 0, 0], 9)
     >>> tube_model(line, Tube(outer=0.02, inner=0.016, young=2e11, density=7800.0), held=(0, 8)).size
@@ -97,7 +97,9 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     xyz = np.ascontiguousarray(points, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1:] != (3,) or len(xyz) < 2:
         raise InputError(f"the points of a tube have the shape {xyz.shape}; expected (n, 3) with two or more")
-    path = np.arange(len(xyz))
+    path, ends = np.arange(len(xyz)), np.asarray(held, dtype=np.int64)
+    if not np.isin(ends, path).all():
+        raise InputError(f"held = {tuple(held)} was given; expected rows of the points, 0 to {len(xyz) - 1}")
     elements = _Elements.on(xyz, path)
     area = 0.25 * np.pi * (tube.outer**2 - tube.inner**2)
     second = np.pi / 64 * (tube.outer**4 - tube.inner**4)
@@ -109,7 +111,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     M = elements.integral(elements.shape, tube.density * area * elements.shape)
     M += elements.integral(elements.twist, 2 * tube.density * second * elements.twist)
     dof = np.arange(6 * len(xyz))
-    free = np.flatnonzero(~np.isin(dof // 6, np.asarray(held, dtype=np.int64)))
+    free = np.flatnonzero(~np.isin(dof // 6, ends))
     K, M = (sp.csr_array(elements.assembled(A, dof.reshape(-1, 6), len(dof))[free][:, free]) for A in (K, M))
     nodes = Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz, sets={"TUBE": path})
     return FEModel(K=K, M=M, nodes=nodes, dofs=DofMap(node=free // 6, component=free % 6), source="tube")
@@ -178,8 +180,8 @@ class _Elements:
     def on(cls, xyz: Floats, path: Ints) -> _Elements:
         along = np.diff(xyz[path], axis=0)
         length = np.linalg.norm(along, axis=1)
-        if not (length > 0).all():
-            raise InputError("a tube has two nodes at one place in a row; expected each at a place of its own")
+        if not (np.isfinite(length) & (length > 0)).all():
+            raise InputError("a tube has two nodes at one place in a row, or at none; expected finite, separate places")
         tangent = along / length[:, None]
         other = np.eye(3)[np.abs(tangent).argmin(axis=1)]
         normal = np.cross(tangent, other)

@@ -143,9 +143,15 @@ class ReducedModel:
         Of two-sided reductions the real parts, vectors of unit modal mass; of gyroscopic and circulatory models those
         of the symmetric part of K.
         """
-        if self.congruent:
-            return graded_modes(self.K if self.symmetric else 0.5 * (self.K + self.K.T), self.M)
         r = self.rigid_count
+        if self.symmetric:
+            return graded_modes(self.K, self.M)
+        if self.congruent:
+            values, Y = graded_modes(0.5 * (self.K + self.K.T), self.M)
+            # Flow may make elastic modes softer than rigid motion.
+            rigid = np.sort(np.argsort(np.abs(values))[:r])
+            order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
+            return values[order], Y[:, order]
         values, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
         order = np.argsort(values.real, kind="stable")
         Y = np.eye(self.order)

@@ -100,6 +100,9 @@ def test_a_model_splits_into_symmetric_and_skew_parts_in_one_way():
 def test_bad_input_is_refused_in_one_sentence():
     tube = tube_model(np.linspace([0.0, 0, 0], [1.0, 0, 0], 9), STEEL)
     flow = Flow(mass_flow=1e-3, density=1000.0, area=BORE)
+    for held in ((0, -1), (9,)):
+        with pytest.raises(InputError, match=r"held = .* was given; expected rows of the points, 0 to 8"):
+            tube_model(tube.nodes.xyz, STEEL, held=held)
     with pytest.raises(InputError, match="nodes 3 and 5 follow each other in the path, but no element joins them"):
         conveying(tube, np.array([0, 1, 2, 4, 3, 5, 6, 7, 8]), flow)
     with pytest.raises(InputError, match="each once"):

@@ -6,17 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from rich.console import Console
 from scipy.io import mmwrite
 
 from morembs import (
     REDUCERS,
     CraigBampton,
     Damping,
+    Flow,
     InputError,
     Krylov,
     Modal,
     Problem,
     certify,
+    conveying,
     direct_response,
     elastic_body,
     export_body,
@@ -29,8 +32,11 @@ from morembs import (
     tube_model,
     write_body,
 )
+from morembs.cli.report_stored import print_stored
+from morembs.diagnostics.findings import Diagnosis
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
+from morembs.jobs.check import check_job
 from morembs.jobs.import_job import ImportJob, run_import
 from morembs.jobs.job import load_job
 from morembs.jobs.modes import job_modes
@@ -106,6 +112,19 @@ def test_two_blocks_of_both_spaces_match_four_moments():
         H, H_r = direct_response(problem, near), reduced_response(reduced, near)
     off = np.linalg.norm(H_r - H, axis=(1, 2))
     assert 14 < off[1] / off[0] < 17
+
+
+def test_rigid_motion_is_told_from_what_the_flow_makes_softer():
+    """A free tube: its translations are rigid, and the fluid drives its rotations, whose stiffness is negative."""
+    given = arch()
+    flow = Flow(mass_flow=0.4, density=1000.0, area=BORE)
+    model = conveying(tube_model(given.nodes.xyz, STEEL), np.arange(len(given.nodes)), flow)
+    with Problem(model, ports(model)) as problem:
+        reduced = Krylov(shifts_hz=[50.0, 200.0, 400.0], moments=2).reduce(problem)
+        values, r = reduced.modes()[0], problem.rigid.shape[1]
+        assert r == 3 and np.abs(values[:r]).max() < 1.0 and values[r] < -1.0
+        near = 2 * np.pi * np.array([60.0, 300.0])
+        assert error(reduced_response(reduced, near), direct_response(problem, near)) < 1e-6
 
 
 def test_workers_make_the_same_basis():
@@ -186,7 +205,7 @@ def test_targets_carry_the_skew_parts_or_refuse_the_body(stored, to):
     try:
         paths = export_body(stored[0], to).paths
     except InputError as refusal:
-        assert re.search("gyroscopic|not symmetric|no floating frame|needs|held", str(refusal))
+        assert re.search("gyroscopic|circulatory", str(refusal))
     else:
         assert to in ("op4", "matrix-market", "statespace", "modelica") and all(path.exists() for path in paths)
 
@@ -240,7 +259,7 @@ full_modes = 2
 """
 
 
-def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path):
+def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path, capsys):
     """From a model file whose K is not symmetric, with G of its own; complex modes of it too."""
     plain = arch(mass_flow=0.0)
     extra = 1e-5 * np.triu(plain.K.toarray(), 1)
@@ -250,10 +269,21 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path):
     job = load_job(tmp_path / "tube.toml")
     [body] = run_job(job).bodies
     assert body.certificate.kind == "sampled" and body.certificate.error.max() < 1e-3
+    print_stored(Console(width=300), "tube.h5", read_body(tmp_path / "tube.h5"), {"krylov": Diagnosis()})
+    assert f"krylov: error at most {body.certificate.error.max():.1e} (pointwise) at" in capsys.readouterr().out
     whole = replace(arch(), N=extra - extra.T)
     # The fluid at rest is in the file already.
     whole = replace(whole, M=2 * whole.M - _structure(whole).M)
+    assert check_job(job).dofs == plain.size
+    (tmp_path / "irka.toml").write_text(
+        JOB.format(area=BORE).split("[[reduce]]")[0]
+        + '[[reduce]]\nmethod = "irka"\norder = 4\nband_hz = [0.0, 900.0]\n[output]\npath = "irka.h5"\n'
+    )
+    with pytest.raises(InputError, match='"irka" takes symmetric models'):
+        check_job(load_job(tmp_path / "irka.toml"))
+    assert "symmetric K alone" in job_modes(job, complex_=False, count=4).warnings[0]
     table = job_modes(job, complex_=True, count=4)
+    assert not table.warnings
     hz = eigenvalues(whole)[:4].imag / (2 * np.pi)
     np.testing.assert_allclose([row.damped_hz for row in table.rows], hz, rtol=1e-6)
     assert table.complete[0.0] == "no count of modes: a circulatory matrix"
