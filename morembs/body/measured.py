@@ -40,14 +40,17 @@ def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floa
     lost = np.setdiff1d(ids, kept)
     if len(lost):
         raise InputError(
-            f"the table {path} has the node {lost[0]:g}, and the body file keeps {len(kept)} nodes without it; make "
+            f"the table {path} has the node {lost[0]:.0f}, and the body file keeps {len(kept)} nodes without it; make "
             'the body with [output] nodes = "all", or leave it out'
         )
     motions = np.full((len(modes), len(ids), 3), np.nan)
     for mode, node, *motion in zip(*columns.values(), strict=True):
         if mode not in modes:
             raise InputError(f"the table {path} has a shape of mode {mode:g}, of which no frequency was measured")
-        motions[np.flatnonzero(modes == mode)[0], np.searchsorted(ids, node)] = motion
+        own = motions[np.flatnonzero(modes == mode)[0], np.searchsorted(ids, node)]
+        if not np.isnan(own).all():
+            raise InputError(f"the table {path} has the node {node:.0f} twice in mode {mode:g}; give it one row there")
+        own[:] = motion
     if np.isnan(motions).any():
         raise InputError(f"the table {path} lacks nodes in some of its shapes; expected every mode at the same nodes")
     rows = 3 * np.flatnonzero(np.isin(kept, ids))[:, None] + np.arange(3)
@@ -59,10 +62,12 @@ def _columns(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ())
     """Columns (k,) of a CSV file, in the order of ``names``."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
+            table = csv.DictReader(file, skipinitialspace=True)
+            table.fieldnames = [name.strip() for name in table.fieldnames or ()]
+            rows = list(table)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
-    header = [str(name).strip() for name in (rows[0] if rows else {}) if name is not None]
+    header = [name for name in (rows[0] if rows else {}) if name is not None]
     if not rows or set(names) - set(header) or set(header) - {*names, *optional}:
         more = f" ({','.join(optional)} if known)" if optional else ""
         raise InputError(

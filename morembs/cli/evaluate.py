@@ -32,7 +32,7 @@ At = Annotated[
 Values = Annotated[Path | None, typer.Option("--table", metavar="FILE.csv", help="Values, a row for each body.")]
 # Frequencies that are printed.
 SHOWN = 6
-KIND = {"bound": "proven bound", "estimate": "estimate of a bound", "none": "no bound"}
+KIND = {"bound": "proven bound", "estimate": "estimate of a bound"}
 
 
 @app.command(epilog=EPILOG)
@@ -87,6 +87,8 @@ def _refuse_mixed(
         raise InputError("--matrices was given; it needs --table and --out FILE.h5")
     if table is not None and out is not None and out.suffix not in (".csv", ".h5"):
         raise InputError(f"--out {out} was given for a table; expected a name that ends in .csv or .h5")
+    if table is None and out is not None and out.suffix == ".csv":
+        raise InputError(f"--out {out} was given for --at, which writes a body file; expected a name that ends in .h5")
     if out is not None and out.resolve() in {each.resolve() for each in (file, table) if each is not None}:
         raise InputError(f"--out {out} would overwrite an input; give another name")
 
@@ -97,8 +99,10 @@ def _evaluate_one(
     # Not at the top: help needs no numbers.
     import numpy as np
 
+    from morembs.cli.report import without_nan
+
     hz = at.frequencies_hz[:count]
-    bounds = dict(zip(at_hz, at.bound(np.array(at_hz)).tolist(), strict=True)) if at_hz else {}
+    bounds = at.bound(np.array(at_hz)) if at_hz else np.zeros(0)
     written = [str(at.write(out))] if out is not None else []
     slopes: dict[str, Any] = {}
     clustered: list[bool] = []
@@ -110,14 +114,15 @@ def _evaluate_one(
         if as_json:
             document = {"at": at.values, "written": written, "frequencies_hz": hz.tolist()}
             more = {"frequency_slopes": slopes, "clustered": clustered} if sensitivity else {}
-            known = {"bound_hz": list(bounds), "bound": list(bounds.values())} if bounds else {}
+            known = {"bound_hz": at_hz, "bound": without_nan(bounds)} if at_hz else {}
             print_json([{**document, "bound_kind": at.bound_kind, **known, **more}])
             return
         units = zip(at.values.items(), at.parent.units, strict=True)
         typer.echo("at " + ", ".join(f"{name} = {value:.6g} {unit}".rstrip() for (name, value), unit in units))
         typer.echo("elastic frequencies in Hz: " + ", ".join(f"{f:,.7g}" for f in hz))
-        for f, bound in bounds.items():
-            typer.echo(f"error of H at {f:g} Hz, {KIND[at.bound_kind]}: {bound:.3g} m/N")
+        for f, bound in zip(at_hz, bounds.tolist(), strict=True):
+            limit = f"{KIND[at.bound_kind]}: {bound:.3g} m/N" if math.isfinite(bound) else "no bound there"
+            typer.echo(f"error of H at {f:.12g} Hz, {limit}")
         for name, values in slopes.items():
             typer.echo(f"Hz per unit of {name}: " + ", ".join(f"{value:.5g}" for value in values))
         if any(clustered):
@@ -134,6 +139,8 @@ def _evaluate_table(
     # Not at the top: help needs no numbers.
     import numpy as np
 
+    from morembs.cli.report import without_nan
+
     values = read_values(table, parametric)
     hz = parametric.frequencies_hz(values, count)
     bodies = [parametric.model.at(p) for p in values] if matrices or at_hz else []
@@ -146,7 +153,7 @@ def _evaluate_table(
         written = [str(out)]
     with printing(written):
         if as_json:
-            known = {"bound_hz": at_hz, "bound": bounds.tolist(), "bound_kind": kinds} if at_hz else {}
+            known = {"bound_hz": at_hz, "bound": without_nan(bounds), "bound_kind": kinds} if at_hz else {}
             print_json([{
                 "table": str(table), "written": written, "values": values.tolist(), "frequencies_hz": hz.tolist(),
                 **known,
@@ -174,7 +181,7 @@ def _csv(table: _Table) -> str:
     rows = csv.writer(text, lineterminator="\n")
     last = ["bound_kind"] if table.kinds else []
     columns = [f"frequency_{k + 1}_hz" for k in range(table.hz.shape[1])]
-    rows.writerow([*table.names, *columns, *(f"bound_at_{f:g}_hz" for f in table.at_hz), *last])
+    rows.writerow([*table.names, *columns, *(f"bound_at_{f:.12g}_hz" for f in table.at_hz), *last])
     for k, numbers in enumerate(zip(table.values.tolist(), table.hz.tolist(), table.bounds.tolist(), strict=True)):
         rows.writerow([*(repr(x) for part in numbers for x in part), *table.kinds[k : k + 1]])
     return text.getvalue()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from morembs.cli.messages import print_json, printing
-from morembs.errors import InputError
+from morembs.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -77,6 +77,7 @@ def export_family(
 
     Raises:
         InputError: as ``export_body`` and ``read_values``.
+        OutputError: files that cannot be written.
     """
     from morembs.exporters import EXPORTERS, export_body, make_exporter
     from morembs.storage.safefile import replacing
@@ -90,6 +91,11 @@ def export_family(
     parametric = parametric_of(file, body)
     values = read_values(table, parametric)
     _refuse_other_family(index, first.stem)
+    # Files that are replaced have no list until all of them are there: the old one tells of other values.
+    try:
+        index.resolve().unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{index} cannot be replaced ({error}); give another folder with -o") from error
     digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
     for number, p in enumerate(values, 1):
         path = first.with_name(f"{first.name.removesuffix(first.suffix)}_{number:0{digits}d}{first.suffix or suffix}")
@@ -108,7 +114,7 @@ def export_family(
         if as_json:
             print_json([{"file": str(file), "to": to, "written": paths}])
         else:
-            typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix}, and {index}")
+            typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix or suffix}, and {index}")
 
 
 def _refuse_other_family(index: Path, stem: str) -> None:

@@ -132,7 +132,7 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
     elastic = body.frequencies_hz[body.rigid_count :]
     said: dict[str, Any] = {
         "name": name, "order": len(body.mass_matrix), "method": str(body.recipe.get("method", "-")), "limits": {},
-        "frequencies": [f"{f:,.5g}" for f in elastic[: 2 * FREQUENCIES]], "lowest": min(elastic, default=-1.0),
+        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]], "lowest": min(elastic, default=-1.0),
         "kind": "none", "band": "", "measure": "", "value": float("inf"), "notes": "",
     }  # fmt: skip
     known = body.certificate
@@ -140,7 +140,7 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
         return said
     said["kind"] = KINDS[str(known["bound_kind"])]
     low, high = known["band_hz"] if "band_hz" in known else known["frequencies_hz"][[0, -1]]
-    said["band"] = f"{low:,.4g} to {high:,.4g} Hz"
+    said["band"] = f"{low:,.6g} to {high:,.6g} Hz"
     floor = float(known.get("damping_floor", 0.0))
     assumed = f"damping of {100 * floor:.3g} % of critical assumed beside its own" if floor else ""
     said["notes"] = "; ".join(filter(None, (assumed, str(known.get("notes") or "").strip())))

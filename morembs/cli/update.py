@@ -66,7 +66,7 @@ def _document(result: Updated, written: list[str]) -> dict[str, object]:
         "correlation": result.correlation.tolist(), "singular_values": result.singular_values.tolist(),
         "untold": [dict(each) for each in result.untold], "at_end": list(result.at_end), "misfit": result.misfit,
         "modes": result.measured.modes.tolist(), "measured_hz": result.measured.frequencies_hz.tolist(),
-        "frequencies_hz": result.frequencies_hz.tolist(), "written": written,
+        "frequencies_hz": result.frequencies_hz.tolist(), "above_band": list(result.above), "written": written,
     }  # fmt: skip
 
 
@@ -87,6 +87,11 @@ def _print(result: Updated, units: tuple[str, ...], written: list[str]) -> None:
         changes = ", ".join(f"{name} {100 * part:+.3g} %" for name, part in direction.items())
         typer.echo(
             f"note: not identifiable from these frequencies: {changes} at once; fix one of them, or give a --prior"
+        )
+    if result.above:
+        typer.echo(
+            f"note: modes {', '.join(map(str, result.above))} lie above the band for which the body was made, where "
+            "its own error is not known; leave them out, or reduce with a wider band_hz"
         )
     for name in result.at_end:
         typer.echo(f"note: {name} lies at the end of its range; what was measured may need more")

@@ -55,7 +55,8 @@ def with_springs(varied: VariedModel, interfaces: Sequence[Interface]) -> Varied
             carried = np.eye(6)
             carried[:3, 3:] = -skew(chosen[1].point - chosen[0].point)
             motion = frame_motion(model, chosen[1]) - sp.csr_array(carried) @ motion
-        added.append((number, sp.csr_array(motion.T @ sp.diags_array(np.array(spring.stiffness)) @ motion)))
+        stiffness = sp.diags_array(np.array(spring.stiffness, dtype=float))
+        added.append((number, sp.csr_array(motion.T @ stiffness @ motion)))
     return replace(varied, added=tuple(added))
 
 

@@ -169,14 +169,15 @@ class ParametricBound:
         off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         alpha_cell, least, proven = self.cells.at(p)
         alpha = alpha_cell * ratio(self.law_K.monotone, p, self.anchor).min()
+        # Without alpha there is no bound; residuals still tell where it is missed most.
+        part = alpha if alpha > 0 else 1.0
         gram = np.hstack([start, rho])
-        gram = gram.T @ gram / max(alpha, TINY)
+        gram = gram.T @ gram / part
         few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
         d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
         s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
         return BoundAt(
-            values=values, b=b, gram=gram, off=off / np.sqrt(max(alpha, TINY)),
-            off_start=off_start / np.sqrt(max(alpha, TINY)), few=few,
+            values=values, b=b, gram=gram, off=off / np.sqrt(part), off_start=off_start / np.sqrt(part), few=few,
             least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping, eps=self.eps,
             proven=proven and not damping.is_modal,
         )  # fmt: skip
@@ -285,7 +286,7 @@ class BoundAt:
         |H - H~|_F <= |c| eps' |x|_K^2 / (1 - |c| eps' G), G the norm of A~^-1 from the dual norm to that of K~, at most
         g_L + (1 + sqrt(g_L kappa))^2 / (b - kappa), g_L = max mu_i / |a_i|, b and kappa of sizes.
         """
-        far = np.where(self.least > 0, g / max(self.least, TINY), -c)
+        far = g / self.least if self.least > 0 else -c
         # The least |c + t far| on 0 <= t <= 1.
         t = np.clip(-(c * far.conj()).real / np.maximum(np.abs(far) ** 2, TINY), 0.0, 1.0)
         gap = np.abs(c + t * far) - kappa
@@ -297,7 +298,7 @@ class BoundAt:
             reduced = np.sqrt((self.values[:, None] * np.abs(y) ** 2).sum(axis=(1, 2)))
             part = self.eps / (1 - self.eps) * np.abs(c)
             full = reduced + reach * whole
-            return np.where(part * norm < 1, part * full**2 / np.maximum(1 - part * norm, TINY), np.inf)
+            return np.where(part * norm < 1, part * full**2 / (1 - part * norm), np.inf)
 
 
 def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:

@@ -25,7 +25,7 @@ import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
-from morembs.errors import SingularMatrixError
+from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns, symmetric
 from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.sparse.select import select_solver
@@ -88,7 +88,11 @@ class Proofs:
         return np.asarray(turn @ law(at))
 
     def cells(self) -> list[Cell]:
-        """The box in cells of the parameters with points, with their alpha."""
+        """The box in cells of the parameters with points, with their alpha.
+
+        Raises:
+            InputError: values at which a preload makes the body buckle.
+        """
         box, curved = self.problem.box, self.curved
         if not len(curved):
             return [Cell(low=box.low, high=box.high, alpha=1.0, corner=1.0, proven=True)]
@@ -111,6 +115,11 @@ class Proofs:
         # The first and the last coefficient of a polynomial are its values at the ends.
         ends = [A for A, corner in zip(matrices, self._corners(len(theta)), strict=True) if corner]
         promised = min(least_ratio(A, space) for A in ends)
+        if not promised > 0 and "preload" in problem.box.kinds:
+            raise InputError(
+                f"the body buckles under [preload] at some of {self._words(low, high)}, where its stiffness is not "
+                "positive; lower the upper end of the preload, or raise the least young"
+            )
         for part in TRIED if promised > 0 else ():
             alpha = part * promised
             if all(self.is_positive(A - alpha * problem.K, space.supports) for A in matrices):

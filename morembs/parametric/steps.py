@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ class SearchSteps:
 
 def clear_steps(path: Path) -> None:
     """Remove the steps of all searches for the body file ``path``, which is written."""
-    for file in path.parent.glob(f"{path.name}{MARK}*-*.h5"):
+    for file in path.parent.glob(f"{escape(path.name)}{MARK}*-*.h5"):
         file.unlink(missing_ok=True)
 
 

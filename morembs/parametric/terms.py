@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.interface import Interface, couple
+from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import congruence
 from morembs.model import FEModel, skew
 from morembs.model.assembly import mass_matrix
@@ -27,6 +29,8 @@ from morembs.problem.damping import Damping
 Floats = NDArray[np.float64]
 # Part of the size of a model by which the displacements of the nodes of an interface may differ.
 SAME = 1e-9
+# Part of the stiffness of springs against rigid motion that may be round-off.
+LOST = 1e-5
 
 
 class AffineProblem(Problem):
@@ -53,6 +57,8 @@ class AffineProblem(Problem):
         _refuse_bent(varied, interfaces)
         given = self.box.damping(damping or Damping(), nominal)
         super().__init__(model, interfaces, damping=given, budget=budget, **options)
+        if "spring" in self.box.kinds:
+            self._refuse_lost()
 
     @property
     def law_K(self) -> Law:
@@ -113,6 +119,30 @@ class AffineProblem(Problem):
             terms.append((moved.R @ shift - self.coupling.R) / (p[number] - nominal[number]))
         constant = self.coupling.R - sum(nominal[i] * R for i, R in zip(self.morphs, terms, strict=True))
         return np.stack([constant, *terms], axis=-1)
+
+    def _refuse_lost(self) -> None:
+        """Refuse springs that are too soft beside the elements, whose strain by rigid motion is round-off, not zero.
+
+        Raises:
+            InputError: as said.
+        """
+        theta, own = self.law_K(self.box.low), len(self.varied.stiffness)
+        added = np.arange(len(theta)) >= own
+        elements, springs = (self.stiffness_sum(np.where(chosen, theta, 0.0)) for chosen in (~added, added))
+        mass = self.coupling.R.T @ (self.M @ self.coupling.R)
+        R = self.coupling.R / np.sqrt(np.diag(mass))
+        values, Z = sl.eigh(symmetric(R.T @ (springs @ R)), symmetric(R.T @ (self.M @ R)))
+        free = self.rigid.shape[1]
+        Z = R @ Z[:, free:] / np.sqrt(values[free:])
+        lost = float(np.abs(np.linalg.eigvalsh(symmetric(Z.T @ (elements @ Z)))).max(initial=0.0))
+        # What is taken for free although a spring holds it.
+        if (values[:free] > SAME * (np.abs(R).T @ (abs(springs) @ np.abs(R))).max()).any():
+            lost = 1.0
+        if not lost <= LOST:
+            raise InputError(
+                f"springs hold the body so softly that round-off of the stiffness of its elements is {lost:.1e} of "
+                f"theirs; expected {LOST:.0e} at most: make them stiffer, or leave them out, and the body is free"
+            )
 
     def rigid_at(self, p: Floats) -> Floats:
         """R(p) (Nc, 6) of ``rigid_terms``."""

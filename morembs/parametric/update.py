@@ -73,7 +73,8 @@ class Updated:
     ``covariance`` (P, P) of what they tell; ``singular_values`` of the derivatives of frequencies over their standard
     deviation by parameters over their range, ``untold`` the directions that the frequencies do not tell, each as
     changes relative to the value (to the range, where the nominal value is zero). ``at_end`` names estimates at the
-    end of their range. ``frequencies_hz`` (k,) are those of the body at ``p``, in the order measured.
+    end of their range. ``frequencies_hz`` (k,) are those of the body at ``p``, in the order measured; ``above`` numbers
+    those above the band for which the body was made, where nothing says how wrong they are.
     """
 
     names: tuple[str, ...]
@@ -85,6 +86,7 @@ class Updated:
     at_end: tuple[str, ...]
     measured: Measured
     frequencies_hz: Floats
+    above: tuple[int, ...]
     evaluations: int
 
     @property
@@ -240,10 +242,13 @@ class _Fit:
             relative /= relative[np.argmax(np.abs(relative))]
             untold.append({box.names[k]: float(relative[k]) for k in np.flatnonzero(np.abs(part) > PART)})
         ends = np.minimum(p - box.low, box.high - p) < AT_END * self.span
+        frequencies = at.frequencies_hz[pairs]
+        band = np.inf if self.model.bound is None else self.model.bound.highest / (2 * np.pi)
         return Updated(
             names=box.names, p=p, sigma=sigma, covariance=covariance, singular_values=s, untold=tuple(untold),
             at_end=tuple(box.names[k] for k in self.free if ends[k]), measured=self.measured,
-            frequencies_hz=at.frequencies_hz[pairs], evaluations=evaluations,
+            frequencies_hz=frequencies, above=tuple(self.measured.modes[frequencies > band].tolist()),
+            evaluations=evaluations,
         )  # fmt: skip
 
 

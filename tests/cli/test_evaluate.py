@@ -116,6 +116,18 @@ def test_a_family_is_exported_with_an_index(path, table, tmp_path):
     assert (tmp_path / "arm_1.SID_FEM").read_bytes() != (tmp_path / "arm_2.SID_FEM").read_bytes()
 
 
+def test_an_index_never_tells_of_values_that_its_files_no_longer_have(path, table, tmp_path):
+    first = tmp_path / "arm.SID_FEM"
+    assert "3 bodies as arm_N.SID_FEM" in run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm")
+    table.write_text("E_arm,t\n2.6e11,-1\n2.0e11,1\n1.6e11,2\n")
+    # The export ends at its second file.
+    (tmp_path / "arm_2.SID_FEM").unlink()
+    (tmp_path / "arm_2.SID_FEM").mkdir()
+    before = (tmp_path / "arm_1.SID_FEM").read_bytes()
+    run("export", path, "--table", table, "--to", "sid", "-o", first, code=2)
+    assert (tmp_path / "arm_1.SID_FEM").read_bytes() != before and not (tmp_path / "index.csv").exists()
+
+
 def test_a_family_does_not_replace_the_index_of_another(path, table, tmp_path):
     run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm.SID_FEM")
     index = (tmp_path / "index.csv").read_bytes()
@@ -146,6 +158,24 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
     assert "error of H at 10000 Hz, proven bound: " in run("evaluate", proven, "--at", "E_arm=2e11", "--bound", "1e4")
 
 
+def test_an_update_names_the_modes_above_the_band_of_the_bound(proven, tmp_path):
+    measured = tmp_path / "measured.csv"
+    measured.write_text("mode,frequency_hz\n1,7800\n2,14500\n")
+    assert "note: modes 2 lie above the band" in run("update", proven, "--measured", measured)
+    (document,) = json.loads(run("update", proven, "--measured", measured, "--json"))
+    assert document["above_band"] == [2]
+
+
+def test_where_there_is_no_bound_it_is_said(path, proven, table):
+    for file, hz, kind in ((proven, "1e6,9", "bound"), (path, "9", "none")):
+        text = run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz)
+        assert f"error of H at {float(hz.partition(',')[0]):.12g} Hz, no bound there" in text
+        (document,) = json.loads(run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz, "--json"))
+        assert document["bound"][0] is None and document["bound_kind"] == kind
+    (document,) = json.loads(run("evaluate", path, "--table", table, "--bound", "9,10", "--json"))
+    assert document["bound"] == [[None, None]] * 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -157,6 +187,7 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
         (["--table", "absent.csv"], "cannot be read"),
         (["--at", "t=1", "--table", "absent.csv"], "evaluate needs values"),
         (["--at", "t=1", "--matrices"], "it needs --table"),
+        (["--at", "t=1", "--out", "f.csv"], "--out f.csv was given for --at, which writes a body file"),
         (["--at", "t=1", "--frequencies", "-3"], "--frequencies -3 was given; expected a number, 1 or more"),
         (["--at", "t=1", "--bound", "100,-3"], "--bound 100,-3 was given; expected frequencies in Hz"),
         (["--at", "t=1", "--bound", "nan"], "--bound nan was given; expected frequencies in Hz"),

@@ -97,5 +97,15 @@ def test_options_that_cannot_be_used_are_refused(path, tmp_path):
     assert "--prior rho=x was given" in run(path, "--measured", measured, "--prior", "rho=x", code=2)
     assert "would overwrite an input" in run(path, "--measured", measured, "-o", measured, code=2)
     assert "cannot be read" in run(path, "--measured", tmp_path / "absent.csv", code=2)
-    shapes = write(tmp_path / "s.csv", ["mode", "id", "ux", "uy", "uz"], [(1, 10**6, 0, 0, 1)])
-    assert "the node 1e+06" in run(path, "--measured", measured, "--shapes", shapes, code=2)
+    columns = ["mode", "id", "ux", "uy", "uz"]
+    shapes = write(tmp_path / "s.csv", columns, [(1, 1234567, 0, 0, 1)])
+    assert "the node 1234567" in run(path, "--measured", measured, "--shapes", shapes, code=2)
+    node = int(morembs.read_body(path).node_ids[0])
+    shapes = write(tmp_path / "s.csv", columns, [(1, node, 0, 0, 1), (2, node, 0, 0, 1), (1, node, 0, 1, 0)])
+    assert f"the node {node} twice in mode 1" in run(path, "--measured", measured, "--shapes", shapes, code=2)
+
+
+def test_headers_may_have_spaces(path, hidden, tmp_path):
+    rows = [(k + 1, repr(f)) for k, f in enumerate(hidden.frequencies_hz[:6].tolist())]
+    measured = write(tmp_path / "measured.csv", ["mode ", " frequency_hz"], rows)
+    assert "E_arm = 1.8e+11 Pa" in run(path, "--measured", measured, "--fix", "rho")

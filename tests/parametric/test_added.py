@@ -128,6 +128,19 @@ def test_a_preloaded_body_keeps_its_bound_at_other_loads():
     assert high > 1.05 * low
 
 
+def test_buckling_at_some_value_of_the_box_is_refused():
+    plain, ends = beam([E])
+    varied, _ = beam([E, factor(high=2.5)])
+    load = Preload(wrench={name: -np.array(f) for name, f in LOAD.wrench.items()})
+    with Problem(plain.assembled(plain.box.nominal), ends) as bare:
+        found = preloaded(bare, load)
+    # Only where the beam is softer than the nominal one.
+    assert 2.5 * E.low / E.nominal < 2.5 < found.critical_factor < 2.5 * E.nominal / E.low
+    varied = with_preload(varied, found.model.K - bare.model.K, found.critical_factor)
+    with AffineProblem(varied, ends) as problem, pytest.raises(InputError, match=r"buckles under .* at some of E 1.6e"):
+        search(problem, BAND)
+
+
 def test_derivatives_by_springs_are_those_of_differences():
     varied, ends = beam([E, spring((3e7, 2e7, 2e7, 4e3, 5e3, 6e3))])
     with AffineProblem(varied, ends) as problem:
@@ -135,6 +148,13 @@ def test_derivatives_by_springs_are_those_of_differences():
     slope = model.at(np.array([2e11, 2.0])).sensitivity(3).frequencies_hz["k"]
     above, below = (model.at(np.array([2e11, 2.0 + h])).frequencies_hz[:3] for h in (1e-4, -1e-4))
     np.testing.assert_allclose(slope, (above - below) / 2e-4, rtol=1e-5)
+
+
+@pytest.mark.parametrize("stiffness", [(1.0, 1, 1, 1e-2, 1e-2, 1e-2), (1e-3, 0, 0, 0, 0, 0)])
+def test_springs_below_the_round_off_of_the_elements_are_refused(stiffness):
+    varied, ends = beam([spring(stiffness)])
+    with pytest.raises(InputError, match="springs hold the body so softly that round-off"):
+        AffineProblem(varied, ends)
 
 
 def test_springs_and_preloads_that_do_not_fit_are_refused():

@@ -8,6 +8,7 @@ import numpy as np
 
 from morembs.jobs.job import load_job
 from morembs.jobs.run import run_job
+from morembs.parametric.steps import clear_steps
 from tests.support.parametric import BRACKET
 from tests.support.processes import apart
 
@@ -87,6 +88,14 @@ def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
     assert reduced(folder, again) == straight
     assert after[:2] == before[:2] and after[2] > before[2]
     assert sorted(file.name for file in folder.iterdir()) == ["bracket.h5", "bracket.inp", "job.toml"]
+
+
+def test_steps_of_a_file_with_brackets_in_its_name_are_removed_and_no_others(tmp_path):
+    own, other = tmp_path / "rod[12].h5.search-01234567-0.h5", tmp_path / "rod1.h5.search-01234567-0.h5"
+    for file in (own, other):
+        file.touch()
+    clear_steps(tmp_path / "rod[12].h5")
+    assert not own.exists() and other.exists()
 
 
 def test_steps_of_another_model_are_not_taken(tmp_path):
