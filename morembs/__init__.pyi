@@ -24,8 +24,10 @@ from .interface import Interface, make_interface, matrix_interface
 from .linalg.sparse.select import available_solvers, select_solver
 from .model import DofMap, ElementBlock, FEModel, Mesh, NamedColumns, Nodes
 from .model.assembly import assemble
+from .model.fe_model import split_unsymmetric
 from .model.material import Material, isotropic, orthotropic
 from .model.selection import select_nodes
+from .model.tubes import Flow, Tube, conveying, tube_model
 from .problem import Damping, Problem
 from .recovery.recover import expand, recover
 from .recovery.trajectory import Trajectory, read_trajectory
@@ -70,6 +72,7 @@ __all__ = [
     "ErrorLimits",
     "FEModel",
     "FloatingFrame",
+    "Flow",
     "FreeInterface",
     "Gramian",
     "Guyan",
@@ -91,6 +94,7 @@ __all__ = [
     "StaticModesSwitching",
     "Substructure",
     "Trajectory",
+    "Tube",
     "assemble",
     "assemble_bodies",
     "available_solvers",
@@ -99,6 +103,7 @@ __all__ = [
     "campbell",
     "certified_reference",
     "certify",
+    "conveying",
     "direct_response",
     "elastic_body",
     "error_limits",
@@ -126,9 +131,11 @@ __all__ = [
     "select_solver",
     "spinning",
     "spinning_modes",
+    "split_unsymmetric",
     "state_space",
     "stress_recovery",
     "to_pymor",
     "to_xarray",
+    "tube_model",
     "write_body",
 ]

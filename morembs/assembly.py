@@ -202,6 +202,8 @@ def _refuse(name: str, source: StoredBodies, body: StoredBody) -> None:
         raise InputError(f"part {name!r}: body {body.name!r} has no interfaces to couple; reduce it with some")
     if not np.array_equal(body.output_matrix, body.input_matrix.T):
         raise InputError(f"part {name!r}: body {body.name!r} comes from a two-sided reduction; take a one-sided method")
+    if not body.symmetric:
+        raise InputError(f"part {name!r}: body {body.name!r} has gyroscopic or circulatory terms; couple full models")
     if (source.input_component == SCALAR).any():
         raise InputError(f"part {name!r}: its interfaces have generalised forces, which have no place; leave them out")
     if float(body.recipe.get(STRUCTURAL, 0.0)):

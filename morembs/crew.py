@@ -262,10 +262,13 @@ class Crew(Closing):
         worker.process.join(_PATIENCE)
         code, number = worker.process.exitcode, self._crew.index(worker) + 1
         how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
-        return SolverError(
-            f"worker {number} of {len(self._crew)} was ended {how} before its work was done, maybe for want of memory; "
-            "take fewer workers, or give [solver] a memory budget"
-        )
+        why = "maybe for want of memory; take fewer workers, or give [solver] a memory budget"
+        if code == 1:  # of an error of Python, which the worker wrote itself
+            why = (
+                "its own message tells why; a program whose functions or classes go to workers must start its work "
+                'under if __name__ == "__main__":'
+            )
+        return SolverError(f"worker {number} of {len(self._crew)} was ended {how} before its work was done: {why}")
 
     def _kill(self) -> None:
         for worker in self._crew:

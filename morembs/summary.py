@@ -55,7 +55,7 @@ def error_words(
     measure: str, upper: float, sampled: NDArray[np.float64], band_hz: Sequence[float], kind: str
 ) -> str:
     """``at most 1.3e-04 (envelope, 10 to 2,000 Hz, proven)``; the largest at samples where there is no limit."""
-    low, high = (f"{float(f):,.4g}" for f in band_hz)
+    low, high = (f"{float(f):,.6g}" for f in band_hz)
     if kind == "sampled":
         return f"{float(np.max(sampled, initial=0.0)):.1e} at samples from {low} to {high} Hz"
     return f"at most {upwards(upper)} ({measure}, {low} to {high} Hz, {kind})"

@@ -119,6 +119,19 @@ def test_import_example(tmp_path):
         assert "." not in word or word.startswith("part.model") or word.partition(".")[0].isupper(), word
 
 
+def test_flow_example(tmp_path):
+    """The tube of docs/job.md: its model file, and the modes that the page tells of."""
+    text = (ROOT / "docs" / "job.md").read_text().partition("\n## Flow\n")[2]
+    printed(re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1), tmp_path)
+    (tmp_path / "tube.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL).group(1))
+    for changes, ratio in ((), 0.3602), (("--set", "flow.mass_flow=12"), -0.2402):
+        done = morembs("modes", "tube.toml", *changes, "--out", "modes.csv", folder=tmp_path)
+        assert done.code == 0, done.errors
+        table = np.genfromtxt(tmp_path / "modes.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+        assert ratio == pytest.approx(table["ratio"].min() if changes else table["ratio"][0], abs=1e-4)
+    assert morembs("reduce", "tube.toml", folder=tmp_path).code == 0
+
+
 def test_solver_example(tmp_path):
     """The example of docs/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
     code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "solvers.md").read_text(), re.DOTALL).group(1)
@@ -201,9 +214,9 @@ RUN = {
     "formats.md": {"": 3, "toml": 2, "python": 1},
     "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {"python": 1, "python divided": 1, "python chain": 1, "python body": 1, "python evaluator": 1},
-    "job.md": {"toml": 4, "python": 1},
+    "job.md": {"toml": 5, "python": 2},
     "multibody.md": {"python": 4, "python divided": 1},
-    "parametric.md": {"toml": 2, "python": 1},
+    "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "simulators.md": {"python": 3},

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from morembs.body import tables, vtkhdf
 from morembs.body.stored import StoredBodies, StoredBody, StoredInterface, basis_columns, stored_bodies
 from morembs.body.stored_check import check_file
-from morembs.body.tables import BLOCK_BYTES, FORMAT, FORMAT_VERSION
+from morembs.body.tables import BLOCK_BYTES, FORMAT, FORMAT_VERSION, SKEW_PARTS
 from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage import checksums
@@ -115,10 +115,11 @@ def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, obje
     from morembs.reducers.base import MODE_KINDS
 
     index, component, node = input_columns(part.interfaces, part.columns, part.node_ids)
-    # Readers of version 1 take the transposed input matrix for the motions.
-    symmetric = all(body.reduced.symmetric for body in bodies)
+    # Readers of version 1 take the transposed input matrix for the motions, those of version 2 where that is right also
+    # symmetric matrices for granted.
+    version = max(1 if body.reduced.symmetric else SKEW_PARTS if body.reduced.congruent else 2 for body in bodies)
     return {
-        "format": FORMAT, "format_version": 1 if symmetric else FORMAT_VERSION, "unit_system": "SI",
+        "format": FORMAT, "format_version": version, "unit_system": "SI",
         "body_names": [body.name for body in bodies], "mode_kinds": MODE_KINDS, "recipe": recipe,
         "interface_names": [interface.name for interface in part.interfaces],
         "mass": part.mass, "center_of_mass": part.center_of_mass, "inertia": part.inertia,

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.stored import ByName, StoredBodies, StoredBody
+from morembs.errors import InputError
 from morembs.parametric.model import ModelAt, Sensitivity
 
 if TYPE_CHECKING:
+    from morembs.floating.frame import FloatingFrame
     from morembs.parametric.update import Measured, Updated
 
 Floats = NDArray[np.float64]
@@ -101,6 +103,10 @@ class ParametricBody:
         return self.model.frequencies_hz(table, count)
 
 
+def _frame_of(known: FloatingFrame) -> dict[str, Any]:
+    return {"kind": known.kind, "interfaces": known.interfaces, "origin": known.origin.tolist()}
+
+
 class BodyAt:
     """A body at one value of its parameters: matrices (n, n) and what a body file has."""
 
@@ -159,9 +165,7 @@ class BodyAt:
         floating, interfaces = None, source.interfaces
         if terms is not None and body.floating is not None:
             known = body.floating
-            floating = terms.frame(
-                self.model, kind=known.kind, interfaces=known.interfaces, origin=known.origin.tolist()
-            )
+            floating = terms.frame(self.model, **_frame_of(known))
             about = floating.integrals.center
             changed = {
                 "mass": floating.integrals.mass, "center_of_mass": floating.origin + about,
@@ -180,6 +184,18 @@ class BodyAt:
             source, coordinates=self._coordinates(), interfaces=interfaces, bodies=ByName("body", {body.name: here}),
             **changed,
         )  # fmt: skip
+
+    def frame_derivatives(self) -> dict[str, FloatingFrame]:
+        """Derivatives of the floating frame of ``body`` by each parameter, in the fields of a frame, per unit of the
+        parameter; the shapes of the elastic coordinates stay those of the modes at these values.
+
+        Raises:
+            InputError: a body without a floating frame, modal damping.
+        """
+        terms, known = self.parent.parts.frame, self.parent.stored.floating
+        if terms is None or known is None:
+            raise InputError(f"body {self.parent.stored.name} has no floating frame, whose derivatives were asked for")
+        return terms.derivatives(self.model, **_frame_of(known))
 
     @property
     def body(self) -> StoredBody:

@@ -40,6 +40,8 @@ class ByName(dict[str, T], Generic[T]):
 
     def __missing__(self, name: object) -> T:
         raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
+# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
+SYMMETRIC = 1e-9
 
 
 @summarised
@@ -117,6 +119,18 @@ class StoredBody(Viewed):
         return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
 
     @property
+    def symmetric(self) -> bool:
+        """Whether all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
+        both = self.stiffness_matrix, self.damping_matrix
+        return self._one_sided and all(
+            np.abs(A - A.T).max(initial=0.0) <= SYMMETRIC * np.abs(A).max(initial=0.0) for A in both
+        )
+
+    @property
+    def _one_sided(self) -> bool:
+        return bool(np.array_equal(self.output_matrix, self.input_matrix.T))
+
+    @property
     def matrices(self) -> tuple[Floats, Floats, Floats]:
         """M, K, D (n, n), at rest where the body may spin."""
         return self.mass_matrix, self.stiffness_matrix, self.damping_matrix
@@ -144,10 +158,10 @@ class StoredBody(Viewed):
         from morembs.reducers.base import ReducedModel
 
         n = len(self.stiffness_matrix)
-        symmetric = np.array_equal(self.output_matrix, self.input_matrix.T)
+        V = np.zeros((0, n))
         return ReducedModel(
             name=self.name, M=self.mass_matrix, K=self.stiffness_matrix, D=self.damping_matrix, B=self.input_matrix,
-            C=self.output_matrix, V=np.zeros((0, n)), W=None if symmetric else np.zeros((0, n)),
+            C=self.output_matrix, V=V, W=None if self.symmetric else V if self._one_sided else np.zeros((0, n)),
             mode_kind=self.mode_kind, rigid_count=self.rigid_count, recipe=self.recipe,
             structural=float(self.recipe.get(STRUCTURAL, 0.0)),
         )  # fmt: skip

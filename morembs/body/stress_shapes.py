@@ -182,7 +182,7 @@ def _subtract(single: Reals, mean: Reals, point: Ints) -> None:
 def static_coordinates(reduced: ReducedModel) -> Floats:
     """K_r^+ B (nr, m): elastic coordinates under unit interface loads, free of rigid motion (inertia relief)."""
     r = reduced.rigid_count
-    if not reduced.symmetric:
+    if not reduced.congruent:
         coordinates = np.zeros_like(reduced.B)
         coordinates[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
         return coordinates

@@ -74,7 +74,9 @@ def _switching(**values: Any) -> StaticModeTables:
 
 
 FORMAT = "morembs-body"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+# Of files with gyroscopic and circulatory matrices.
+SKEW_PARTS = 3
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20
 # 2: limits hold at every frequency of a band; files without a version have errors at samples.
@@ -330,7 +332,7 @@ BODY = Table((
     Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
     Row("stiffness_matrix", "real", "n n", "reduced matrix, symmetric", doc="K, symmetric"),
     Row("damping_matrix", "real", "n n", "reduced matrix, symmetric",
-        doc="D, symmetric; structural damping is not in it but in the recipe"),
+        doc="D, symmetric but for G, its skew part; structural damping is not in it but in the recipe"),
     Row("input_matrix", "real", "n m", "forces on the coordinates; the transpose gives the motions", doc="B"),
     Row("frequencies_hz", "any", "n", "eigenfrequencies, undamped, ascending", "Hz",
         doc="undamped eigenfrequencies of K, M, ascending; rigid ones 0"),
@@ -381,7 +383,7 @@ INTERFACE = Table((
 
 FILE = Table((
     Row("format", "text", doc="`morembs-body`", read=False),
-    Row("format_version", "whole", doc="1 or 2, see above"),
+    Row("format_version", "whole", doc="1, 2 or 3, see above"),
     Row("unit_system", "text", doc="`SI`", read=False),
     Row("body_names", "text", "bodies", "groups of /bodies in their order",
         doc="groups of `/bodies`, in the order they were written"),

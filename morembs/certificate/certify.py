@@ -20,6 +20,7 @@ from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
+from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
@@ -131,10 +132,12 @@ def certify(
     The full model is that of ``certified_reference``, whose own error counts. Limits are proven in exact arithmetic,
     and round-off is counted, but for models with a damping matrix of their own. An upper limit is at most ``sharpness``
     times the lower one, unless round-off hinders. ``points`` beside the resonances are stored as curves; without
-    ``bound`` there is nothing else.
+    ``bound`` there is nothing else. Of models with a gyroscopic or circulatory matrix no bound is proven here: errors
+    are those at the points, against a solution of the full equations at each, and ``kind`` is "sampled".
 
     Raises:
-        InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model.
+        InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model, or a
+            damping floor of a model with a gyroscopic or circulatory matrix.
         SolverError: the full response cannot be computed.
 
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
@@ -153,6 +156,9 @@ def certify(
         )  # fmt: skip
         given, band_hz = np.asarray(band_hz, dtype=float), (float(band_hz[0]), float(band_hz[-1]))
     low, high = checked_band([float(f) for f in band_hz])
+    if not problem.symmetric:
+        hz = band_frequencies(problem, (low, high), points) if given is None else given
+        return _measured(problem, bodies, hz, (low, high), measure, damping_floor, progress)
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
@@ -194,6 +200,36 @@ def _certificate(
         verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
         notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
     )  # fmt: skip
+
+
+def _measured(
+    problem: Problem, bodies: Sequence[ReducedModel], hz: Floats, band_hz: tuple[float, float], measure: str,
+    floor: float | None, progress: Progress,
+) -> tuple[Certificate, ...]:  # fmt: skip
+    """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
+    if floor:
+        raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
+    S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
+    H = direct_response(problem, 2 * np.pi * hz, progress) * S
+    statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))
+    certificates = []
+    for body in bodies:
+        H_r = reduced_response(body, 2 * np.pi * hz) * S
+        static = reduced_response(body, np.zeros(1))[0] * S
+        known, error = sampled(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
+        certificates.append(Certificate(
+            limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
+            band_hz=band_hz, measure=measure, damping_floor=0.0, kind="sampled", frequencies_hz=hz, full=norm,
+            reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error, bound=np.full(len(hz), np.inf),
+            reference_error=np.zeros(len(hz)), block_error=_block_errors(problem, H_r - H, H),
+            held_error=_held_errors(problem, H_r, H, 2 * np.pi * hz),
+            static_error=float(np.linalg.norm(static - statics) / np.linalg.norm(statics)),
+            mode_frequencies_hz=nothing, mode_enclosure_hz=np.empty((0, 2)), mode_deviation=nothing, mode_mac=nothing,
+            residue_deviation=nothing, verified_below_hz=0.0,
+            notes=("no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at the "
+                   "sampled frequencies; modes are not compared",),
+        ))  # fmt: skip
+    return tuple(certificates)
 
 
 def _static_error(problem: Problem, reduced: ReducedModel) -> float:

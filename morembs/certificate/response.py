@@ -18,6 +18,7 @@ from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
+from morembs.responses.direct import direct_response
 from morembs.responses.reference import reference_model
 
 Floats = NDArray[np.float64]
@@ -34,7 +35,7 @@ def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
     (2, 12, 12)
     """
     r = reduced.rigid_count
-    if reduced.symmetric:
+    if reduced.congruent:
         E = reduced.modes()[1][:, r:]
         M, D, K = (E.T @ A @ E for A in (reduced.M, reduced.D, reduced.K))
         B, C = E.T @ reduced.B, reduced.C @ E
@@ -53,7 +54,8 @@ def full_response(
     """Elastic part of H (nf, m, m) of the full coupled model at ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy; the estimated error of every entry is below
-    ``tolerance`` times the largest scaled entry at that frequency. Peak memory: as ``reference_model``.
+    ``tolerance`` times the largest scaled entry at that frequency. Peak memory: as ``reference_model``. Models with a
+    gyroscopic or circulatory matrix are solved for at each frequency, to round-off.
 
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.
@@ -64,6 +66,8 @@ def full_response(
     >>> np.allclose(H, H.transpose(0, 2, 1))                         # Maxwell-Betti
     True
     """
+    if not problem.symmetric:
+        return direct_response(problem, omega, progress)
     return reference_model(problem, omega, tolerance=tolerance, progress=progress).response(omega)
 
 

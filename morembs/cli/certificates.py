@@ -51,7 +51,7 @@ def print_certificates(console: Console, known: Sequence[Certified], interfaces:
     for (low, high, floor), group in groups.items():
         holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in group)
         what = "holds at every frequency" if holds else "errors at samples"
-        titled(console, f"certificate: {what} from {low:,.4g} to {high:,.4g} Hz", _table(group))
+        titled(console, f"certificate: {what} from {low:,.6g} to {high:,.6g} Hz", _table(group))
         console.print(f"  {LEGEND}", highlight=False, soft_wrap=True)
         if floor:
             console.print(
@@ -116,6 +116,10 @@ def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str
 def _notes(certified: Certified) -> list[str]:
     infinite = [name for name in MEASURES if not np.isfinite(certified.values[f"limits/{name}"][1])]
     notes = []
+    if KINDS[certified.text("bound_kind")] == "sampled":
+        hz, error = (np.asarray(certified.values[key], dtype=float) for key in ("frequencies_hz", "error"))
+        at = int(np.argmax(error))
+        notes.append(f"error at most {error[at]:.1e} (pointwise) at {len(hz)} frequencies, worst at {hz[at]:,.6g} Hz")
     if infinite == ["pointwise"] and certified.text("bound_kind") != "none":
         at_hz = float(certified.values["limits/pointwise"][2])
         notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
@@ -127,6 +131,6 @@ def _at_samples(console: Console, certified: Certified) -> None:
     known = f", {certified.text('bound_kind')} {bound.max():.1e}" if np.isfinite(bound).all() else ""
     console.print(
         f"  {certified.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies "
-        f"from {hz[0]:,.4g} to {hz[-1]:,.4g} Hz",
+        f"from {hz[0]:,.6g} to {hz[-1]:,.6g} Hz",
         highlight=False, soft_wrap=True,
     )  # fmt: skip

@@ -30,6 +30,8 @@ def import_model(
     stiffness: Annotated[Path | None, typer.Option(help="A file with K alone.")] = None,
     mass: Annotated[Path | None, typer.Option(help="A file with M alone.")] = None,
     damping: Annotated[Path | None, typer.Option(help="A file with D alone.")] = None,
+    gyroscopic: Annotated[Path | None, typer.Option(help="A file with G alone, skew-symmetric.")] = None,
+    circulatory: Annotated[Path | None, typer.Option(help="A file with N alone, which joins K.")] = None,
     nodes: Annotated[Path | None, typer.Option(help="A mesh that gives nodes to matrices.")] = None,
     dofs: Annotated[Path | None, typer.Option(help="A table node,dof of the rows (.csv).")] = None,
     material: Annotated[
@@ -93,7 +95,7 @@ def import_model(
                 f"{len(files)} files were given; expected one with the whole model, or --stiffness FILE --mass FILE "
                 "for matrices in files of their own, and --nodes FILE for their mesh"
             )
-        named = {"K": stiffness, "M": mass, "D": damping}
+        named = {"K": stiffness, "M": mass, "D": damping, "G": gyroscopic, "N": circulatory}
         given = parse_units(units)
         job = ImportJob(
             out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
@@ -172,7 +174,7 @@ def _document(done: ImportResult) -> dict[str, Any]:
     return {
         "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),
         "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
-        "matrices": [name for name in ("K", "M", "D") if getattr(model, name) is not None],
+        "matrices": [name for name in ("K", "M", "D", "G", "N") if getattr(model, name) is not None],
         "body": None if done.outlook is None else {
             "extent": list(done.outlook.extent), "mass": without_nan(done.outlook.mass),
             "first_hz": without_nan(done.outlook.first_hz),

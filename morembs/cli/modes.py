@@ -28,7 +28,7 @@ def modes(
     job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file.", show_default=False)],
     changes: Changes = None,
     complex_: Annotated[
-        bool, typer.Option("--complex", help="Complex modes, at every speed of [spin] where there is one.")
+        bool, typer.Option("--complex", help=r"Complex modes, at every speed of \[spin] where there is one.")
     ] = False,
     count: Annotated[int | None, typer.Option(help="How many.", show_default="[modes] count")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table too: a .csv file.")] = None,
@@ -67,13 +67,13 @@ def modes(
 @app.command(epilog=EPILOG)
 def campbell(
     file: Annotated[
-        Path, typer.Argument(metavar="JOB|BODY.h5", help="A job with [spin], or its body file.", show_default=False)
+        Path, typer.Argument(metavar="JOB|BODY.h5", help=r"A job with \[spin], or its body file.", show_default=False)
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="The .csv file to write.", show_default=False)],
     changes: Changes = None,
     body: Annotated[str | None, typer.Option("--body", help="Which body, where there are several.")] = None,
     png: Annotated[bool, typer.Option("--png", help="Draw the diagram beside the table.")] = False,
-    points: Annotated[int, typer.Option(help="Speeds from the lowest to the highest of [spin].")] = 41,
+    points: Annotated[int, typer.Option(help=r"Speeds from the lowest to the highest of \[spin].")] = 41,
     count: Annotated[int, typer.Option(help="Modes at each speed.")] = 12,
     as_json: AsJson = False,
 ) -> None:

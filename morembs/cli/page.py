@@ -104,9 +104,10 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
     said["row"] = {
         "dofs": _number(stored.recipe.get("dofs")), "order": _number(shown["order"]),
         "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
-        "frequencies": shown["frequencies"][:FREQUENCIES], "mass": (stored.mass, f"{stored.mass:.4g} kg"),
-        "seconds": (entry.seconds or -1, "-" if entry.seconds is None else duration_words(entry.seconds)),
-        "memory": (memory or -1, "-" if memory is None else bytes_words(memory)),
+        "frequencies": shown["frequencies"][:FREQUENCIES], "lowest": shown["lowest"],
+        "mass": (stored.mass, f"{stored.mass:.4g} kg"),
+        "seconds": (-1, "-") if entry.seconds is None else (entry.seconds, duration_words(entry.seconds)),
+        "memory": (-1, "-") if memory is None else (memory, bytes_words(memory)),
     }  # fmt: skip
     seconds, peaks = dict(origin.get("seconds") or {}), dict(origin.get("peak_memory_bytes") or {})
     inputs = origin.get("inputs") or {}
@@ -131,15 +132,15 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
     elastic = body.frequencies_hz[body.rigid_count :]
     said: dict[str, Any] = {
         "name": name, "order": len(body.mass_matrix), "method": str(body.recipe.get("method", "-")), "limits": {},
-        "frequencies": [f"{f:,.5g}" for f in elastic[: 2 * FREQUENCIES]], "kind": "none", "band": "", "measure": "",
-        "value": float("inf"), "notes": "",
+        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]], "lowest": min(elastic, default=-1.0),
+        "kind": "none", "band": "", "measure": "", "value": float("inf"), "notes": "",
     }  # fmt: skip
     known = body.certificate
     if known is None:
         return said
     said["kind"] = KINDS[str(known["bound_kind"])]
     low, high = known["band_hz"] if "band_hz" in known else known["frequencies_hz"][[0, -1]]
-    said["band"] = f"{low:,.4g} to {high:,.4g} Hz"
+    said["band"] = f"{low:,.6g} to {high:,.6g} Hz"
     floor = float(known.get("damping_floor", 0.0))
     assumed = f"damping of {100 * floor:.3g} % of critical assumed beside its own" if floor else ""
     said["notes"] = "; ".join(filter(None, (assumed, str(known.get("notes") or "").strip())))

@@ -140,8 +140,8 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
         band = result.response.frequencies_hz
         for name, error in result.response.error.items():
             console.print(
-                f"{name}: relative error of the frequency response at most {error.max():.2e} from {band[0]:,.4g} to "
-                f"{band[-1]:,.4g} Hz (median {np.median(error):.1e})",
+                f"{name}: relative error of the frequency response at most {error.max():.2e} from {band[0]:,.6g} to "
+                f"{band[-1]:,.6g} Hz (median {np.median(error):.1e})",
                 highlight=False,
                 soft_wrap=True,
             )
@@ -173,7 +173,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"
         elif key == "reduction_seconds":
             known = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in value.items())
-            value = f"{known} (within a factor of three)" if known else "not known before the modes are counted"
+            value = f"{known} (within a factor of three)" if known else "no forecast"
         elif key == "extent":
             value = " x ".join(f"{length:.4g}" for length in value) + " m"
         if key.endswith("_bytes"):

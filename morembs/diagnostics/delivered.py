@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.tables import SKEW_PARTS
 from morembs.diagnostics.findings import MOTIONS
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
@@ -116,7 +117,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
     return Delivered(
         M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,
         motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
-        symmetric=bool(np.array_equal(B.T, C)), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
+        symmetric=_meant_symmetric(body, file), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
         markers={
             name: np.flatnonzero(file.input_interface == which)
@@ -124,6 +125,13 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
             if interface.kind.framed and tuple(interface.components) == tuple(range(6))
         },
     )  # fmt: skip
+
+
+def _meant_symmetric(body: StoredBody, file: StoredBodies) -> bool:
+    """Whether matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
+    return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
+        file.format_version < SKEW_PARTS or body.symmetric
+    )
 
 
 def _points(labels: Ints, place: Mapping[int, int], xyz: Floats) -> Floats:

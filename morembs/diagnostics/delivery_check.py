@@ -83,8 +83,10 @@ def _finite(given: Delivered, findings: list[Finding]) -> bool:
 def _symmetry(given: Delivered, findings: list[Finding]) -> None:
     if not given.symmetric:
         sentence = "the reduced matrices are not symmetric (two bases), so energy is not conserved exactly"
-        cure = "check that the target takes such bodies"
-        findings.append(Finding(code="two-sided", severity="note", sentence=sentence, cure=cure))
+        code, cure = "two-sided", "check that the target takes such bodies"
+        if _congruent(given):
+            code, sentence = "gyroscopic", "the reduced matrices have gyroscopic or circulatory terms: skew parts"
+        findings.append(Finding(code=code, severity="note", sentence=sentence, cure=cure))
         return
     for name, A in _named(given).items():
         size = np.maximum(np.outer(scale(A), scale(A)), np.finfo(float).tiny)
@@ -113,6 +115,11 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
             findings.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
 
 
+def _congruent(given: Delivered) -> bool:
+    """Whether motions are expanded with the basis that the equations were tested with."""
+    return given.symmetric or bool(np.array_equal(given.B.T, given.C))
+
+
 def _round_off(A: Floats, given: Delivered) -> bool:
     """Whether what is negative in A lies in coordinates that it hardly resists, as rigid-body motion.
 
@@ -127,8 +134,9 @@ def _round_off(A: Floats, given: Delivered) -> bool:
 
 
 def _modes(given: Delivered) -> tuple[Floats, Floats]:
-    """Eigenvalues (n,) and vectors of unit modal mass, ascending; real parts where matrices are not symmetric."""
-    if given.symmetric:
+    """Eigenvalues (n,) and vectors of unit modal mass, ascending; real parts of bodies with two bases, and those of the
+    symmetric part of K where there are circulatory terms."""
+    if _congruent(given):
         return eigh(0.5 * (given.K + given.K.T), 0.5 * (given.M + given.M.T))
     import scipy.linalg as sl
 

@@ -150,7 +150,7 @@ def _not_symmetric(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_arr
     )
     severity, cure = (
         "error",
-        "take out what makes it so (friction, follower loads, gyroscopic terms), or export it again",
+        'take [model] unsymmetric = "split" where gyroscopic or circulatory terms are meant, or export it again',
     )
     if relative < ROUNDED:
         severity, cure = "warning", "it looks like rounded numbers: take the mean of both, (A + A')/2"

@@ -78,7 +78,10 @@ def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, 
         f"x, y, z; {free} of 6 rigid-body motions are free"
     )
     missing = np.setdiff1d(np.arange(len(nodes)), dofs.node)
-    bare = f" ({len(missing)} nodes have no dofs, such as {names.node_labels(missing)[0]})" if len(missing) else ""
+    bare = ""
+    if len(missing):
+        count = f"{len(missing)} nodes have" if len(missing) > 1 else "1 node has"
+        bare = f" ({count} no dofs, such as {names.node_labels(missing)[0]})"
     cure = f"export without boundary conditions and springs to the ground{bare}; check local systems at these nodes"
     return Finding(code="grounded", severity="warning", sentence=sentence, cure=cure, where=labels)
 
@@ -101,7 +104,10 @@ def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap,
     if not len(culprits):
         labels, words = names.places(np.flatnonzero(residuals.bad))
         sentence = f"translations fit the stiffness matrix K but rotations do not: force at {words}"
-        cure = "check that the coordinates belong to these matrices; a preload would do the same"
+        cure = (
+            "check that the coordinates belong to these matrices; a preload would do the same, and flow through a "
+            "straight tube with free ends: hold an end in the model"
+        )
         return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
     given, span = nodes.xyz[culprits], np.linalg.norm(places - nodes.xyz[culprits], axis=1)
     distance = np.linalg.norm(places[:, None] - given[None], axis=2)

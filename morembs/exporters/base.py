@@ -62,10 +62,16 @@ class ExportContext:
             InputError: it has none, or no elastic coordinate in it.
         """
         floating = self.body.floating
+        if floating is None and self.body.spin is not None:
+            raise InputError(
+                f"body {self.body.name!r} carries the matrices of [spin] and no floating frame, in which a simulator "
+                "would count them again; reduce it without [spin] for this target"
+            )
         if floating is None:
             raise InputError(
-                f"body {self.body.name!r} has no floating frame (it is held to the ground, or its reduction is "
-                "two-sided); export a body of a free model with a one-sided reduction"
+                f"body {self.body.name!r} has no floating frame (it is held to the ground, or not symmetric: "
+                "two-sided, gyroscopic or circulatory); export a body of a free, symmetric model with a one-sided "
+                "reduction"
             )
         if not floating.elastic.shape[1]:
             raise InputError(f"body {self.body.name!r} has no elastic coordinate; keep at least one mode")

@@ -47,7 +47,7 @@ class Exudyn(Exporter):
 
     name: ClassVar[str] = "exudyn"
     suffix: ClassVar[str] = ".exudyn.hdf5"
-    about: ClassVar[str] = "Exudyn, ObjectFFRFreducedOrder (.hdf5)"
+    about: ClassVar[str] = "Exudyn, ObjectFFRFreducedOrder"
 
     triangles: bool = True
 

@@ -36,7 +36,7 @@ class MBDynExporter(Exporter):
 
     name: ClassVar[str] = "mbdyn"
     suffix: ClassVar[str] = ".fem"
-    about: ClassVar[str] = "MBDyn modal joint (.fem) with inertia couplings"
+    about: ClassVar[str] = "MBDyn modal joint with inertia couplings"
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "stiffening"})
 
     def _write(self, context: ExportContext) -> Exported:

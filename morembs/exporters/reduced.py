@@ -99,6 +99,11 @@ def refuse_two_sided(body: StoredBody) -> None:
             f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
             'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
         )
+    if not body.symmetric:
+        raise InputError(
+            f"body {body.name!r} has gyroscopic or circulatory terms, so that its matrices are not symmetric, and this "
+            'format takes symmetric ones; export to "op4", "matrix-market", "statespace" or "modelica"'
+        )
 
 
 def to_interfaces(body: StoredBody, C: Floats) -> tuple[Floats, tuple[str, ...]]:

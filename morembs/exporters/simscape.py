@@ -101,7 +101,7 @@ def refuse_not_symmetric(body: StoredBody, target: str) -> None:
     if any(np.abs(A - A.T).max() > 1e-9 * np.abs(A).max() for A in matrices):
         raise InputError(
             f"body {body.name!r} has matrices that are not symmetric; {target} needs symmetric ones, take a one-sided "
-            "reduction"
+            "reduction of a model without gyroscopic and circulatory terms"
         )
     if (np.diag(body.mass_matrix) <= 0).any():
         raise InputError(f"mass_matrix of body {body.name!r} is not positive on its diagonal; reduce it again")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
-from morembs.model import frozen, rigid_motion, skew
+from morembs.model import frozen_numbers, rigid_motion, skew
 from morembs.moved import renamed
 from morembs.summary import summarised
 
@@ -43,7 +43,7 @@ class InterfaceMarker:
 
     def __post_init__(self) -> None:
         for name in ("point", "motion"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
+            object.__setattr__(self, name, frozen_numbers(getattr(self, name)))
 
 
 @summarised
@@ -74,7 +74,7 @@ class FloatingFrame:
 
     def __post_init__(self) -> None:
         for name in ("origin", "elastic", "rigid", "Ke", "De"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
+            object.__setattr__(self, name, frozen_numbers(getattr(self, name)))
 
     @property
     def count(self) -> int:
@@ -114,7 +114,7 @@ class FloatingFrame:
     def about(self, origin: Sequence[float]) -> FloatingFrame:
         """The same body with the origin of its frame at ``origin`` (3,), in coordinates of the model."""
         d = np.asarray(origin, dtype=float) - self.origin
-        H = np.eye(6)
+        H = np.eye(6, dtype=d.dtype)
         H[:3, 3:] = skew(d)
         markers = {name: replace(marker, point=marker.point - d) for name, marker in self.markers.items()}
         return replace(
@@ -157,8 +157,9 @@ def _selection(kind: str, points: Sequence[Floats]) -> Floats:
     if kind != "chord":
         return np.eye(6)
     chord = points[1] - points[0]
-    length = float(np.linalg.norm(chord))
-    if not length > 0:
+    # Not a norm, which no complex step passes.
+    length = np.sqrt(chord @ chord)
+    if not length.real > 0:
         raise InputError("the two interfaces of a chord frame are at one point; take a tangent frame")
     along = chord / length
     # The three rotations are those of the chord itself, from its transverse motion, and the twist at its start.
@@ -174,14 +175,14 @@ def _followed(
     """(S R)^-1 S u (6, k) of displacements u with these ``motions`` (6, k) of markers and ``momentum`` (6, k)."""
     check_frame(kind, interfaces, list(body.markers))
     if kind == "mean-axes":
-        return np.asarray(np.linalg.solve(body.integrals.rigid, momentum), dtype=np.float64)
+        return np.asarray(np.linalg.solve(body.integrals.rigid, momentum))
     points = [body.markers[name].point for name in interfaces]
     S = _selection(kind, points)
     on_rigid = S @ np.vstack([_motion_of(point) for point in points])
     on_shapes = S @ np.vstack([motions[name] for name in interfaces])
     if kind == "center-of-mass":
         on_rigid[:3], on_shapes[:3] = body.integrals.rigid[:3], momentum[:3]
-    return np.asarray(np.linalg.solve(on_rigid, on_shapes), dtype=np.float64)
+    return np.asarray(np.linalg.solve(on_rigid, on_shapes))
 
 
 def frame_rows(problem: Problem, kind: str, interfaces: Sequence[str] = ()) -> Floats:
@@ -266,6 +267,11 @@ def frame_about(
 
 def why_not_floating(reduced: ReducedModel) -> str:
     """Why a body has no floating frame; "" where it has one."""
+    if reduced.congruent and not reduced.symmetric:
+        return (
+            f"the body {reduced.name!r} has gyroscopic or circulatory terms, so that its matrices are not symmetric; a "
+            "floating frame needs a body without"
+        )
     if not reduced.symmetric:
         return (
             f"the body {reduced.name!r} comes from a two-sided reduction, whose matrices are not symmetric; a floating "

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.model import FEModel, frozen, rigid_motion, skew
+from morembs.model import FEModel, frozen_numbers, rigid_motion, skew
 from morembs.summary import summarised
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class ShapeIntegrals:
     def __post_init__(self) -> None:
         for entry in fields(self):
             if entry.name != "mass":
-                object.__setattr__(self, entry.name, frozen(np.asarray(getattr(self, entry.name), dtype=float)))
+                object.__setattr__(self, entry.name, frozen_numbers(getattr(self, entry.name)))
 
     @property
     def count(self) -> int:
@@ -138,7 +138,7 @@ class ShapeIntegrals:
 
     def about(self, d: Floats) -> Self:
         """The same with the origin moved by ``d`` (3,)."""
-        H = np.eye(6)
+        H = np.eye(6, dtype=d.dtype)
         H[:3, 3:] = skew(d)
         across = np.outer(self.first, d)
         return replace(

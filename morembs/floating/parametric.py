@@ -7,12 +7,13 @@ mass times products of the t_i: what has no position, one, or two in it is store
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, InterfaceMarker, frame_about
 from morembs.floating.integrals import PERMUTATION, ShapeIntegrals
 from morembs.model import skew
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from morembs.parametric.terms import AffineProblem
 
 Floats = NDArray[np.float64]
+Numbers = NDArray[Any]
+# Of complex steps: so small that its square is nothing beside one.
+STEP = 1e-60j
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,41 +47,100 @@ class FrameTerms:
     markers: Mapping[str, Floats]
     points: Mapping[str, Floats]
 
-    def integrals(self, at: ModelAt, Y: Floats) -> ShapeIntegrals:
-        """Those of the shapes ``Y`` (n, k) of the basis at one value, about ``pole``."""
-        b, t = at.model.law_M(at.p), at.model.box.affine(np.eye(1 + len(at.model.box.morphs)), at.p)
-        second = np.einsum("j,k,l,jkalb->ab", b, t, t, self.second, optimize=True)
-        x_phi = np.einsum("j,k,jkabl->abl", b, t, self.x_phi, optimize=True) @ Y
-        phi_phi = Y.T @ np.tensordot(b, self.phi_phi, axes=1) @ Y
-        return ShapeIntegrals(
-            mass=float(b @ self.mass), first=np.einsum("j,k,jka->a", b, t, self.first),
-            inertia=np.trace(second) * np.eye(3) - second, second=0.5 * (second + second.T),
-            Ct=Y.T @ np.tensordot(b, self.Ct, axes=1), Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
-            Me=np.einsum("aakl->kl", phi_phi), x_phi=x_phi, phi_phi=phi_phi,
-        )  # fmt: skip
-
     def point(self, name: str, at: ModelAt) -> Floats:
         """Place (3,) of an interface in the model."""
         return at.model.box.affine(self.points[name].T, at.p)
 
     def frame(
         self, at: ModelAt, *, kind: str = "mean-axes", interfaces: Sequence[str] = (),
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        origin: Sequence[float] = (0.0, 0.0, 0.0), shapes: Floats | None = None,
     ) -> FloatingFrame:  # fmt: skip
-        """The floating frame at one value, as ``floating_frame`` of the model there."""
-        Y = at.Y[:, at.rigid.shape[1] :]
-        about_pole = self.integrals(at, Y)
+        """The floating frame at one value, as ``floating_frame`` of the model there.
+
+        Elastic coordinates are those of the ``shapes`` (n, k), the elastic modes at the value unless given.
+        """
+        b, t, rigid = at.model.law_M(at.p), self._positions(at), at.model.rigid_at(at.p)
+        Y = _elastic_modes(at) if shapes is None else shapes
+        return self._frame(b, t, at.K, at.D, rigid, Y, kind=kind, interfaces=interfaces, origin=origin)
+
+    def derivatives(
+        self, at: ModelAt, *, kind: str = "mean-axes", interfaces: Sequence[str] = (),
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> dict[str, FloatingFrame]:  # fmt: skip
+        """Derivatives of ``frame`` by each parameter, in the fields of a frame: exact, by a complex step of the
+        coefficients (Squire and Trapp 1998). The shapes stay those of the elastic modes at the value, as any others of
+        the same basis give the same motions.
+
+        Raises:
+            InputError: modal damping, which follows the modes.
+        """
+        model, Y, result = at.model, _elastic_modes(at), {}
+        if at.damping.is_modal:
+            raise InputError(
+                "derivatives of a floating body need Rayleigh damping, or none: modal damping follows the modes"
+            )
+        b, t, rigid = model.law_M(at.p), self._positions(at), model.rigid_at(at.p)
+        slopes, (dK, dM) = model.law_M.derivative(at.p), model.derivatives(at.p)
+        for j, (name, kind_of) in enumerate(zip(model.box.names, model.box.kinds, strict=True)):
+            moving = np.array([0.0] + [float(j == morph) for morph in model.box.morphs])
+            R, M, K = (x + STEP * dx for x, dx in ((rigid, model.rigid @ moving), (at.M, dM[j]), (at.K, dK[j])))
+            alpha, beta = (getattr(at.damping, key) + STEP * (kind_of == key) for key in ("alpha", "beta"))
+            # D leaves rigid motion out, which the shapes have no momentum with: a change of second order.
+            D = alpha * M + beta * K
+            frame = self._frame(
+                b + STEP * slopes[:, j], t + STEP * moving, K, D, R, Y, kind=kind, interfaces=interfaces, origin=origin
+            )
+            result[name] = _slope(frame)
+        return result
+
+    def _positions(self, at: ModelAt) -> Floats:
+        """Factors (1 + morphs,) of x0 and of the displacement of each morph."""
+        return at.model.box.affine(np.eye(1 + len(at.model.box.morphs)), at.p)
+
+    def _integrals(self, b: Numbers, t: Numbers, Y: Floats) -> ShapeIntegrals:
+        """Those of the shapes ``Y`` (n, k) of the basis about ``pole``, for coefficients of the mass and positions."""
+        second = np.einsum("j,k,l,jkalb->ab", b, t, t, self.second, optimize=True)
+        x_phi = np.einsum("j,k,jkabl->abl", b, t, self.x_phi, optimize=True) @ Y
+        phi_phi = Y.T @ np.tensordot(b, self.phi_phi, axes=1) @ Y
+        return ShapeIntegrals(
+            mass=(b @ self.mass).item(), first=np.einsum("j,k,jka->a", b, t, self.first),
+            inertia=np.trace(second) * np.eye(3) - second, second=0.5 * (second + second.T),
+            Ct=Y.T @ np.tensordot(b, self.Ct, axes=1), Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
+            Me=np.einsum("aakl->kl", phi_phi), x_phi=x_phi, phi_phi=phi_phi,
+        )  # fmt: skip
+
+    def _frame(
+        self, b: Numbers, t: Numbers, K: Numbers, D: Numbers, rigid: Numbers, Y: Floats, *, kind: str,
+        interfaces: Sequence[str], origin: Sequence[float],
+    ) -> FloatingFrame:  # fmt: skip
+        about_pole = self._integrals(b, t, Y)
         away = about_pole.center
-        H = np.eye(6)
+        H = np.eye(6, dtype=away.dtype)
         H[:3, 3:] = skew(away)
         markers = {
-            name: InterfaceMarker(point=self.point(name, at) - self.pole - away, motion=motion @ Y)
+            name: InterfaceMarker(point=self.points[name].T @ t - self.pole - away, motion=motion @ Y)
             for name, motion in self.markers.items()
         }
         return frame_about(
-            at.K, at.D, Y, at.model.rigid_at(at.p) @ H, about_pole.about(away), markers, self.pole + away,
-            kind=kind, interfaces=interfaces, origin=origin,
+            K, D, Y, rigid @ H, about_pole.about(away), markers, self.pole + away, kind=kind, interfaces=interfaces,
+            origin=origin,
         )  # fmt: skip
+
+
+def _elastic_modes(at: ModelAt) -> Floats:
+    return at.Y[:, at.rigid.shape[1] :]
+
+
+def _slope(frame: FloatingFrame) -> FloatingFrame:
+    """What a complex step has left in the imaginary parts of a frame."""
+
+    def of(value: Any) -> Any:
+        return np.imag(value) / STEP.imag
+
+    markers = {k: InterfaceMarker(point=of(m.point), motion=of(m.motion)) for k, m in frame.markers.items()}
+    parts = {entry.name: of(getattr(frame.integrals, entry.name)) for entry in fields(ShapeIntegrals)}
+    matrices = {name: of(getattr(frame, name)) for name in ("origin", "elastic", "rigid", "Ke", "De")}
+    return replace(frame, integrals=ShapeIntegrals(**parts), markers=markers, notes=(), **matrices)
 
 
 def frame_terms(problem: AffineProblem, V: Floats) -> FrameTerms:

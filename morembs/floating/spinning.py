@@ -83,6 +83,8 @@ class Spin:
 
 def why_no_spin(model: FEModel) -> str:
     """Why there are no matrices of a frame that turns; "" where there are."""
+    if model.G is not None or model.N is not None:
+        return "the model has a gyroscopic or circulatory matrix of its own, which is for one speed"
     table = model.dofs.table(len(model.nodes))[:, :3]
     some = (table >= 0).any(axis=1)
     if not some.any() or (table[some] < 0).any():

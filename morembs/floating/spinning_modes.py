@@ -60,7 +60,7 @@ def _held_modes(
     if problem.rigid.shape[1] and not len(rows):
         raise InputError(
             f"complex modes need a body that is held; this one has {problem.rigid.shape[1]} rigid-body motions: name "
-            'the interfaces that hold it with held = ["NAME"]'
+            'the interfaces that hold it with held = ["NAME"], in a job in the table [modes]'
         )
     free = np.ones(problem.K.shape[0], dtype=bool)
     free[rows] = False
@@ -70,10 +70,12 @@ def _held_modes(
     if damping.is_rayleigh:
         proportional = damping.alpha * problem.M + damping.beta * problem.K
         D = proportional if D is None else D + proportional
+    if problem.G is not None:
+        G = problem.G if G is None else G + problem.G
     K, M = (sp.csr_array(A[rest][:, rest]) for A in (K, problem.M))
-    G, D = (None if A is None else sp.csr_array(A[rest][:, rest]) for A in (G, D))
+    G, D, N = (None if A is None else sp.csr_array(A[rest][:, rest]) for A in (G, D, problem.N))
     modes = complex_modes(
-        K, M, G=G, D=D, count=count, solver=problem.solver, start=None if start is None else start[rest],
+        K, M, G=G, D=D, N=N, count=count, solver=problem.solver, start=None if start is None else start[rest],
         progress=progress,
     )  # fmt: skip
     vectors = np.zeros((len(free), count), dtype=complex)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -71,10 +71,12 @@ class DividedMember:
         c, s = math.cos(direction), math.sin(direction)
         placed = first.position + self.places @ np.array([[c, s], [-s, c]])
         points = [first, *(mechanism.point(place) for place in placed[1:-1]), second]
-        turns = direction + self.directions
-        angles = [start, *(mechanism.angle(float(turn)) for turn in turns[1:]), end]
+        # As the mechanism counts them, from -pi to pi.
+        steps = np.diff([point.position for point in points], axis=0).tolist()
+        turns = [math.atan2(y, x) for x, y in steps]
+        angles = [start, *(mechanism.angle(turn) for turn in turns[1:]), end]
         count = len(mechanism.members)
-        for k, (member, turn) in enumerate(zip(self.members, turns.tolist(), strict=True)):
+        for k, (member, turn) in enumerate(zip(self.members, turns, strict=True)):
             ends = [None if angle is None else _seen(angle, turn) for angle in angles[k : k + 2]]
             mechanism.add(member, points[k], points[k + 1], start=ends[0], end=ends[1])
         return range(count, count + self.pieces)
@@ -190,28 +192,36 @@ def divide_until_within(
         end, step, options: of ``simulate``.
         pieces: to begin with. Where a run leaves the tables, the next number is the one by which the angle that left
             them comes to three quarters of their range, or twice as many; numbers that ``build`` refuses are passed
-            over.
+            over, to larger ones first.
         most: pieces after which it is given up.
 
     Raises:
         LeftTablesError: the largest number is not enough either.
         InputError: of ``build``, where no number up to ``most`` is taken.
     """
+    counts: Sequence[int] = range(pieces, max(pieces, most) + 1)
+    left: LeftTablesError | None = None
     while True:
-        mechanism, pieces = _buildable(build, pieces, most)
+        try:
+            mechanism, pieces = _buildable(build, counts)
+        except InputError:
+            if left is None:
+                raise
+            raise left from None
         try:
             return simulate(mechanism, end=end, step=step, **options), pieces
         except LeftTablesError as error:
-            wanted = max(2 * pieces, math.ceil(pieces * error.share / _WITHIN))
-            if wanted > most:
-                raise
-            pieces = wanted
+            wanted, left = min(max(2 * pieces, math.ceil(pieces * error.share / _WITHIN)), most), error
+            # Of the numbers that are larger than the wanted one the first, else of those that are smaller.
+            counts = [*range(max(wanted, pieces + 1), most + 1), *range(wanted - 1, pieces, -1)]
 
 
-def _buildable(build: Callable[[int], Mechanism], pieces: int, most: int) -> tuple[Mechanism, int]:
-    for count in range(pieces, most):
+def _buildable(build: Callable[[int], Mechanism], counts: Sequence[int]) -> tuple[Mechanism, int]:
+    """The first number of pieces that can be; where none can, the first refusal."""
+    refused = InputError("no number of pieces is left")
+    for number, count in enumerate(counts):
         try:
             return build(count), count
-        except InputError:
-            continue
-    return build(most), most
+        except InputError as error:
+            refused = refused if number else error
+    raise refused

@@ -23,14 +23,15 @@ Ints = NDArray[np.int64]
 def from_matrices(
     K: Any, M: Any, D: Any = None, B: Any = None, C: Any = None, *, names: Mapping[str, Sequence[str]] | None = None,
     nodes: Nodes | Any = None, node: Any = None, component: Any = None, name: str = "matrices",
-    units: Units | str | None = None,
+    G: Any = None, N: Any = None, units: Units | str | None = None,
 ) -> FEModel:  # fmt: skip
-    """Model M u'' + D u' + K u = B q, y = C u of matrices of SciPy (any format), NumPy or nested lists.
+    """Model M u'' + (D + G) u' + (K + N) u = B q, y = C u of matrices of SciPy (any format), NumPy or nested lists.
 
     Args:
         K, M, D: (N, N) stiffness, mass and damping, symmetric for reductions; D may be left out.
         B, C: (N, m) input and (p, N) output matrix: columns of B and rows of C are generalised forces and motions that
             ``matrix_interface`` makes interfaces of. Entries of displacements have no unit, of rotations lengths.
+        G, N: (N, N) gyroscopic and circulatory matrix, as ``FEModel`` has them.
         names: of the columns of B and the rows of C: {"B": [...], "C": [...]}; "1", "2", ... without.
         nodes: places (n, 3), or ``Nodes`` with labels and sets. Without any, each dof is a node of its own, whose mass
             properties and rigid motion mean nothing.
@@ -54,7 +55,7 @@ def from_matrices(
     >>> from_matrices(model.K, model.M, nodes=nodes, name="bar again")
     FEModel: dofs 60; nodes 20; matrices K, M; source bar again
     """
-    given = {"K": K, "M": M, "D": D}
+    given = {"K": K, "M": M, "D": D, "G": G, "N": N}
     missing = [role for role in ("K", "M") if given[role] is None]
     if missing:
         raise InputError(f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix")

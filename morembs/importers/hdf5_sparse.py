@@ -20,8 +20,9 @@ Array = NDArray[Any]
 
 
 def import_hdf5(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
-    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
+    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    C_names: str | None = None,
 ) -> Imported:  # fmt: skip
     """Matrices of an HDF5 file, found in its groups by name ("stiffness/K"); MATLAB files of version 7.3 too.
 
@@ -32,7 +33,7 @@ def import_hdf5(
     Raises:
         InputError: not an HDF5 file, no such matrix, or one that is damaged.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     other: Matrices = {}
     with reading(path, "an HDF5 file with matrices", "check the file") as file:
         if K is None:

@@ -106,9 +106,9 @@ def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
 class Imported:
     """All that a file holds, in the units of the file.
 
-    Matrices ``K``, ``M``, ``D`` (N, N) as they are there (whole, not half; real or complex, symmetric or not) with
-    ``dofs``, and ``inputs`` and ``outputs`` (columns of B, rows of C) on them; or a ``mesh`` with ``materials``;
-    or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
+    Matrices ``K``, ``M``, ``D``, ``G``, ``N`` (N, N) as they are there (whole, not half; real or complex, symmetric or
+    not) with ``dofs``, and ``inputs`` and ``outputs`` (columns of B, rows of C) on them; or a ``mesh`` with
+    ``materials``; or both. ``nodes`` may carry sets. ``surfaces`` name -> rows of nodes.
     ``notes`` say in a sentence each what was found and what the file holds that a model cannot carry; ``warnings``
     what makes the model another one than that of the file, beside what ``mesh`` warns of. ``incomplete`` maps an
     element set to what its material lacks: such a model is refused until the set has one. ``seams`` says that the
@@ -119,6 +119,8 @@ class Imported:
     K: sp.csr_array | None = None
     M: sp.csr_array | None = None
     D: sp.csr_array | None = None
+    G: sp.csr_array | None = None
+    N: sp.csr_array | None = None
     nodes: Nodes | None = None
     dofs: DofMap | None = None
     mesh: Mesh | None = None

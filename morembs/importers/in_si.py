@@ -12,22 +12,23 @@ from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.model import DofMap, NamedColumns
 from morembs.model.constraints import Equations
-from morembs.model.fe_model import SCALAR
+from morembs.model.fe_model import MATRICES, SCALAR
 from morembs.model.material import Material
 from morembs.units import Units
 
 
 def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
-    """K, M and D in N/m, kg and Ns/m; rows and columns of rotations are per rad.
+    """K, M, D, G and N in N/m, kg and Ns/m; rows and columns of rotations are per rad.
 
     A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which are taken for such) and w = m per
     unit of length for rotations an entry is scaled by w_i w_j times the factor of displacements.
     """
-    factors = (units.stiffness, units.mass, units.mass / units.time)
+    factors = {"K": units.stiffness, "M": units.mass, "N": units.stiffness}
     weight = np.where(dofs.turning, units.length, 1.0)
     plain = units.length == 1.0 or not dofs.turning.any()
     scaled = []
-    for matrix, factor in zip((imported.K, imported.M, imported.D), factors, strict=True):
+    for name in MATRICES:
+        matrix, factor = getattr(imported, name), factors.get(name, units.mass / units.time)
         if matrix is None or (plain and factor == 1.0):
             scaled.append(matrix)
             continue

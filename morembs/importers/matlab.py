@@ -17,8 +17,9 @@ from morembs.importers.named import Wanted, matrices_by_name
 
 
 def import_matlab(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
-    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
+    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    C_names: str | None = None,
 ) -> Imported:  # fmt: skip
     """Matrices of a .mat file by their names; by default K, M and D (or C, where it is square). B and C
     are inputs and outputs.
@@ -26,7 +27,7 @@ def import_matlab(
     Raises:
         InputError: not a MATLAB file, or no matrix of a name.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     if path.is_file() and h5py.is_hdf5(path):
         return import_hdf5(path, **vars(wanted))
     other: dict[str, str] = {}

@@ -34,8 +34,9 @@ _USUAL = {
 
 
 def import_op4(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
-    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
+    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    C_names: str | None = None,
 ) -> Imported:  # fmt: skip
     """Matrices of a Nastran OP4 file by their names; the file does not say which dofs its rows are.
 
@@ -43,7 +44,7 @@ def import_op4(
         InputError: not such a file, or no matrix of a name.
     """
     path = Path(path)
-    wanted = Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    wanted = Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     names = wanted.names if K is not None and M is not None else None
     matrices = {name: read.matrix for name, read in read_op4(path, names).items()}
     square = {name: A for name, A in matrices.items() if A.shape[0] == A.shape[1]}

@@ -18,6 +18,7 @@ from morembs.importers.native import FORMAT, FORMAT_VERSION, MODEL, import_nativ
 from morembs.importers.to_model import model_of
 from morembs.model import FEModel, Mesh
 from morembs.model.constraints import RigidElement
+from morembs.model.fe_model import MATRICES
 from morembs.progress import SILENT, Progress
 from morembs.storage.hdf5 import is_format, reading
 from morembs.storage.writer import writing
@@ -46,13 +47,13 @@ def write_model(
     sums = [sha256(file) for file in files]
     with writing(target) as out:
         out.rows("", MODEL, {
-            "format": FORMAT, "format_version": FORMAT_VERSION if model.equations else 1, "unit_system": "SI",
+            "format": FORMAT, "format_version": _version(model), "unit_system": "SI",
             "source": {
                 "name": model.source, "files": [file.name for file in files], "sha256": sums,
                 "format": importer or "none", "units": units or "m-kg-s", "notes": model.notes,
                 "warnings": model.warnings, "findings": list(findings),
             },
-            "K": model.K, "M": model.M, "D": model.D,
+            **{name: getattr(model, name) for name in MATRICES},
             "ids": model.nodes.ids, "xyz": model.nodes.xyz, "node_sets": model.nodes.sets,
             "node": model.dofs.node, "component": model.dofs.component,
             "elements": model.mesh and _elements(model.mesh), "element_sets": model.mesh and _element_sets(model.mesh),
@@ -63,6 +64,13 @@ def write_model(
         for matrix in out.file.get("matrices", {}).values():
             matrix.attrs["format"] = np.bytes_("csr")
     return target
+
+
+def _version(model: FEModel) -> int:
+    """The lowest version of the format that holds the model."""
+    if model.G is not None or model.N is not None:
+        return FORMAT_VERSION
+    return 2 if model.equations else 1
 
 
 def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:

@@ -21,6 +21,8 @@ USUAL = {
     "K": ("k", "stiffness", "stiffnessmatrix", "kmat", "kgg", "kaa", "stif", "stiff", "kfull"),
     "M": ("m", "mass", "massmatrix", "mmat", "mgg", "maa", "mfull"),
     "D": ("d", "damping", "dampingmatrix", "c", "bgg", "baa", "dmat", "cmat", "e"),
+    "G": ("gyroscopic", "gyroscopicmatrix"),
+    "N": ("circulatory", "circulatorymatrix"),
 }
 
 
@@ -48,12 +50,14 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """Names of the matrices of a file that are K, M and D, or None; ``B`` and ``C`` those of inputs and outputs, which
-    are taken only by name, ``B_names`` and ``C_names`` titles of the columns and rows of these, apart by commas."""
+    """Names of the matrices of a file that are K, M, D, G and N, or None; ``B`` and ``C`` those of inputs and outputs,
+    which are taken only by name, ``B_names`` and ``C_names`` titles of their columns and rows, apart by commas."""
 
     K: str | None = None
     M: str | None = None
     D: str | None = None
+    G: str | None = None
+    N: str | None = None
     B: str | None = None
     C: str | None = None
     B_names: str | None = None
@@ -62,7 +66,7 @@ class Wanted:
     @property
     def names(self) -> set[str]:
         """All names of matrices that were given."""
-        given = (self.K, self.M, self.D, self.B, self.C)
+        given = (self.K, self.M, self.D, self.G, self.N, self.B, self.C)
         return {name for name in given if name is not None and name != "identity"}
 
     def with_columns(self, imported: Imported, find: Callable[[str], Any]) -> Imported:
@@ -119,7 +123,7 @@ def matrices_by_name(
     if not matrices:
         raise InputError(f"{source} has no square matrix; expected K and M")
     K, besides = wanted.K, {**(besides or {}), **matrices}
-    asked, taken = {"K": K, "M": wanted.M, "D": wanted.D}, {}
+    asked, taken = {"K": K, **{role: getattr(wanted, role) for role in ("M", "D", "G", "N")}}, {}
     for role, name in asked.items():
         if name == "identity" and name not in matrices:
             size = (next(iter(matrices.values())) if K is None else matrices[_there(source, matrices, K)]).shape[0]

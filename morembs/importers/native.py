@@ -17,7 +17,7 @@ from morembs.importers.imported import Imported
 from morembs.model import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.elements import TYPES
-from morembs.model.fe_model import SCALAR
+from morembs.model.fe_model import MATRICES, SCALAR
 from morembs.model.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
@@ -27,8 +27,9 @@ from morembs.storage.table_check import TableCheck
 
 Ints = NDArray[np.int64]
 FORMAT = "morembs-model"
-# Files with equations have version 2, as older readers would leave these out; others have version 1.
-FORMAT_VERSION = 2
+# Files with equations have version 2, those with G or N version 3, as older readers would leave these out; others have
+# version 1.
+FORMAT_VERSION = 3
 CURE = "import the model again"
 
 
@@ -144,12 +145,14 @@ _COUPLINGS = Table((
 ))  # fmt: skip
 MODEL = Table((
     Row("format", "text", doc="`morembs-model`", read=False),
-    Row("format_version", "whole", doc="1, with equations 2", read=False),
+    Row("format_version", "whole", doc="1, with equations 2, with G or N 3", read=False),
     Row("unit_system", "text", doc="`SI`", read=False),
     Row("source", _SOURCE),
     Row("matrices/K", _matrix("N/m"), when="if", read=False),
-    Row("matrices/M", _matrix("kg"), when="if", read=False, doc="as K, kg; each of the three may be absent"),
+    Row("matrices/M", _matrix("kg"), when="if", read=False, doc="as K, kg; each of them may be absent"),
     Row("matrices/D", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m"),
+    Row("matrices/G", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m; skew-symmetric"),
+    Row("matrices/N", _matrix("N/m"), when="if", read=False, doc="as K; skew-symmetric"),
     Row("nodes/ids", "whole", "N", "labels of the nodes in the source"),
     Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
     Row("node_sets", _SETS),
@@ -176,7 +179,7 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         TableCheck(path, file, "model file", CURE).table("", MODEL, {})
         values = read_rows(file, MODEL)
         dofs, source = DofMap(node=values["node"], component=values["component"]), values["source"]
-        K, M, D = (_read_matrix(path, file, name, len(dofs.node), budget) for name in ("K", "M", "D"))
+        matrices: dict[str, Any] = {name: _read_matrix(path, file, name, len(dofs.node), budget) for name in MATRICES}
         nodes = Nodes(ids=values["ids"], xyz=values["xyz"], sets=values["node_sets"])
         for name, rows in nodes.sets.items():
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
@@ -186,7 +189,7 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         mesh = _mesh(path, values["elements"], values["element_sets"], nodes) if "elements" in values else None
         Checksums(path, file).verify()
     return Imported(
-        source=source["name"], K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh,
+        source=source["name"], **matrices, nodes=nodes, dofs=dofs, mesh=mesh,
         materials=values.get("materials", ()), rigid=rigid, average=average, equations=equations,
         inputs=inputs, outputs=outputs, notes=source["notes"], warnings=source.get("warnings", ()),
     )  # fmt: skip

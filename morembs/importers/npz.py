@@ -23,8 +23,9 @@ _SPARSEST = 1000
 
 
 def import_npz(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, B: str | None = None,
-    C: str | None = None, B_names: str | None = None, C_names: str | None = None,
+    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
+    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    C_names: str | None = None,
 ) -> Imported:  # fmt: skip
     """Matrices of an .npz file: that of ``save_npz``, dense arrays, or arrays NAME_data, NAME_indices, NAME_indptr and
     NAME_shape (CSR) for each. B and C are inputs and outputs.
@@ -32,7 +33,7 @@ def import_npz(
     Raises:
         InputError: not such a file, damaged, or no matrix of a name.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     notes: tuple[str, ...] = ()
     other: Matrices = {}
     try:

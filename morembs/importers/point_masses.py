@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +15,7 @@ from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement, PointMass, Ties, nodes_of
 from morembs.model import DofMap, FEModel, skew
 from morembs.model.constraints import AverageElement, Equations, RigidElement
+from morembs.model.fe_model import MATRICES
 from morembs.units import Units
 
 Floats = NDArray[np.float64]
@@ -73,8 +75,8 @@ def with_dofs(model: FEModel, ties: Sequence[Ties]) -> FEModel:
         node=np.concatenate([model.dofs.node, new // width]),
         component=np.concatenate([model.dofs.component, new % width]),
     )
-    K, M, D = (_grown(A, len(new)) for A in (model.K, model.M, model.D))
-    return replace(model, dofs=dofs, K=K, M=M, D=D)
+    grown: dict[str, Any] = {name: _grown(getattr(model, name), len(new)) for name in MATRICES}
+    return replace(model, dofs=dofs, **grown)
 
 
 def _grown(A: sp.csr_array | None, count: int) -> sp.csr_array | None:

@@ -24,7 +24,7 @@ from morembs.importers.named import refuse_entries
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.fe_model import SCALAR, refuse_far
+from morembs.model.fe_model import MATRICES, SCALAR, refuse_far
 from morembs.model.handedness import right_handed
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
@@ -45,7 +45,7 @@ def model_of(
     with the materials. Nodes of solid elements come first, three dofs each; masters of rigid elements, references of
     average elements and nodes with point masses follow with dofs of their own.
 
-    Peak memory: K, M and D; what ``assemble`` needs for a mesh.
+    Peak memory: the matrices; what ``assemble`` needs for a mesh.
 
     Raises:
         InputError: neither K and M nor a mesh with materials, matrices that do not fit the nodes, nodes without
@@ -71,7 +71,7 @@ def model_of(
     refuse_loose(model, ties)
     model, said = with_discrete(with_masses(model, masses), discrete)
     return FEModel(
-        K=model.K, M=model.M, D=model.D, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
+        K=model.K, M=model.M, D=model.D, G=model.G, N=model.N, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
         materials=model.materials, source=imported.source, rigid=rigid, average=average,
         equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
         inputs=forces_in_si("B", imported.inputs, imported, model.dofs, units),
@@ -119,7 +119,7 @@ def _completed(imported: Imported) -> Imported:
 
 
 def _refuse_incomplete(imported: Imported) -> None:
-    source, given = imported.source, [name for name in ("K", "M", "D") if getattr(imported, name) is not None]
+    source, given = imported.source, [name for name in MATRICES if getattr(imported, name) is not None]
     if imported.K is None and imported.mesh is None:
         raise InputError(
             f"{source} has {'no stiffness matrix' if given else 'neither matrices nor a mesh'}; expected K and M, or a "
@@ -148,7 +148,7 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
     if imported.K is None:
         raise InputError(f"{imported.source} has no stiffness matrix")
     source, size = imported.source, imported.K.shape[0]
-    for name in ("K", "M", "D"):
+    for name in MATRICES:
         matrix = getattr(imported, name)
         if matrix is not None and matrix.shape != (size, size):
             raise InputError(
@@ -160,10 +160,10 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
     if mesh is not None:
         # Formulations of its elements do not matter beside matrices, the places of its nodes do.
         mesh = mesh_in_order(mesh)
-    K, M, D = matrices_in_si(imported, dofs, units)
+    K, M, D, G, N = matrices_in_si(imported, dofs, units)
     model = FEModel(
-        K=K, M=M, D=D, nodes=nodes, dofs=dofs, mesh=mesh, materials=materials_in_si(imported.materials, units),
-        source=source, warnings=() if mesh is None else mesh.warnings,
+        K=K, M=M, D=D, G=G, N=N, nodes=nodes, dofs=dofs, mesh=mesh, source=source,
+        materials=materials_in_si(imported.materials, units), warnings=() if mesh is None else mesh.warnings,
     )  # fmt: skip
     bare = len(nodes) - len(np.unique(dofs.node))
     if bare:

@@ -80,8 +80,10 @@ def refuse_collinear(interface: Interface, condition: float) -> None:
         InputError: as said.
     """
     if not condition < COLLINEAR:
+        count = len(interface.nodes)
+        where = f"its {count} nodes lie on a line or in a point" if count > 1 else "it has one node"
         raise InputError(
-            f"interface {interface.name!r}: its {len(interface.nodes)} nodes lie on a line or in a point; "
+            f"interface {interface.name!r}: {where}; "
             f"{interface.coupling} coupling needs at least three nodes that span a plane "
             '(take more nodes, or coupling = "direct")'
         )

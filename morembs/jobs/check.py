@@ -31,6 +31,7 @@ from morembs.jobs.inputs import (
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.jobs.model import equations_of_motion
 from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
@@ -39,6 +40,7 @@ from morembs.memory import available_bytes, resident_bytes
 from morembs.model import Mesh, rigid_motion
 from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
+from morembs.model.fe_model import MATRICES
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers import Facts
@@ -118,6 +120,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
         progress.stage("examine")
+        model = equations_of_motion(job, model)
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
@@ -130,7 +133,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
         threads = blas_threads()
         seconds = _reduction_seconds(job, facts, cost)
-    plan, matrices = cost.plan, [A for A in (model.K, model.M, model.D) if A is not None]
+    plan, matrices = cost.plan, [A for name in MATRICES if (A := getattr(model, name)) is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
         solver=plan.backend, choice=cost.choice, nodes=len(model.nodes), elements=count_elements(model.mesh),

@@ -30,7 +30,7 @@ from morembs.progress import SILENT, Progress
 from morembs.storage.safefile import check_writable
 from morembs.units import Units
 
-ROLES = {"K": "--stiffness", "M": "--mass", "D": "--damping"}
+ROLES = {"K": "--stiffness", "M": "--mass", "D": "--damping", "G": "--gyroscopic", "N": "--circulatory"}
 # Options that name inputs and outputs.
 INPUTS = ("B", "C", "B_names", "C_names")
 
@@ -261,9 +261,8 @@ def _combined(job: ImportJob) -> tuple[Imported, str]:
             both = f"{imported.source} and {first.source}"
             raise InputError(f"{both} have rows of different dofs; write them of one model")
     notes = tuple(note for imported in by_role.values() for note in imported.notes)
-    return replace(first, K=matrices.get("K"), M=matrices.get("M"), D=matrices.get("D"), notes=notes), formats[
-        next(iter(by_role))
-    ]
+    whole: dict[str, Any] = {role: matrices.get(role) for role in ROLES}
+    return replace(first, **whole, notes=notes), formats[next(iter(by_role))]
 
 
 def _one_matrix(role: str, imported: Imported) -> Any:
@@ -324,7 +323,7 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
     nodes = held.nodes if held.nodes is not None else (held.mesh.nodes if held.mesh is not None else None)
     if nodes is None:
         raise InputError(f"--nodes {path.name} has no nodes; expected a mesh")
-    if imported.K is imported.M is imported.D is None:
+    if all(getattr(imported, role) is None for role in ROLES):
         raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:

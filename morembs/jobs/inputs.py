@@ -18,6 +18,7 @@ from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.importers.model_file import read_model
+from morembs.importers.to_model import rows_of_labels
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable, SubstructureTable
@@ -27,6 +28,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
 from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
+from morembs.model.tubes import Flow
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
@@ -167,6 +169,34 @@ def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
     return rotation, [speed / units.time for speed in given.speed]
 
 
+def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
+    """Rows of the nodes along each tube, in the order of its flow, and the flow in SI units."""
+    units = units_of(job)
+    return [
+        (_path_of(job, model, table.path), Flow(
+            mass_flow=table.mass_flow * units.mass / units.time, density=table.density * units.density,
+            area=table.area * units.length**2, outlet=table.outlet,
+        ))
+        for table in job.tables.flow
+    ]  # fmt: skip
+
+
+def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:
+    labels = text.removeprefix("ids:").split(",")
+    if text.endswith(".csv"):
+        try:
+            labels = job.resolve(text).read_text(encoding="utf-8-sig").replace(",", " ").split()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"[[flow]]: path = {text!r} cannot be read; expected a text of labels of nodes") from error
+    elif not text.startswith("ids:"):
+        return select_nodes(model, text, length=units_of(job).length)
+    try:
+        numbers = np.array([int(label) for label in labels], dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"[[flow]]: path = {text!r} holds something else than labels of nodes ({error})") from error
+    return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {text!r}")
+
+
 def solver_of(job: Job) -> LinearSolver:
     """The solver with its budget and scratch folder."""
     given = job.tables.solver
@@ -207,7 +237,8 @@ def inputs_of(job: Job) -> dict[str, Path]:
              if t.mesh or t.displacement}  # fmt: skip
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
     files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
-    return {"the job file": job.path, **files, **moves}
+    tables = {f"the path of [[flow]] {t.path}": job.resolve(t.path) for t in job.tables.flow if t.path.endswith(".csv")}
+    return {"the job file": job.path, **files, **moves, **tables}
 
 
 def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from morembs.budget import Budget
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
-from morembs.jobs.inputs import matrices_of, mesh_of
+from morembs.jobs.inputs import flows_of, matrices_of, mesh_of
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import require_room
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
 from morembs.model.assembly import assemble
+from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material
+from morembs.model.tubes import conveying
 from morembs.progress import Stopwatch
 
 if TYPE_CHECKING:
@@ -29,7 +32,7 @@ def model_of(
         with watch.stage("read"):
             model = matrices_of(job, budget)
         require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
-        return model, None
+        return equations_of_motion(job, model), None
     with watch.stage("read"):
         mesh = mesh_of(job)
     require_room_of_mesh(job, mesh, materials, solver, start)
@@ -42,3 +45,19 @@ def model_of(
             return varied.model(varied.box.nominal, budget), varied
         model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
         return model, None
+
+
+def equations_of_motion(job: Job, model: FEModel) -> FEModel:
+    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
+    model = _without_skew_parts(model, job.tables.model.unsymmetric)
+    for path, flow in flows_of(job, model):
+        model = conveying(model, path, flow)
+    return model
+
+
+def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
+    """``model`` with the skew parts of K and D in N and G, or without them where they are to be dropped."""
+    if unsymmetric == "refuse":
+        return model
+    parts = split_unsymmetric(model)
+    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)

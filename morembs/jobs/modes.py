@@ -92,7 +92,10 @@ def _real(problem: Problem, count: int) -> ModeTable:
         for k, hz in enumerate(modes.frequencies_hz)
     )
     below = math.sqrt(modes.verified_below) / (2 * math.pi)
-    return ModeTable(rows=rows, complete={0.0: f"complete below {below:.6g} Hz"})
+    left_out = "modes of M and the symmetric K alone; --complex has the gyroscopic and circulatory matrix too"
+    return ModeTable(
+        rows=rows, complete={0.0: f"complete below {below:.6g} Hz"}, warnings=() if problem.symmetric else (left_out,)
+    )
 
 
 def _over_speed(problem: Problem, spin: Spin, full: Mapping[float, ComplexModes]) -> ModeTable:
@@ -169,5 +172,5 @@ def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
     axes.set_ylabel("frequency in the frame that turns, Hz")
     axes.grid(True, color="#d0d4d8", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, ncols=4)
+    axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
     save(figure, path)

@@ -58,6 +58,10 @@ class ModelTable(Table):
     allow_includes_outside: bool = Field(
         default=False, description="true or false: a deck may include files from beyond its folder"
     )
+    unsymmetric: Literal["refuse", "split", "symmetrise"] = Field(
+        default="refuse",
+        description='"refuse", "split" or "symmetrise": what becomes of the skew parts of K and D',
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -391,6 +395,18 @@ class SpinTable(Table):
         return self
 
 
+class FlowTable(Table):
+    """``[[flow]]``: fluid that flows through a tube of beam elements, in the declared units."""
+
+    path: str = Field(
+        min_length=1, description='nodes in the order of the flow: "ids:4,7,2", "set:TUBE" or the path of a .csv'
+    )
+    mass_flow: float = Field(description="a number (mass/time)")
+    density: float = Field(gt=0, description="a number above zero")
+    area: float = Field(gt=0, description="the area of the bore")
+    outlet: Literal["held", "free"] = Field(default="held", description='"held" or "free": the last node is a nozzle')
+
+
 class ModesTable(Table):
     """``[modes]``: what ``morembs modes`` computes of the full model."""
 
@@ -437,6 +453,7 @@ class JobTables(Table):
     stiffening: StiffeningTable | None = Field(default=None, description="a table [stiffening]")
     preload: PreloadTable | None = Field(default=None, description="a table [preload]")
     spin: SpinTable | None = Field(default=None, description="a table [spin]")
+    flow: list[FlowTable] = Field(default_factory=list, description="tables [[flow]]")
     modes: ModesTable = Field(default_factory=ModesTable, description="a table [modes]")
     stress: StressTable | None = Field(default=None, description="a table [stress]")
     check: CheckTable = Field(default_factory=CheckTable, description="a table [check]")
@@ -474,6 +491,12 @@ class JobTables(Table):
             )
         if self.spin is not None:
             raise ValueError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
+        return self
+
+    @model_validator(mode="after")
+    def _flows(self) -> Self:
+        if self.flow and self.model.file is None:
+            raise ValueError("[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements")
         return self
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Lowest complex modes of (s^2 M + s (D + G) + K) x = 0, with G = -G' sparse and K held, by a block Davidson method.
+"""Lowest complex modes of (s^2 M + s (D + G) + K + N) x = 0, G and N skew and K held, by a block Davidson method.
 
 The space grows by K^-1 r of the residuals r, real and imaginary parts, and projection is by congruence: symmetric
 parts stay symmetric and skew ones skew, so that a body without damping has imaginary eigenvalues to the last bit. With
@@ -65,11 +65,11 @@ class ComplexModes:
 def small_complex_modes(K: Floats, M: Floats, C: Floats) -> tuple[Complexes, Complexes]:
     """All eigenvalues s (m,) of s^2 M + s C + K on or above the real axis, by size, and vectors (n, m); dense.
 
-    ``C`` (n, n) is damping and gyroscopic matrix together. Where it is skew and K is positive definite the
-    eigenvalues are imaginary.
+    ``C`` (n, n) is damping and gyroscopic matrix together, ``K`` stiffness and circulatory matrix. Where C is skew and
+    K symmetric and positive definite the eigenvalues are imaginary.
     """
     n = len(K)
-    skew = np.array_equal(C, -C.T)
+    skew = np.array_equal(C, -C.T) and np.array_equal(K, K.T)
     nothing = np.zeros((n, n))
     if skew:
         try:
@@ -93,8 +93,9 @@ def small_complex_modes(K: Floats, M: Floats, C: Floats) -> tuple[Complexes, Com
 
 
 def complex_modes(
-    K: sp.csr_array, M: sp.csr_array, *, G: sp.csr_array | None = None, D: sp.csr_array | None = None, count: int,
-    solver: LinearSolver, start: Floats | None = None, progress: Progress = SILENT,
+    K: sp.csr_array, M: sp.csr_array, *, G: sp.csr_array | None = None, D: sp.csr_array | None = None,
+    N: sp.csr_array | None = None, count: int, solver: LinearSolver, start: Floats | None = None,
+    progress: Progress = SILENT,
 ) -> ComplexModes:  # fmt: skip
     """The ``count`` modes of lowest \\|s\\|, with K symmetric and regular.
 
@@ -115,11 +116,13 @@ def complex_modes(
     parts = [A for A in (D, G) if A is not None]
     C = sp.csr_array(sum(parts[1:], start=parts[0])) if parts else sp.csr_array((n, n))
     with solver.factorize(K, "symmetric", what="the stiffness of the held body") as factor:
-        pencil = _Pencil(K, M, C, factor)
+        pencil = _Pencil(K, M, C, N, factor)
         V = _start(pencil, count, start)
-        why = "damping" if D is not None and D.nnz else "" if factor.negative_pivots() == 0 else (
+        given = {"damping": D, "a circulatory matrix": N}
+        why = next((words for words, A in given.items() if A is not None and A.nnz), "")
+        why = why or ("" if factor.negative_pivots() == 0 else (
             "the stiffness is indefinite, as it is above the first critical speed"
-        )  # fmt: skip
+        ))  # fmt: skip
         for _ in range(ATTEMPTS):
             modes, V = _converged(pencil, V, count, progress)
             cut = "" if why else _cut(modes.frequencies, count)
@@ -150,11 +153,14 @@ class _Pencil:
     K: sp.csr_array
     M: sp.csr_array
     C: sp.csr_array
+    N: sp.csr_array | None
     factor: Factorization
 
     def corrections(self, s: Complexes, X: Complexes) -> Complexes:
-        """K^-1 (s^2 M + s C + K) x of each column."""
+        """K^-1 (s^2 M + s C + K + N) x of each column."""
         R = (self.M @ X) * s**2 + (self.C @ X) * s
+        if self.N is not None:
+            R += self.N @ X
         both = self.factor.solve(np.hstack([R.real, R.imag]))
         return np.asarray(both[:, : X.shape[1]] + 1j * both[:, X.shape[1] :] + X)
 
@@ -178,7 +184,10 @@ def _converged(pencil: _Pencil, V: Floats, count: int, progress: Progress) -> tu
     """The lowest ``count`` modes and some beyond, those unconverged, and the space that they are from."""
     wanted, history = min(count + BEYOND, len(V)), list[float]()
     for step in range(STEPS):
-        values, Y = small_complex_modes(_projected(V, pencil.K), _projected(V, pencil.M), _projected(V, pencil.C))
+        Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
+        # To the last bit, by which a body without damping is known.
+        Kv = 0.5 * (Kv + Kv.T)
+        values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _projected(V, pencil.N), Mv, Cv)
         # A pair of s and its conjugate has one mode, two real s have one each.
         s, X = values[:wanted], V @ Y[:, :wanted]
         X /= m_norms(X, pencil.M @ X)

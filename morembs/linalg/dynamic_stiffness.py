@@ -1,4 +1,4 @@
-"""A(s) = s^2 M + s D + K on one pattern, so that one symbolic analysis serves all shifts."""
+"""A(s) = s^2 M + s (D + G) + K + N on one pattern, so that one symbolic analysis serves all shifts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
-from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.moved import renamed
 
 Values = NDArray[Any]
@@ -23,18 +23,18 @@ _CHUNK = 1 << 20
 
 
 class DynamicStiffness(Closing):
-    """The pencil of ``K``, ``M`` and optionally ``D`` (N, N), symmetric. A context manager.
+    """The pencil of ``K``, ``M`` and optionally ``D`` (N, N), symmetric, ``G`` and ``N``, skew. A context manager.
 
     ``lower`` is the lower triangle of K on the union of the patterns. Peak memory: that triangle, one more of
-    it for each A(s), and 4 bytes for each entry of M and D.
+    it for each A(s), two where there is a skew part, and 4 bytes for each entry of the other matrices.
 
     Raises:
         InputError: matrices that are not symmetric, not finite, or of different sizes.
     """
 
     def __init__(
-        self, K: sp.csr_array, M: sp.csr_array, D: sp.csr_array | None = None, *, solver: LinearSolver,
-        budget: Budget = UNLIMITED,
+        self, K: sp.csr_array, M: sp.csr_array, D: sp.csr_array | None = None, *, G: sp.csr_array | None = None,
+        N: sp.csr_array | None = None, solver: LinearSolver, budget: Budget = UNLIMITED,
     ) -> None:  # fmt: skip
         self.solver, self.budget = solver, budget
         stiffness = Lower.of(K, "the stiffness matrix", budget)
@@ -43,6 +43,11 @@ class DynamicStiffness(Closing):
             for A, what in ((M, "the mass matrix"), (D, "the damping matrix"))
             if A is not None
         ]
+        symmetric = len(parts)
+        for A, what in ((G, "the gyroscopic matrix"), (N, "the circulatory matrix")):
+            if A is not None:
+                whole = General.of(A, what, budget, regular=False)
+                parts.append(Lower(whole.indptr, whole.indices, whole.skew))
         if any(part.n != stiffness.n for part in parts):
             raise InputError(
                 f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
@@ -53,17 +58,29 @@ class DynamicStiffness(Closing):
                 stiffness = _widened(stiffness, part, budget)
             places = [_places(stiffness, part, budget) for part in parts]
         self.lower = stiffness
-        self._added = [(place, part.data) for place, part in zip(places, parts, strict=True)]
+        added = [(place, part.data) for place, part in zip(places, parts, strict=True)]
+        self._added, skew = added[:symmetric], added[symmetric:]
+        # Powers of s that go with the skew parts.
+        powers = [power for A, power in ((G, 1), (N, 0)) if A is not None]
+        self._skew = list(zip(powers, skew, strict=True))
         self._analyses: dict[str, Analysis] = {}
 
     def at(self, s: complex) -> Lower:
-        """Lower triangle of A(s): real for real ``s``, and for imaginary ``s`` without damping."""
+        """Lower triangle of A(s), with its skew part where it has one: real for real ``s``, and for imaginary ``s``
+        without D and G."""
         scales = [s * s, s][: len(self._added)]
         real = all(complex(scale).imag == 0.0 for scale in scales)
         data: Values = np.array(self.lower.data, dtype=np.float64 if real else np.complex128)
         for scale, (place, values) in zip(scales, self._added, strict=True):
             _add(data, place, complex(scale).real if real else scale, values)
-        return replace(self.lower, data=data)
+        skewed = [(s**power, part) for power, part in self._skew if s or not power]
+        if not skewed:
+            return replace(self.lower, data=data)
+        kind = data.dtype if all(complex(scale).imag == 0.0 for scale, _ in skewed) else np.complex128
+        skew = np.zeros(len(data), dtype=kind)
+        for scale, (place, values) in skewed:
+            _add(skew, place, scale if kind == np.complex128 else complex(scale).real, values)
+        return General(self.lower.indptr, self.lower.indices, data.astype(kind, copy=False), skew)
 
     def shifted(self, sigma: float) -> Lower:
         """Lower triangle of K - sigma M."""
@@ -75,7 +92,8 @@ class DynamicStiffness(Closing):
     def factorize(self, s: complex, structure: str | None = None) -> Factorization:
         """Factor of A(s), which lives until the next one of the same structure; the analysis is shared.
 
-        ``structure`` None: "symmetric", or "complex-symmetric" where A(s) is complex.
+        ``structure`` None: "symmetric", or "complex-symmetric" where A(s) is complex; "unsymmetric" where it has a
+        skew part.
 
         Raises:
             SingularMatrixError: ``s`` is an eigenvalue.
@@ -83,7 +101,8 @@ class DynamicStiffness(Closing):
         """
         A = self.at(s)
         if structure is None:
-            structure = "complex-symmetric" if A.data.dtype.kind == "c" else "symmetric"
+            structure = "unsymmetric" if isinstance(A, General) else "symmetric"
+            structure = f"complex-{structure}" if A.data.dtype.kind == "c" else structure
         what = f"s^2 M + s D + K at s = {s:.6g}"
         if structure not in self._analyses:
             self.budget.release_pages()
@@ -99,8 +118,10 @@ class DynamicStiffness(Closing):
     def room_for_factor(self, structure: str) -> int:
         """Bytes that a factor of A(s) in memory takes at most, with the values of A(s), from a symbolic analysis."""
         lower = self.lower
-        if structure == "complex-symmetric":
+        if structure.startswith("complex"):
             lower = replace(lower, data=lower.data.astype(complex))
+        if structure.endswith("unsymmetric"):
+            lower = General(lower.indptr, lower.indices, lower.data, lower.data)
         with self.solver.with_memory(None).analyse(lower, structure) as analysis:
             plan = analysis.forecast
         return lower.data.nbytes + max(plan.memory, plan.kept)

@@ -1,7 +1,10 @@
 """The finite-element model: nodes, elements, materials, matrices and what each degree of freedom means."""
 
-from morembs.model.arrays import frozen
+from morembs.model.arrays import frozen, frozen_numbers
 from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, rigid_motion, skew
 from morembs.model.named_columns import NamedColumns
 
-__all__ = ["DofMap", "ElementBlock", "FEModel", "Mesh", "NamedColumns", "Nodes", "frozen", "rigid_motion", "skew"]
+__all__ = [
+    "DofMap", "ElementBlock", "FEModel", "Mesh", "NamedColumns", "Nodes", "frozen", "frozen_numbers", "rigid_motion",
+    "skew",
+]  # fmt: skip

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -12,3 +13,9 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def frozen_numbers(value: ArrayLike) -> NDArray[Any]:
+    """A read-only array of double precision; what carries a complex step stays complex."""
+    array = np.asarray(value)
+    return frozen(array.astype(np.result_type(array, np.float64), copy=False))

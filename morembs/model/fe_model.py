@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,8 @@ Ints = NDArray[np.int64]
 SYMMETRIC = 1e-8
 # Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
 LARGEST = 1e75
+# Stiffness, mass, damping, gyroscopic and circulatory matrix.
+MATRICES = ("K", "M", "D", "G", "N")
 # The component of dofs that are no motion of a node.
 SCALAR = 6
 
@@ -191,7 +193,9 @@ class DofMap:
 
     def of_nodes(self, rows: Ints) -> Ints:
         """Displacement dofs (len(rows), 3) of node rows, -1 where a node lacks one."""
-        table = np.full((int(self.node.max()) + 1 if len(self) else 0, 3), -1, dtype=np.int64)
+        # Nodes behind the last dof have none.
+        count = max(int(self.node.max(initial=-1)), int(np.max(rows, initial=-1))) + 1
+        table = np.full((count, 3), -1, dtype=np.int64)
         translation = self.component < 3
         table[self.node[translation], self.component[translation]] = np.flatnonzero(translation)
         return table[rows]
@@ -200,11 +204,12 @@ class DofMap:
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FEModel:
-    """M u'' + D u' + K u = f of a finite-element model, in SI units.
+    """M u'' + (D + G) u' + (K + N) u = f of a finite-element model, in SI units.
 
     ``K``, ``M`` and optionally ``D`` are symmetric (N, N), kept as sparse arrays in CSR form; sparse matrices and
     arrays of any form and dense arrays are taken too. ``mesh`` is None for models that came as matrices,
-    ``materials`` are those that its elements were assembled with.
+    ``materials`` are those that its elements were assembled with. ``G`` is gyroscopic, skew-symmetric; ``N`` is
+    circulatory: its symmetric part joins K, so that it is skew-symmetric too.
 
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
     cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
@@ -213,7 +218,8 @@ class FEModel:
     source; they go with it into every body.
 
     Raises:
-        InputError: matrices of another shape or of something else than numbers, or coordinates beyond ``LARGEST``.
+        InputError: matrices of another shape or of something else than numbers, G that is not skew-symmetric, or
+            coordinates beyond ``LARGEST``.
 
     >>> model
     FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar
@@ -228,6 +234,8 @@ class FEModel:
     K: sp.csr_array
     M: sp.csr_array
     D: sp.csr_array | None = None
+    G: sp.csr_array | None = None
+    N: sp.csr_array | None = None
     nodes: Nodes
     dofs: DofMap
     mesh: Mesh | None = None
@@ -244,17 +252,38 @@ class FEModel:
 
     def __post_init__(self) -> None:
         n = len(self.dofs)
-        for name in ("K", "M", "D"):
-            if name == "D" and self.D is None:
+        for name in MATRICES:
+            if name not in ("K", "M") and getattr(self, name) is None:
                 continue
             matrix = _sparse(getattr(self, name), name)
             if matrix.shape != (n, n):
                 raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
             object.__setattr__(self, name, matrix)
+        self._make_skew()
         for name, columns in (("inputs", self.inputs), ("outputs", self.outputs)):
             if columns is not None and columns.matrix.shape[0] != n:
                 raise InputError(f"{name} has columns of {columns.matrix.shape[0]} rows; expected {n}, one per dof")
         refuse_far(self.nodes, self.source or "the model")
+
+    def _make_skew(self) -> None:
+        """Skew-symmetric G and N to the last bit; what else N has joins K."""
+        for name in ("G", "N"):
+            A = getattr(self, name)
+            if A is None:
+                continue
+            rest, size = abs(A + A.T), float(np.abs(A.data).max(initial=0.0))
+            largest = float(rest.max()) if rest.nnz else 0.0
+            if largest > SYMMETRIC * size:
+                if name == "G":
+                    i, j = (int(index[0]) for index in (rest == largest).nonzero())
+                    raise InputError(
+                        f"G of {self.source or 'the model'} is not skew-symmetric: entries ({i + 1}, {j + 1}) and "
+                        f"({j + 1}, {i + 1}) sum to {float(A[i, j] + A[j, i]):.6g}; give it as D with "
+                        'unsymmetric = "split"'
+                    )
+                object.__setattr__(self, "K", _canonical(self.K + 0.5 * (A + A.T)))
+            if largest:
+                object.__setattr__(self, name, _canonical(0.5 * (A - A.T)))
 
     @property
     def size(self) -> int:
@@ -270,7 +299,7 @@ class FEModel:
     def _facts(self) -> dict[str, object]:
         return {
             "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
-            "matrices": [name for name in ("K", "M", "D") if getattr(self, name) is not None],
+            "matrices": [name for name in MATRICES if getattr(self, name) is not None],
             "couplings": list(self.couplings), "inputs": self.inputs and list(self.inputs.names),
             "outputs": self.outputs and list(self.outputs.names), "source": self.source,
             "warnings": len(self.warnings) or None,
@@ -312,9 +341,40 @@ def _sparse(A: Any, name: str) -> sp.csr_array:
     return result
 
 
+def _canonical(A: Any) -> sp.csr_array:
+    import scipy.sparse as sp
+
+    result = sp.csr_array(A)
+    result.sum_duplicates()
+    return result
+
+
+def split_unsymmetric(model: FEModel) -> FEModel:
+    """The same model with the skew parts of its ``K`` and ``D`` in ``N`` and ``G``: both are then symmetric.
+
+    Any real matrix is a symmetric and a skew one, in one way only: the equations of motion stay what they are.
+
+    Raises:
+        InputError: M is not symmetric.
+
+    >>> split_unsymmetric(clamped).size == clamped.size
+    True
+    """
+    refuse_unsymmetric(model, ("M",))
+    parts: dict[str, sp.csr_array] = {}
+    for name, other in (("K", "N"), ("D", "G")):
+        A, known = getattr(model, name), getattr(model, other)
+        if A is None or not _unsymmetric(A):
+            continue
+        skew_part = 0.5 * (A - A.T)
+        parts[other] = _canonical(skew_part if known is None else known + skew_part)
+        parts[name] = _canonical(0.5 * (A + A.T))
+    return replace(model, **parts)
+
+
 def skew(x: Floats) -> Floats:
     """x~ (..., 3, 3) with x~ y = x × y."""
-    result = np.zeros((*x.shape[:-1], 3, 3))
+    result = np.zeros((*x.shape[:-1], 3, 3), dtype=np.result_type(x, np.float64))
     result[..., 0, 1], result[..., 0, 2] = -x[..., 2], x[..., 1]
     result[..., 1, 0], result[..., 1, 2] = x[..., 2], -x[..., 0]
     result[..., 2, 0], result[..., 2, 1] = -x[..., 1], x[..., 0]
@@ -327,7 +387,7 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     ``xyz`` (N, 3) is the point of each dof in m. A displacement row of a point x is [I, -x~], a
     rotation row [0, I], the row of a scalar zero.
     """
-    R = np.zeros((len(component), 6))
+    R = np.zeros((len(component), 6), dtype=np.result_type(xyz, np.float64))
     moves = component < 3
     R[moves, component[moves]] = 1.0
     R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]
@@ -342,7 +402,7 @@ def refuse_complex(model: FEModel) -> None:
     Raises:
         InputError: as said.
     """
-    for name in ("K", "M", "D"):
+    for name in MATRICES:
         A = getattr(model, name)
         if A is not None and A.dtype.kind == "c":
             raise InputError(
@@ -351,22 +411,32 @@ def refuse_complex(model: FEModel) -> None:
             )
 
 
-def refuse_unsymmetric(model: FEModel) -> None:
-    """Refuse K and M that are not symmetric, as reductions take symmetric ones.
-
-    A z and A' z are compared for one fixed random z: vectors only, and no symmetric matrix is refused.
+def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -> None:
+    """Refuse K, M and D that are not symmetric: their skew parts belong into N and G.
 
     Raises:
         InputError: as said.
     """
-    for name in ("K", "M"):
+    for name in names:
         A = getattr(model, name)
-        z = np.random.default_rng(60).standard_normal(A.shape[0])
-        largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
-        difference = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
-        if difference > SYMMETRIC * largest:
+        part = 0.0 if A is None else _unsymmetric(A)
+        if part:
+            cure = (
+                "leave out what makes it so" if name == "M" else
+                'take [model] unsymmetric = "split" (split_unsymmetric in Python), which keeps its skew part as '
+                f'{"circulatory" if name == "K" else "gyroscopic"} matrix, or "symmetrise", which drops it'
+            )  # fmt: skip
             raise InputError(
-                f"{name} of {model.source or 'the model'} is not symmetric (by {difference / largest:.1e} of its "
-                "largest entry), and reductions take symmetric matrices; leave out circulatory terms, friction and "
-                "contact"
+                f"{name} of {model.source or 'the model'} is not symmetric (by {part:.1e} of its largest entry); {cure}"
             )
+
+
+def _unsymmetric(A: sp.csr_array) -> float:
+    """How far ``A`` is from its transpose against its largest entry; 0 where that is round-off.
+
+    A z and A' z are compared for one fixed random z: vectors only, and no symmetric matrix is told.
+    """
+    z = np.random.default_rng(60).standard_normal(A.shape[0])
+    largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
+    difference = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
+    return difference / largest if difference > SYMMETRIC * largest else 0.0

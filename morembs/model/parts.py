@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError
 from morembs.model.constraints import DependentDofs, Equations
-from morembs.model.fe_model import DofMap, FEModel, Mesh, Nodes
+from morembs.model.fe_model import MATRICES, DofMap, FEModel, Mesh, Nodes
 
 Ints = NDArray[np.int64]
 
@@ -42,7 +43,7 @@ def _parts(model: FEModel) -> Ints:
     """The number of the part (n,) of each node."""
     ends: list[tuple[Ints, Ints]] = []
     follows = None if model.dependent is None else model.dependent.S
-    for A in (model.K, model.M, model.D, follows):
+    for A in (*(getattr(model, name) for name in MATRICES), follows):
         if A is not None:
             full = sp.coo_array(A)
             ends.append((model.dofs.node[full.row[full.data != 0]], model.dofs.node[full.col[full.data != 0]]))
@@ -59,7 +60,8 @@ def _part(model: FEModel, nodes: Ints, dofs: Ints, which: str) -> FEModel:
     """The model on some ``nodes`` and ``dofs`` (both ascending), between which and others there is nothing."""
     row = np.full(len(model.nodes), -1, dtype=np.int64)
     row[nodes] = np.arange(len(nodes))
-    K, M, D = (None if A is None else sp.csr_array(A[dofs][:, dofs]) for A in (model.K, model.M, model.D))
+    given = {name: A for name in MATRICES if (A := getattr(model, name)) is not None}
+    matrices: dict[str, Any] = {name: sp.csr_array(A[dofs][:, dofs]) for name, A in given.items()}
     mesh = None if model.mesh is None else _mesh(model.mesh, nodes, row)
     sets = {} if mesh is None else mesh.element_sets
     dependent = model.dependent
@@ -67,10 +69,8 @@ def _part(model: FEModel, nodes: Ints, dofs: Ints, which: str) -> FEModel:
         dependent = DependentDofs(
             S=sp.csr_array(dependent.S[dofs][:, dofs]), owner=dependent.owner[dofs], names=dependent.names
         )
-    if K is None or M is None:
-        raise InputError(f"{model.source} has no K and M")
     return replace(
-        model, K=K, M=M, D=D, nodes=_nodes(model.nodes, nodes, row), mesh=mesh, dependent=dependent,
+        model, **matrices, nodes=_nodes(model.nodes, nodes, row), mesh=mesh, dependent=dependent,
         dofs=DofMap(node=row[model.dofs.node[dofs]], component=model.dofs.component[dofs]),
         materials=tuple(material for material in model.materials if material.set == "all" or material.set in sets),
         source=f"{model.source} ({which})",

@@ -302,6 +302,15 @@ def von_mises(stress: Reals) -> Floats:
     return np.asarray(np.sqrt(0.5 * direct + 3 * (xy**2 + yz**2 + zx**2)))
 
 
+def von_mises_slope(stress: Reals, change: Reals) -> Floats:
+    """Derivative (...) of the von Mises stress where tensors (..., 6) change by ``change`` (..., 6) per unit; zero
+    where there is no stress, as there is no derivative."""
+    xx, yy, zz, xy, yz, zx = np.moveaxis(np.asarray(stress, dtype=np.float64), -1, 0)
+    gradient = np.stack((2 * xx - yy - zz, 2 * yy - zz - xx, 2 * zz - xx - yy, 6 * xy, 6 * yz, 6 * zx), axis=-1)
+    size, slope = 2 * von_mises(stress), (gradient * change).sum(axis=-1)
+    return np.asarray(np.divide(slope, size, out=np.zeros_like(size), where=size > 0))
+
+
 def principal(tensor: Reals) -> Floats:
     """Principal values (..., 3), largest first, of stress or strain tensors (..., 6)."""
     values = np.asarray(tensor, dtype=np.float64)

@@ -45,7 +45,7 @@ from morembs.multibody.joints import (
 )
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.linearise import Linearised, linearised
-from morembs.multibody.result import Energy, Result, Segment
+from morembs.multibody.result import Energy, Result, ResultSensitivity, Segment
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import EventHandler, RestartState, simulate
 from morembs.multibody.sliding import (
@@ -109,6 +109,7 @@ __all__ = [
     "PrismaticJoint",
     "RestartState",
     "Result",
+    "ResultSensitivity",
     "RevoluteJoint",
     "RigidBody",
     "Segment",

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
+from morembs.floating.integrals import ShapeIntegrals
+from morembs.floating.stiffening import Stiffening
 from morembs.multibody.component import Component, Marker, MarkerState, checked_rotation, numbers, vector
 from morembs.multibody.inertia import Foreshortening, Inertia
-from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent
+from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent, tangent_slope
 
 Floats = NDArray[np.float64]
 
@@ -91,6 +93,18 @@ class FloatingBody(Component):
         M[3:, :3] = M[3:, :3] @ R.T
         M[:3, 3:] = M[3:, :3].T
         return M, force
+
+    def tangents(self, x: Floats, v: Floats, acceleration: Floats, gravity: Floats) -> tuple[Floats, Floats] | None:
+        R, q, w, rate = self._parts(x, v)
+        frame, alpha, second = (acceleration[:3] - gravity) @ R, acceleration[3:6], acceleration[6:]
+        known = self.inertia.tangents(frame, w, alpha, q, rate, second)
+        if known is None:
+            return None
+        K, C = known
+        K[6:, 6:] += self.Ke
+        C[6:, 6:] += self.De
+        K[:3], C[:3] = R @ K[:3], R @ C[:3]
+        return K, C
 
     def energy(self, x: Floats, v: Floats, gravity: Floats) -> tuple[float, float]:
         R, q, w, rate = self._parts(x, v)
@@ -172,6 +186,20 @@ class BodyMarker(Marker):
         jacobian[3:, 6:] = (R @ tangent(small[3:]).T) @ motion[3:]
         return MarkerState(position=x[:3] + R @ arm, axes=R @ exponential(small[3:]) @ self.axes, jacobian=jacobian)
 
+    def bend(self, x: Floats, wrench: Floats) -> Floats | None:
+        if self.short is not None:
+            return None
+        R, q, n = x[3:12].reshape(3, 3), x[12:], len(x) - 12
+        force, moment = wrench[:3] @ R, wrench[3:] @ R
+        small, result = self.motion @ q, np.zeros((6 + n, 6 + n))
+        F, T, arm = hat(force), tangent(small[3:]), self.point + small[:3]
+        # On rotation force x arm turns with the frame; on shapes motion' times the force and T times the moment.
+        result[3:6, 3:6] = hat(arm) @ F + hat(moment)
+        result[3:6, 6:] = -F @ self.motion[:3]
+        result[6:, 3:6] = self.motion[:3].T @ F + self.motion[3:].T @ (T @ hat(moment))
+        result[6:, 6:] = self.motion[3:].T @ tangent_slope(small[3:], moment) @ self.motion[3:]
+        return result
+
 
 def _placed(
     label: str,
@@ -241,6 +269,17 @@ class RigidBody(FloatingBody):
         return self._add_marker(name, where, np.zeros((6, 0)), axes=turn)
 
 
+def inertia_of(parts: ShapeIntegrals, terms: Stiffening | None = None) -> Inertia:
+    """Inertia of the integrals of a frame, with stiffening where its terms are given."""
+    return Inertia(
+        mass=parts.mass, first=parts.first, inertia=parts.inertia, Ct=parts.Ct, Cr=parts.Cr, Me=parts.Me,
+        x_phi=parts.x_phi, phi_phi=parts.phi_phi,
+        foreshortening=None if terms is None else Foreshortening(
+            linear=terms.acceleration, angular=terms.angular_acceleration, centrifugal=terms.rotation
+        ),
+    )  # fmt: skip
+
+
 class FlexibleBody(FloatingBody):
     """An elastic body in the floating frame, with all inertia terms of second order in q.
 
@@ -250,6 +289,7 @@ class FlexibleBody(FloatingBody):
         elastic, elastic_rate: (n,) elastic coordinates and their rates at the start.
         stiffening: take the geometric stiffening of the frame. Its second-order displacements then act on inertia
             forces, gravity and interface displacements alike, so that energy is conserved.
+        derivatives: those of the frame by parameters, by name (``BodyAt.frame_derivatives``), for sensitivities.
 
     Raises:
         InputError: a singular mass matrix, wrong shapes, stiffening that the frame does not have.
@@ -259,25 +299,27 @@ class FlexibleBody(FloatingBody):
         self, frame: FloatingFrame, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
         velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         elastic: ArrayLike | None = None, elastic_rate: ArrayLike | None = None, stiffening: bool = False,
-        name: str = "body",
+        derivatives: Mapping[str, FloatingFrame] | None = None, name: str = "body",
     ) -> None:  # fmt: skip
         n, label, terms = len(frame.Ke), f"body {name!r}", None
         if stiffening:
             terms = frame.stiffening
             if terms is None:
                 raise InputError(f"{label}: its frame has no stiffening; compute it first, or take stiffening=False")
-        parts = frame.integrals
-        integrals = Inertia(
-            mass=parts.mass, first=parts.first, inertia=parts.inertia, Ct=parts.Ct, Cr=parts.Cr, Me=parts.Me,
-            x_phi=parts.x_phi, phi_phi=parts.phi_phi,
-            foreshortening=None if terms is None else Foreshortening(
-                linear=terms.acceleration, angular=terms.angular_acceleration, centrifugal=terms.rotation
-            ),
-        )  # fmt: skip
+            if derivatives:
+                raise InputError(f"{label}: derivatives with stiffening=True were given; they are known without it")
+        for key, slope in (derivatives or {}).items():
+            if slope.count != n or set(slope.markers) != set(frame.markers):
+                raise InputError(
+                    f"{label}: the derivatives by {key!r} have {slope.count} elastic coordinates and the markers "
+                    f"{', '.join(slope.markers)}; expected those of its frame, {n} and {', '.join(frame.markers)}"
+                )
+        self.derivatives = dict(derivatives or {})
         q = np.zeros(n) if elastic is None else vector(f"{label}: elastic", elastic, n)
         rate = np.zeros(n) if elastic_rate is None else vector(f"{label}: elastic_rate", elastic_rate, n)
         x, v = _placed(label, position, rotation, velocity, angular_velocity, q, rate)
-        super().__init__(name=name, inertia=integrals, Ke=frame.Ke, De=frame.De, configuration=x, velocity=v)
+        inertia = inertia_of(frame.integrals, terms)
+        super().__init__(name=name, inertia=inertia, Ke=frame.Ke, De=frame.De, configuration=x, velocity=v)
         self.frame = frame
         for key, marker in frame.markers.items():
             short = None if terms is None else terms.wrench.get(key)

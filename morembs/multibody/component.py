@@ -61,6 +61,11 @@ class Component(ABC):
         """Mass matrix M (k, k), symmetric positive definite, and g (k,): inertia forces that do not depend on
         accelerations plus inner forces minus gravity."""
 
+    def tangents(self, x: Floats, v: Floats, acceleration: Floats, gravity: Floats) -> tuple[Floats, Floats] | None:
+        """Derivatives (k, k) of M dv/dt + g by configuration and by velocity at ``acceleration`` (k,), exact; None
+        where only differences tell them."""
+        return None
+
     @abstractmethod
     def energy(self, x: Floats, v: Floats, gravity: Floats) -> tuple[float, float]:
         """Kinetic and potential (gravity, strain) energy in J."""
@@ -108,6 +113,11 @@ class Marker(ABC):
     def place(self, x: Floats) -> MarkerState:
         """Where it is for a configuration of its component."""
 
+    def bend(self, x: Floats, wrench: Floats) -> Floats | None:
+        """(k, k): derivative by the configuration of the generalised forces of a constant ``wrench`` (6,) along the
+        inertial axes; None where only differences tell it."""
+        return None
+
     @property
     def label(self) -> str:
         """How messages name it."""
@@ -124,6 +134,9 @@ class FixedMarker(Marker):
 
     def place(self, x: Floats) -> MarkerState:
         return self.fixed
+
+    def bend(self, x: Floats, wrench: Floats) -> Floats | None:
+        return np.zeros((0, 0))
 
 
 class Ground(VectorComponent):

@@ -194,7 +194,8 @@ def divided_mesh(
         start, end: node sets at the ends of the body.
 
     Raises:
-        InputError: unknown sets, a piece without elements, pieces that touch others than their neighbours.
+        InputError: unknown sets, sets that are not within the first and the last piece, a piece without elements,
+            pieces that touch others than their neighbours.
     """
     for name in (start, end):
         if name not in mesh.nodes.sets:
@@ -214,6 +215,12 @@ def divided_mesh(
         )
         raise InputError(f"{what}; expected a line through the body and fewer pieces, each longer than its elements")
     first, last = (np.isin(np.arange(len(mesh.nodes)), mesh.nodes.sets[name]) for name in (start, end))
+    for what, name, there, k in (("first", start, first, 0), ("last", end, last, pieces - 1)):
+        if not there.any() or (there & ~used[k]).any():
+            raise InputError(
+                f"{(there & used[k]).sum()} of the {there.sum()} nodes of set {name!r} are in the {what} of {pieces} "
+                "pieces; expected all of them, some at least, and a line that runs from start to end"
+            )
     models = []
     for k in range(pieces):
         ends = (first if k == 0 else used[k - 1], last if k == pieces - 1 else used[k + 1])
@@ -226,8 +233,8 @@ def divided_mesh(
 
 def _owners(mesh: Mesh, line: ArrayLike, pieces: int) -> list[Ints]:
     """Per block the piece of each element."""
-    points = np.asarray(line, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all() or pieces < 1:
+    points, whole = np.asarray(line, dtype=float), isinstance(pieces, int | np.integer) and pieces >= 1
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all() or not whole:
         raise InputError(
             f"a line of shape {points.shape} and {pieces} pieces were given; expected (m, 3) finite numbers, m >= 2, "
             "and one or more pieces"

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
@@ -22,9 +23,12 @@ from morembs.multibody.forces import Load, PointLoad
 from morembs.multibody.linearise import Linearised, linearised
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import Result, Segment
+from morembs.multibody.result import sensitivities as of_segment
+from morembs.multibody.sensitivity import at_rest
 from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.tangents import stiffness_and_damping
+from morembs.multibody.variation import StateSlopes, Variation, variations
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
@@ -49,17 +53,30 @@ class Equilibrium:
     """A system at rest: ``state``, and ``linear``, its small motion about it.
 
     ``result`` has the places, reactions and loads of a run of one instant: ``equilibrium.result.reaction(joint)[0]``.
+    ``slopes`` are its derivatives by the parameters of ``variations``, which ``result.sensitivity`` tells.
     ``stable`` is False where a disturbance grows; ``mobilities`` counts the motions that no stiffness resists.
     """
 
     state: State
     linear: Linearised
     iterations: int
+    variations: Sequence[Variation] = ()
+    slopes: StateSlopes | None = None
 
-    @property
+    @cached_property
     def result(self) -> Result:
         """Places, elastic coordinates and forces, as of a run (1, ...)."""
-        return Result(segments=(Segment.of([self.state]),))
+        segment, slopes = Segment.of([self.state]), self.slopes
+        known = {} if slopes is None else of_segment(segment, self.variations, [slopes])
+        return Result(segments=(segment,), sensitivities=known)
+
+    def slopes_of(self, names: Sequence[str]) -> Floats:
+        """(k, P): derivatives of the configuration by parameters, as steps from it.
+
+        Raises:
+            InputError: one that was not asked for.
+        """
+        return np.stack([self.result.sensitivity(name).configuration_step[0] for name in names], axis=1)
 
     @property
     def stable(self) -> bool:
@@ -82,7 +99,7 @@ class Equilibrium:
 
 def equilibrium(
     system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
-    time: float = 0.0, spin: SteadySpin | None = None,
+    time: float = 0.0, spin: SteadySpin | None = None, sensitivities: Sequence[str] | bool = False,
 ) -> Equilibrium:  # fmt: skip
     """The static equilibrium nearest to the start of the bodies, or to ``guess``; with ``spin`` that of a system which
     turns steadily as a whole, with its small motion as seen by an observer who turns with it.
@@ -93,6 +110,8 @@ def equilibrium(
         load_steps: gravity and point loads grow in so many steps, where Newton's method does not converge at once.
         time: of prescribed motions and loads that are functions of time, s.
         spin: steady rotation of the whole system, floating bodies only.
+        sensitivities: to these parameters of elastic bodies, as "body.parameter", or to all (True):
+            ``equilibrium(...).result.sensitivity("rod.E")``. What nothing resists stays where it is.
 
     An equilibrium that is not stable is a result too: ``stable`` says so. Forces of elastic bodies under redundant
     joints are determined by their elasticity; redundant joints between rigid bodies are refused.
@@ -114,6 +133,8 @@ def equilibrium(
             f"tolerance = {tolerance:g}, load_steps = {load_steps} and time = {time:g} were given; expected a "
             "tolerance between 0 and 0.01, an integer of at least one, and a time in s"
         )
+    if spin is not None and sensitivities:
+        raise InputError("sensitivities were given beside a spin; they are those of systems at rest, leave one out")
     assembly = Assembly(system)
     begin = guess.state if isinstance(guess, Equilibrium) else guess
     if begin is None:
@@ -129,14 +150,19 @@ def equilibrium(
         part = Assembly(_scaled(system, number / load_steps))
         x, multipliers, count = _Search(part, time, tolerance, spin).run(x, multipliers)
         iterations += count
-    x, multipliers, count = _Search(assembly, time, tolerance, spin).run(x, multipliers)
+    search = _Search(assembly, time, tolerance, spin)
+    x, multipliers, count = search.run(x, multipliers)
     iterations += count
     _warn_of_dependent_joints(assembly, time, x)
     v = rate = np.zeros(assembly.size)
     if spin is not None:
         v, rate = spin.motion(assembly, x, v)
     state = State(assembly=assembly, time=time, x=x, v=v, acceleration=rate, multipliers=multipliers)
-    return Equilibrium(state=state, linear=linearised(state, spin), iterations=iterations)
+    of = variations(assembly, sensitivities) if sensitivities else []
+    slopes = at_rest(of, state, search.answer(state)) if of else None
+    return Equilibrium(
+        state=state, linear=linearised(state, spin), iterations=iterations, variations=of, slopes=slopes
+    )
 
 
 def _scaled(system: System, part: float) -> System:
@@ -240,6 +266,14 @@ class _Search:
         change = scales * (Vt[kept].T @ ((U[:, kept].T @ right) / s[kept]))
         lost = U[:, ~kept] @ (U[:, ~kept].T @ right)
         return change, (lost[:k] / w) / np.sqrt(mass)
+
+    def answer(self, state: State) -> Callable[[Floats, Floats], Floats]:
+        """How an equilibrium changes (k + m,) with forces (k,) that are left and joints (m,) that are open."""
+        M, _, _, B = self.assembly.equations(self.time, state.x, self.still)
+        K, _ = stiffness_and_damping(
+            self.assembly, self.time, state.x, self.still, self.still, state.multipliers, exact=True
+        )  # fmt: skip
+        return lambda forces, Phi: self._newton(K, M, B, forces, Phi)[0]
 
     def _limits(self, step: Floats) -> Sequence[float]:
         """The parts of a step that turn and move the floating bodies as far as is allowed at once."""

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction, vector
-from morembs.multibody.joints import frame_about, turn_angle
+from morembs.multibody.joints import bend_turn, frame_about, turn_angle
+from morembs.multibody.rotations import hat
 
 Floats = NDArray[np.float64]
 Load = ArrayLike | Callable[[float], ArrayLike]
@@ -37,6 +38,11 @@ class Force(ABC):
     @abstractmethod
     def wrenches(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> Sequence[Floats]:
         """One wrench (6,) per marker; a twist (6,) is the velocity and angular velocity of a marker."""
+
+    def bend(self, t: float, places: Sequence[MarkerState]) -> Floats | None:
+        """(6 e, 6 e): derivative of the wrenches on e markers by the displacements and rotations of these, where they
+        do not depend on velocities; None where only differences tell it."""
+        return None
 
     @abstractmethod
     def stored(self, places: Sequence[MarkerState]) -> float:
@@ -85,6 +91,13 @@ class PointLoad(Force):
         if self.follows:
             force, moment = places[0].axes @ force, places[0].axes @ moment
         return (np.concatenate((force, moment)),)
+
+    def bend(self, t: float, places: Sequence[MarkerState]) -> Floats | None:
+        slope = np.zeros((6, 6))
+        if self.follows:
+            force, moment = (places[0].axes @ law(t) for law in self._laws)
+            slope[:3, 3:], slope[3:, 3:] = -hat(force), -hat(moment)
+        return slope
 
     def stored(self, places: Sequence[MarkerState]) -> float:
         return 0.0
@@ -146,6 +159,16 @@ class SpringDamper(Force):
         wrench = np.concatenate((self.stiffness * stretch + self.damping * rate, np.zeros(3)))
         return wrench, -wrench
 
+    def bend(self, t: float, places: Sequence[MarkerState]) -> Floats | None:
+        if self.damping:
+            return None
+        gap, slope = places[1].position - places[0].position, self.stiffness * np.eye(3)
+        if self.rest:
+            length = float(np.linalg.norm(gap))
+            slope *= 1 - self.rest / length
+            slope += self.stiffness * self.rest / length**3 * np.outer(gap, gap)
+        return np.kron(np.array([[-1.0, 1.0], [1.0, -1.0]]), np.pad(slope, (0, 3)))
+
     def stored(self, places: Sequence[MarkerState]) -> float:
         length = float(np.linalg.norm(places[1].position - places[0].position))
         return 0.5 * self.stiffness * (length - self.rest) ** 2
@@ -191,6 +214,15 @@ class TorsionSpring(Force):
         moment = (self.stiffness * (angle - self.angle) + self.damping * rate) * gradient
         wrench = np.concatenate((np.zeros(3), moment))
         return wrench, -wrench
+
+    def bend(self, t: float, places: Sequence[MarkerState]) -> Floats | None:
+        if self.damping:
+            return None
+        angle, gradient = turn_angle(places[0], places[1], *self._frames)
+        # The gradient is that of the angle of the second marker, where the moment is opposite.
+        turning = -(angle - self.angle) * bend_turn(places[0], places[1], *self._frames)
+        relative = np.concatenate((np.zeros(3), gradient, np.zeros(3), -gradient))
+        return self.stiffness * (turning - np.outer(relative, relative))
 
     def stored(self, places: Sequence[MarkerState]) -> float:
         angle, _ = turn_angle(places[0], places[1], *self._frames)

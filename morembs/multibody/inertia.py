@@ -94,6 +94,48 @@ class Inertia:
         M[6:, 6:] = Me
         return M, force
 
+    def tangents(
+        self, A: Floats, w: Floats, alpha: Floats, q: Floats, rate: Floats, second: Floats
+    ) -> tuple[Floats, Floats] | None:
+        """Derivatives (6 + n, 6 + n) of the inertia forces by configuration and by velocity; None with stiffening.
+
+        The frame has the acceleration ``A`` less gravity, angular velocity ``w`` and acceleration ``alpha``, all along
+        its axes; ``second`` (n,) is that of q. A point has the acceleration a = A + S s + 2 w x phi q' + phi q'', where
+        S s = alpha x s + w x (w x s); forces are its integrals with 1, s x and phi.
+        """
+        if self._short is not None:
+            return None
+        n, W, C1, eye = self.n, hat(w), self.C1, np.eye(3)
+        S = hat(alpha) + W @ W
+        turns = np.array([hat(e) for e in eye])
+        dS = turns @ W + W @ turns
+        by = [part.reshape(3, 3, n) for part in (self._phi_phi @ np.stack((q, rate, second), axis=1)).T]
+        P = self._x_phi.reshape(3, 3, n) + by[0]
+        moment, mixed = self.first + C1 @ q, (self._x_phi @ q).reshape(3, 3)
+        squares = 0.5 * np.trace(self.inertia) * eye - self.inertia + mixed + mixed.T + by[0] @ q
+        flow, N = C1 @ rate, P @ rate
+        SP, WP = np.tensordot(S, P, axes=(1, 1)), 2 * np.tensordot(W, P, axes=(1, 1))
+        # int a_b phi_a, and the force that turns with the frame.
+        Q = (
+            A[:, None, None] * C1 + np.tensordot(S, P, axes=(1, 0)) + 2 * np.tensordot(W, by[1], axes=(1, 0)) + by[2]
+        )  # fmt: skip
+        F = self.mass * A + S @ moment + 2 * W @ flow + C1 @ second
+        K, C = np.zeros((6 + n, 6 + n)), np.zeros((6 + n, 6 + n))
+        turned = hat(A)
+        K[:3, 3:6], K[3:6, 3:6], K[6:, 3:6] = self.mass * turned - hat(F), hat(moment) @ turned, C1.T @ turned
+        K[:3, 6:], C[:3, 6:] = S @ C1, 2 * W @ C1
+        # SP[b, a, l] is int s_a (S phi_l)_b.
+        K[3:6, 6:], C[3:6, 6:] = _turned((Q + SP).transpose(1, 0, 2).reshape(9, n)), _turned(
+            WP.transpose(1, 0, 2).reshape(9, n))
+        both = (np.stack((S.ravel(), 2 * W.ravel())) @ self._phi_phi.reshape(9, n * n)).reshape(2, n, n)
+        K[6:, 6:], C[6:, 6:] = both[0].T, both[1].T
+        C[:3, 3:6] = (dS @ moment + 2 * turns @ flow).T
+        H = squares @ dS.transpose(0, 2, 1) + 2 * N @ turns.transpose(0, 2, 1)
+        C[3:6, 3:6] = np.stack((H[:, 1, 2] - H[:, 2, 1], H[:, 2, 0] - H[:, 0, 2], H[:, 0, 1] - H[:, 1, 0]))
+        C[6:, 3:6] = (dS.reshape(3, 9) @ P.transpose(1, 0, 2).reshape(9, n)
+                      + 2 * turns.reshape(3, 9) @ by[1].transpose(1, 0, 2).reshape(9, n)).T
+        return K, C
+
     @staticmethod
     def _inner(matrices: Floats, q: Floats, rate: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """q'Gq/2, its first derivative in time, q'' free second derivative, and Gq per matrix."""

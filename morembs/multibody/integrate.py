@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.multibody.reactions import LU, Iterate, Reactions, saddle
-from morembs.multibody.system import State
+from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import stiffness_and_damping
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,8 @@ class Scheme:
 
 
 class Stepper:
-    """Steps of one size from a consistent state on: the state, the auxiliary acceleration and the Newton matrix.
+    """Steps of one size from a consistent state on: the ``state``, the velocity ``v`` and ``auxiliary`` acceleration
+    that the next step begins with, and the Newton matrix; ``iterate`` is the end of the last step.
 
     ``reactions`` are solved for in every iteration; ``tangents`` K and C (k, k) of another stepper of the same state.
 
@@ -66,13 +67,22 @@ class Stepper:
         self.scheme, self.reactions, self.assembly, self.h = scheme, reactions, reactions.assembly, h
         rate, multipliers = reactions.balance(t, x, v, h)
         state = State(assembly=self.assembly, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
-        self.state, self._v, self._auxiliary, self._multipliers = reactions.state(state), v, rate, multipliers
+        self.state, self.v, self.auxiliary, self._multipliers = reactions.state(state), v, rate, multipliers
+        self._corrected = corrected
         if corrected:
             self._correct_start(state)
         positions = [float(np.abs(p.position).max()) for p in self.assembly.places(x).values()]
         length = reactions.measure(self.state, max([1e-3, *positions]))
         self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
         self.tangents = tangents or self._tangents(self.state)
+        self.iterate = self._predicted()
+
+    def begun(self, assembly: Assembly, x: Floats, v: Floats) -> Stepper:
+        """The stepper of another assembly of the same sizes, begun at another state and the same time."""
+        return Stepper(
+            self.scheme, Reactions(assembly), t=self.state.time, x=x, v=v, h=self.h, tolerance=self._limit.tolerance,
+            corrected=self._corrected, tangents=self.tangents,
+        )  # fmt: skip
 
     def _correct_start(self, state: State) -> None:
         """The start values of second order of Arnold, Bruels and Cardona (2015)."""
@@ -86,7 +96,7 @@ class Stepper:
         jerk, offset = 0.5 * (ahead - behind), a.alpha_m - a.alpha_f
         shift = h * ((1 - 6 * a.beta - 3 * offset) / 6 * jerk + h / 12 * s.bracket(v, rate))
         dv, dm = self.reactions.correction(t, x, v, shift)
-        self._v, self._auxiliary, self._multipliers = v + dv, rate + offset * jerk, state.multipliers + dm
+        self.v, self.auxiliary, self._multipliers = v + dv, rate + offset * jerk, state.multipliers + dm
 
     def _tangents(self, at: State) -> tuple[Floats, Floats]:
         K, C = stiffness_and_damping(self.assembly, at.time, at.x, at.v, at.acceleration, at.multipliers)
@@ -96,11 +106,11 @@ class Stepper:
         """Unknowns at the end of the step if the acceleration stays as it is."""
         h, a, old = self.h, self.scheme, self.state.acceleration
         c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
-        auxiliary = (a.alpha_f * old - a.alpha_m * self._auxiliary) / (1 - a.alpha_m) + c_a * old
+        auxiliary = (a.alpha_f * old - a.alpha_m * self.auxiliary) / (1 - a.alpha_m) + c_a * old
         return Iterate(
             acceleration=old.copy(), multipliers=self._multipliers.copy(), auxiliary=auxiliary,
-            step=h * (self._v + h * ((0.5 - a.beta) * self._auxiliary + a.beta * auxiliary)),
-            v=self._v + h * ((1 - a.gamma) * self._auxiliary + a.gamma * auxiliary),
+            step=h * (self.v + h * ((0.5 - a.beta) * self.auxiliary + a.beta * auxiliary)),
+            v=self.v + h * ((1 - a.gamma) * self.auxiliary + a.gamma * auxiliary),
             c_a=c_a, c_v=h * a.gamma * c_a, c_q=h * h * a.beta * c_a,
         )  # fmt: skip
 
@@ -133,7 +143,8 @@ class Stepper:
             d = iterate.correct(self.reactions.solve(factor, residual, x, iterate))
             size = iterate.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
             if size <= noise:
-                self._v, self._auxiliary, self._multipliers = iterate.v, iterate.auxiliary, iterate.multipliers
+                self.iterate = iterate
+                self.v, self.auxiliary, self._multipliers = iterate.v, iterate.auxiliary, iterate.multipliers
                 self.state = self.reactions.state(iterate.state(s, time, s.moved(old.x, iterate.step)), converged=True)
                 return self.state
             if size > _SLOW * last:

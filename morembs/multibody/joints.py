@@ -72,6 +72,11 @@ class Constraint(ABC):
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         """Geometry (m,) and its derivatives (m, 6) by velocity and angular velocity of both markers."""
 
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats | None:
+        """(12, 12): derivative of the wrenches (6 on each marker) that ``multipliers`` (m,) times ``rows`` give, by the
+        displacements and rotations of both markers; None where only differences tell it."""
+        return None
+
     @property
     def label(self) -> str:
         """How messages name it."""
@@ -123,6 +128,31 @@ def _along(a: MarkerState, b: MarkerState, on_a: Floats) -> Rows:
     return lines @ gap, Ga, Gb
 
 
+def _bend(by_first: Floats, by_second: Floats) -> Floats:
+    """(12, 12) of moments on the second marker, and opposite ones on the first, that depend on both rotations."""
+    result = np.zeros((12, 12))
+    result[9:, 3:6], result[9:, 9:] = by_first, by_second
+    result[3:6] = -result[9:]
+    return result
+
+
+def _bend_perpendicular(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats, multipliers: Floats) -> Floats:
+    by_a, by_b = np.zeros((3, 3)), np.zeros((3, 3))
+    for f, s, m in zip((a.axes @ on_a).T, (b.axes @ on_b).T, multipliers.tolist(), strict=True):
+        F, S = hat(f), hat(s)
+        by_a -= m * S @ F
+        by_b += m * F @ S
+    return _bend(by_a, by_b)
+
+
+def _bend_along(a: MarkerState, b: MarkerState, on_a: Floats, multipliers: Floats) -> Floats:
+    L, gap, result = hat(a.axes @ on_a @ multipliers), hat(b.position - a.position), np.zeros((12, 12))
+    # The force l on the second marker turns with the first, where the moment is l x gap.
+    result[6:9, 3:6], result[:3, 3:6] = -L, L
+    result[3:6, :3], result[3:6, 3:6], result[3:6, 6:9] = -L, gap @ L, L
+    return result
+
+
 def _stacked(*rows: Rows) -> Rows:
     value, Ga, Gb = (np.concatenate(part) for part in zip(*rows, strict=True))
     return value, Ga, Gb
@@ -134,6 +164,17 @@ def turn_angle(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> tu
     cosine, sine = float(u @ x), float(u @ y)
     gradient = (cosine * cross(u, y) - sine * cross(u, x)) / (cosine**2 + sine**2)
     return math.atan2(sine, cosine), gradient
+
+
+def bend_turn(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> Floats:
+    """``bend`` of a multiplier of one times the gradient of ``turn_angle``."""
+    x, y, u = a.axes @ on_a[:, 0], a.axes @ on_a[:, 1], b.axes @ on_b[:, 0]
+    cosine, sine, X, Y, U = float(u @ x), float(u @ y), hat(x), hat(y), hat(u)
+    ux, uy, square = U @ x, U @ y, cosine**2 + sine**2
+    gradient = (cosine * uy - sine * ux) / square
+    relative = np.outer(uy, ux) - np.outer(ux, uy) - 2 * np.outer(gradient, cosine * ux + sine * uy)
+    by_first, by_second = sine * U @ X - cosine * U @ Y - relative, cosine * Y @ U - sine * X @ U + relative
+    return _bend(by_first / square, by_second / square)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +189,9 @@ class SphericalJoint(Constraint):
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _coincide(a, b)
+
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        return np.zeros((12, 12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +225,9 @@ class RevoluteJoint(_Aligned):
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]]))
 
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        return _bend_perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]], multipliers[3:])
+
 
 class PrismaticJoint(_Aligned):
     """The second marker slides along the ``axis`` (3,) of the first without turning: one translation is free."""
@@ -190,6 +237,10 @@ class PrismaticJoint(_Aligned):
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_along(a, b, self.on_a[:, :2]), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
 
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        turning = _bend_perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]], multipliers[2:])
+        return _bend_along(a, b, self.on_a[:, :2], multipliers[:2]) + turning
+
 
 class FixedJoint(_Aligned):
     """The markers keep point and axes; ``axis`` does not matter."""
@@ -198,6 +249,9 @@ class FixedJoint(_Aligned):
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
+
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        return _bend_perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]], multipliers[3:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +272,9 @@ class DrivenAngle(_Aligned):
         G[0, 3:] = gradient
         return np.array([angle]), -G, G
 
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        return float(multipliers[0]) * bend_turn(a, b, self.on_a, self.on_b)
+
 
 @dataclass(frozen=True, eq=False)
 class DrivenPosition(_Aligned):
@@ -228,3 +285,6 @@ class DrivenPosition(_Aligned):
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         return _along(a, b, self.on_a[:, 2:])
+
+    def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
+        return _bend_along(a, b, self.on_a[:, 2:], multipliers)

@@ -45,7 +45,8 @@ class LinearBody(VectorComponent):
         return 0.5 * float(v @ self.M @ v), float(0.5 * x @ self.K @ x - x @ (self.weight @ gravity))
 
     def power(self, x: Floats, v: Floats) -> float:
-        return -float(v @ self.D @ v)
+        # The skew part of K stores nothing.
+        return -float(v @ (self.D @ v + 0.5 * (self.K - self.K.T) @ x))
 
     def marker(self, name: str) -> Marker:
         raise InputError(f"body {self.name!r} has no markers; take those of its path")

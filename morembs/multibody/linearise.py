@@ -161,7 +161,7 @@ def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
     Z = sl.solve_triangular(L, allowed, lower=True, trans="T")
     if spin is None:
         rest = state.v, state.acceleration, state.multipliers
-        K, C = stiffness_and_damping(a, state.time, state.x, *rest, central=True)
+        K, C = stiffness_and_damping(a, state.time, state.x, *rest, exact=True)
     else:
         K, C = spin.tangents(a, state.time, state.x, state.multipliers)
     return Linearised(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)

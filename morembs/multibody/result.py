@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, nearest
 from morembs.multibody.bodies import FlexibleBody, FloatingBody
 from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.system import Assembly, State
+from morembs.multibody.variation import CHANGE, StateSlopes, Variation
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
@@ -68,6 +69,23 @@ class Result:
     """A run as its segments; a time at which it was restarted occurs twice, before and after the switch."""
 
     segments: tuple[Segment, ...]
+    sensitivities: Mapping[str, ResultSensitivity] = field(default_factory=dict)
+
+    def _facts(self) -> dict[str, object]:
+        return {"segments": self.segments, "sensitivities": list(self.sensitivities)}
+
+    def sensitivity(self, name: str) -> ResultSensitivity:
+        """Derivatives with respect to a parameter, "body.parameter".
+
+        Raises:
+            InputError: one that was not asked for.
+        """
+        if name not in self.sensitivities:
+            raise InputError(
+                f"the sensitivity to {name!r} was asked for; {nearest(name, self.sensitivities)} (simulate and "
+                "equilibrium find those in sensitivities=)"
+            )
+        return self.sensitivities[name]
 
     @cached_property
     def time(self) -> Floats:
@@ -124,6 +142,10 @@ class Result:
     def elastic(self, body: FloatingBody) -> Floats:
         """(s, n): elastic coordinates of a body."""
         return self.configuration(body)[:, 12:]
+
+    def stress(self, body: FloatingBody, shapes: Floats) -> Floats:
+        """(s, points, 6) Pa: stresses that are ``shapes`` (6 points, n) times the elastic coordinates."""
+        return (self.elastic(body) @ shapes.T).reshape(len(self.time), -1, 6)
 
     def multipliers(self, joint: Constraint) -> Floats:
         """(s, m): multipliers of a joint, one per row of its constraints."""
@@ -196,6 +218,79 @@ class Result:
                 potential.append(V)
                 work.append(done)
         return Energy(kinetic=np.array(kinetic), potential=np.array(potential), work=np.array(work))
+
+
+class ResultSensitivity:
+    """Derivatives of what a ``Result`` tells with respect to one ``parameter``, per unit of it.
+
+    Angles and rest lengths that joints and springs keep from the start do not change. Elastic coordinates are those of
+    the shapes at the value, which stay.
+    """
+
+    def __init__(self, segment: Segment, of: Variation, slopes: Sequence[StateSlopes], number: int) -> None:
+        self.parameter, self._segment, self._of = of.name, segment, of
+        self._slopes = [
+            np.array([getattr(each, name)[:, number] for each in slopes])
+            for name in ("x", "v", "acceleration", "multipliers")
+        ]  # fmt: skip
+        fastest = float(np.abs(self._slopes[0]).max(initial=0.0))
+        self._step = min(of.step, CHANGE / fastest) if fastest else of.step
+
+    @cached_property
+    def _nearby(self) -> dict[int, Result]:
+        """Results at values of the parameter that differ by some steps, to first order."""
+        return {number: self._at(number * self._step) for number in (-2, -1, 1, 2)}
+
+    def _at(self, change: float) -> Result:
+        base, (x, v, acceleration, multipliers) = self._segment, self._slopes
+        return Result(segments=(Segment(
+            assembly=self._of.at(change), time=base.time,
+            x=np.array([base.assembly.moved(a, change * b) for a, b in zip(base.x, x, strict=True)]),
+            v=base.v + change * v, acceleration=base.acceleration + change * acceleration,
+            multipliers=base.multipliers + change * multipliers,
+        ),))  # fmt: skip
+
+    def of(self, values: Callable[[Result], Floats]) -> Floats:
+        """Derivative of any smooth ``values`` of a result: ``slope.of(lambda result: result.axes(marker))``."""
+        at = {number: np.asarray(values(result)) for number, result in self._nearby.items()}
+        return np.asarray((8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * self._step))
+
+    @property
+    def configuration_step(self) -> Floats:
+        """(s, k): derivative of the configuration, as a step from it in the velocity coordinates of the components."""
+        return self._slopes[0]
+
+    def position(self, marker: Marker) -> Floats:
+        """(s, 3) m per unit."""
+        return self.of(lambda result: result.position(marker))
+
+    def velocity(self, marker: Marker) -> Floats:
+        """(s, 3) m/s per unit, along the inertial axes."""
+        return self.of(lambda result: result.velocity(marker))
+
+    def elastic(self, body: FloatingBody) -> Floats:
+        """(s, n) per unit."""
+        return self.of(lambda result: result.elastic(body))
+
+    def reaction(self, joint: Constraint) -> Floats:
+        """(s, 6) N and Nm per unit, as ``Result.reaction``."""
+        return self.of(lambda result: result.reaction(joint))
+
+    def load(self, marker: Marker) -> Floats:
+        """(s, 6) N and Nm per unit, as ``Result.load``."""
+        return self.of(lambda result: result.load(marker))
+
+    def stress(self, body: FloatingBody, shapes: Floats, change: Floats | None = None) -> Floats:
+        """(s, points, 6) Pa per unit, as ``Result.stress`` of ``shapes`` that change by ``change`` per unit."""
+        slope = self.of(lambda result: result.stress(body, shapes))
+        return slope if change is None else slope + Result(segments=(self._segment,)).stress(body, change)
+
+
+def sensitivities(
+    segment: Segment, variations: Sequence[Variation], slopes: Sequence[StateSlopes]
+) -> dict[str, ResultSensitivity]:
+    """Those of a segment, of the derivatives of its states, by the names of the parameters."""
+    return {of.name: ResultSensitivity(segment, of, slopes, j) for j, of in enumerate(variations)}
 
 
 def _wrench(marker: Marker, assembly: Assembly, t: float, x: Floats, v: Floats, multipliers: Floats) -> Floats:

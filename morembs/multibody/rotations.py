@@ -15,6 +15,8 @@ from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
 _SMALL = 1e-3
+# Angle (rad) below which derivatives of the coefficients are series.
+_SERIES = 0.05
 
 
 def hat(a: Floats) -> Floats:
@@ -67,6 +69,19 @@ def tangent(p: Floats) -> Floats:
     P = hat(p)
     _, b, c = _coefficients(float(p @ p))
     return np.asarray(np.eye(3) - b * P + c * (P @ P))
+
+
+def tangent_slope(p: Floats, m: Floats) -> Floats:
+    """(3, 3): derivative of T(p) m by p."""
+    square, P, turned = float(p @ p), hat(p), cross(p, m)
+    a, b, c = _coefficients(square)
+    if square < _SERIES**2:
+        db = -1 / 24 + square * (1 / 360 - square / 13440)
+        dc = -1 / 120 + square * (1 / 2520 - square / 120960)
+    else:
+        db, dc = (a - 2 * b) / (2 * square), (b - 3 * c) / (2 * square)
+    along = 2 * np.outer(dc * cross(p, turned) - db * turned, p)
+    return np.asarray(along + b * hat(m) - c * (hat(turned) + P @ hat(m)))
 
 
 def logarithm(R: Floats) -> Floats:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
+from morembs.multibody.equilibrium import Equilibrium
 from morembs.multibody.integrate import Scheme, Stepper
 from morembs.multibody.reactions import Reactions
 from morembs.multibody.result import Result, Segment
+from morembs.multibody.sensitivity import DirectDifferentiation
 from morembs.multibody.system import Assembly, State, System
+from morembs.multibody.variation import variations
 
 Floats = NDArray[np.float64]
 Repeat = Callable[[float], State]
@@ -106,7 +109,8 @@ class EventHandler(Events, ABC):
 def simulate(
     system: System, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0, tolerance: float = 1e-9,
     events: EventHandler | None = None, corrected_start: bool = True, max_deflection: float | None = 1.0,
-    switch: EventHandler | None = None, start: State | None = None,
+    switch: EventHandler | None = None, start: State | Equilibrium | None = None,
+    sensitivities: Sequence[str] | bool = False,
 ) -> Result:  # fmt: skip
     """Integrate from ``begin`` to ``end`` (s) with equal steps of at most ``step``.
 
@@ -119,7 +123,10 @@ def simulate(
         corrected_start: start and restart of second order (Arnold, Bruels and Cardona 2015). Without it multipliers
             are of first order after each start.
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
-        start: where to begin, such as the ``state`` of an equilibrium; the start of the components unless given.
+        start: where to begin, such as an equilibrium; the start of the components unless given.
+        sensitivities: differentiate each step by these parameters of elastic bodies, as "body.parameter", or by all
+            (True): ``result.sensitivity("rod.E")``. From an equilibrium with sensitivities these go on; else bodies
+            start where they are put, moved by the least that joints need.
 
     Raises:
         InputError: invalid times, joints that are open or redundant, velocities that violate joints.
@@ -129,7 +136,7 @@ def simulate(
         warnings.warn("simulate(switch=...) is now simulate(events=...)", DeprecationWarning, stacklevel=2)
     run = Run(
         system, events or switch or Events(), begin=begin, end=end, step=step, rho=rho, tolerance=tolerance,
-        corrected=corrected_start, max_deflection=max_deflection, start=start,
+        corrected=corrected_start, max_deflection=max_deflection, start=start, sensitivities=sensitivities,
     )  # fmt: skip
     run.finish()
     return run.result()
@@ -172,7 +179,8 @@ class Run:
 
     def __init__(
         self, system: System, events: Events, *, begin: float, end: float, step: float, rho: float, tolerance: float,
-        corrected: bool = True, max_deflection: float | None = None, start: State | None = None,
+        corrected: bool = True, max_deflection: float | None = None, start: State | Equilibrium | None = None,
+        sensitivities: Sequence[str] | bool = False,
     ) -> None:  # fmt: skip
         _check_times(begin, end, step, tolerance)
         self.scheme, self.events, self.end, self.step = Scheme(rho=rho), events, end, step
@@ -181,9 +189,17 @@ class Run:
         self.segments: list[Segment] = []
         self.states: list[State] = []
         self._times: list[float] = []
+        self._differentiation: DirectDifferentiation | None = None
         assembly = Assembly(system)
-        x, v = assembly.start() if start is None else assembly.fitting(start)
+        self._still = start if isinstance(start, Equilibrium) else None
+        at = start.state if isinstance(start, Equilibrium) else start
+        x, v = assembly.start() if at is None else assembly.fitting(at)
         assembly.check_start(begin, x, v)
+        self._sensitivities = sensitivities
+        if sensitivities and type(events) is not Events:
+            raise InputError(
+                "sensitivities were asked for with events, contact or sliding; they are known for runs without"
+            )
         self._next = assembly, begin, x, v
 
     def finish(self) -> None:
@@ -204,7 +220,9 @@ class Run:
 
     def result(self) -> Result:
         """All finished segments."""
-        return Result(segments=tuple(self.segments))
+        differentiated = self._differentiation
+        known = {} if differentiated is None else differentiated.result(self.segments[-1])
+        return Result(segments=tuple(self.segments), sensitivities=known)
 
     def so_far(self) -> bool:
         """Close the segment at work where a run failed; whether there is anything to show."""
@@ -223,6 +241,10 @@ class Run:
         h = left / count
         stepper = self._stepper(reactions, t, x, v, h)
         self.states = [stepper.state]
+        if self._sensitivities:
+            of = variations(assembly, self._sensitivities)
+            begun = None if self._still is None else self._still.slopes_of([each.name for each in of])
+            self._differentiation = DirectDifferentiation(stepper, of, begun)
         self._elastic = [
             (c, at) for c, at in zip(assembly.components, assembly.in_x, strict=True)
             if self.max_deflection < math.inf and c.deflection(x[at]) is not None
@@ -234,6 +256,8 @@ class Run:
             if cut is not before:
                 self._check_deflection(cut or after)
                 self.states.append(cut or after)
+                if self._differentiation is not None:
+                    self._differentiation.advance()
             if cut is not None:
                 return True
         return False

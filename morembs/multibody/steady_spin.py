@@ -88,7 +88,7 @@ class SteadySpin:
         for joint, rows in zip(a.joints, a.in_rows, strict=True):
             if (opened[rows] > _NONE * max(1.0, float(size[rows].max(initial=0.0)))).any():
                 raise InputError(
-                    f"joint {joint.name!r} does not let the system turn by {self.speed:g} rad/s about the axis of the "
+                    f"{joint.label} does not let the system turn by {self.speed:g} rad/s about the axis of the "
                     "spin; expected joints to ground along the axis, free to turn or driven with that speed"
                 )
         R, turned, back = rotation(np.asarray(self.axis, dtype=float), 1.0), x.copy(), np.zeros(a.size)

@@ -1,11 +1,12 @@
-"""Stiffness and damping matrices of a system by differences.
+"""Stiffness and damping matrices of a system.
 
-One-sided ones affect only the convergence of Newton's method; central ones are for linearisation.
+One-sided differences are enough for Newton's method, and lead a search away from where they vanish. Linearisation and
+sensitivities take the exact ones of parts that know them, and central differences of the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -25,13 +26,14 @@ _STEP, _CENTRAL = 1e-6, 1e-5
 
 def stiffness_and_damping(
     assembly: Assembly, t: float, x: Floats, v: Floats, acceleration: Floats, multipliers: Floats, *,
-    central: bool = False,
+    exact: bool = False,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """K and C (k, k): derivatives of M dv/dt + g + B' multipliers by the configuration and by the velocity.
 
-    Each part is varied in the coordinates of its own components only; ``central`` differences take twice the time.
+    By one-sided differences, or ``exact`` as far as parts know their own. Each part is varied in the coordinates of
+    its own components only.
     """
-    h = _CENTRAL if central else _STEP
+    h = _CENTRAL if exact else _STEP
     K, C = np.zeros((assembly.size, assembly.size)), np.zeros((assembly.size, assembly.size))
 
     def varied(i: int, step: Floats) -> tuple[Floats, Floats]:
@@ -47,7 +49,7 @@ def stiffness_and_damping(
         return (ahead - forces(*varied(-step))) / (2 * h) if base is None else (ahead - base) / h
 
     def add(components: Iterable[Component], forces: Forces, moving: bool = True) -> None:
-        base = None if central else forces(x, v)
+        base = None if exact else forces(x, v)
         for i in sorted({i for c in components if (i := assembly.index(c)) is not None}):
             for column in range(assembly.in_v[i].start, assembly.in_v[i].stop):
                 step = np.zeros(assembly.size)
@@ -56,19 +58,61 @@ def stiffness_and_damping(
                 if moving:
                     C[:, column] += slope(faster, step, forces, base)
 
-    for i, component in enumerate(assembly.components):
-        at = assembly.in_v[i]
-        own = None if central else component.slopes(t, x[assembly.in_x[i]], v[at])
-        if own is None:
+    for i, (component, in_x, in_v) in enumerate(zip(assembly.components, assembly.in_x, assembly.in_v, strict=True)):
+        if exact:
+            known = component.tangents(x[in_x], v[in_v], acceleration[in_v], assembly.gravity)
+        else:
+            known = component.slopes(t, x[in_x], v[in_v])
+        if known is None:
             add([component], _inner(assembly, i, t, acceleration))
         else:
-            K[at, at] += own[0]
-            C[at, at] += own[1]
+            K[in_v, in_v] += known[0]
+            C[in_v, in_v] += known[1]
     for force in assembly.forces:
-        add([m.component for m in force.markers], _loaded(assembly, force, t))
+        slopes = _of_force(assembly, force, t, x, v) if exact else None
+        if slopes is None:
+            add([m.component for m in force.markers], _loaded(assembly, force, t))
+        else:
+            K -= slopes
     for joint, r in zip(assembly.joints, assembly.in_rows, strict=True):
-        add([joint.first.component, joint.second.component], _held(assembly, joint, multipliers[r]), moving=False)
+        slopes = _of_joint(assembly, joint, x, multipliers[r]) if exact else None
+        if slopes is None:
+            add([joint.first.component, joint.second.component], _held(assembly, joint, multipliers[r]), moving=False)
+        else:
+            K += slopes
     return K, C
+
+
+def _of_force(assembly: Assembly, force: Force, t: float, x: Floats, v: Floats) -> Floats | None:
+    places = [assembly.place(m, x) for m in force.markers]
+    twists = [assembly.twist(m, place, v) for m, place in zip(force.markers, places, strict=True)]
+    bend = force.bend(t, places)
+    return None if bend is None else _pulled(assembly, x, force.markers, force.wrenches(t, places, twists), bend)
+
+
+def _of_joint(assembly: Assembly, joint: Constraint, x: Floats, multipliers: Floats) -> Floats | None:
+    a, b = assembly.place(joint.first, x), assembly.place(joint.second, x)
+    bend, (_, *G) = joint.bend(a, b, multipliers), joint.rows(a, b)
+    wrenches = [multipliers @ each for each in G]
+    return None if bend is None else _pulled(assembly, x, (joint.first, joint.second), wrenches, bend)
+
+
+def _pulled(
+    assembly: Assembly, x: Floats, markers: Sequence[Marker], wrenches: Sequence[Floats], bend: Floats
+) -> Floats | None:
+    """(k, k): derivative by the configuration of the generalised forces of ``wrenches`` (6,) on markers, which change
+    by ``bend`` (6 e, 6 e) with the motions of these; None where a marker does not know its own."""
+    J, result = np.zeros((6 * len(markers), assembly.size)), np.zeros((assembly.size, assembly.size))
+    for number, (marker, wrench) in enumerate(zip(markers, wrenches, strict=True)):
+        i = assembly.index(marker.component)
+        if i is None:
+            continue
+        at, own = assembly.in_v[i], marker.bend(x[assembly.in_x[i]], wrench)
+        if own is None:
+            return None
+        result[at, at] += own
+        J[6 * number : 6 * number + 6, at] = assembly.place(marker, x).jacobian
+    return np.asarray(result + J.T @ bend @ J)
 
 
 def _inner(assembly: Assembly, i: int, t: float, acceleration: Floats) -> Callable[[Floats, Floats], Floats]:

@@ -34,7 +34,8 @@ class Link:
     tip: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0 < self.length < np.inf and self.elements >= 1 and 0 <= self.tip < np.inf):
+        whole = isinstance(self.elements, int | np.integer) and self.elements >= 1
+        if not (0 < self.length < np.inf and whole and 0 <= self.tip < np.inf):
             raise InputError(
                 f"a link of {self.length} m, {self.elements} elements and {self.tip} kg at its tip was given; expected "
                 "a length above zero, one or more elements and a mass of zero or more"
@@ -52,7 +53,7 @@ class Chain:
         V: (2 elements, m) modes of the end angles; all columns independent.
 
     Raises:
-        InputError: no links, V of another shape.
+        InputError: no links, V of another shape or with columns that depend on each other.
     """
 
     def __init__(self, links: Sequence[Link], V: ArrayLike | None = None) -> None:
@@ -62,6 +63,9 @@ class Chain:
         self.V = np.eye(2 * elements) if V is None else np.array(V, dtype=float)
         if self.V.ndim != 2 or len(self.V) != 2 * elements or not np.isfinite(self.V).all():
             raise InputError(f"modes of shape {self.V.shape} were given; expected ({2 * elements}, m) finite numbers")
+        rank, count = np.linalg.matrix_rank(self.V), self.V.shape[1]
+        if rank < count:
+            raise InputError(f"{count} modes were given of which {rank} are independent; expected all of them")
         owner = np.repeat(np.arange(len(links)), [link.elements for link in links])
         each = [(link.length / link.elements, link.section.EI, link.section.mass) for link in links]
         lengths, EI, mass = np.array(each)[owner].T

@@ -170,10 +170,15 @@ class Mechanism:
         """A chain of links from the origin; ``joints``: the angle of each, seen from the link before.
 
         Raises:
-            InputError: another number of joints than of links.
+            InputError: another number of joints than of links, one coordinate for two of them.
         """
         if len(joints) != len(chain.links):
             raise InputError(f"{len(joints)} joints of a chain were given; expected one for each of its links")
+        free = [joint.number for joint in joints if joint.number >= 0]
+        if len(set(free)) < len(free):
+            raise InputError(
+                "two joints of a chain follow the same angle; expected different ones, each seen from the link before"
+            )
         q = chain.start([joint.value for joint in joints])
         inner = [self._number(0.0, False) for _ in q[len(joints) :]]
         self.members.append(chain)

@@ -55,6 +55,9 @@ class BeamInTube:
         # Coordinates of both nodes of each middle, and of each node.
         self._middles = 3 * np.arange(count)[:, None] + np.arange(6)
         self._nodes = 3 * np.arange(count + 1)[:, None] + np.arange(2)
+        # Directions (e, 2) of the axis at the ends of elements, less the rotations of their nodes.
+        rotations = np.reshape(beam.reference, (-1, 3))[:, 2]
+        self._offsets = beam.directions - np.column_stack((rotations[:-1], rotations[1:]))
 
     @property
     def size(self) -> int:
@@ -77,13 +80,15 @@ class BeamInTube:
         return self.beam.M
 
     def _points(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points (p, 2), and the directions (nodes, 2) along and across the sections of nodes."""
+        """Points (p, 2), and the directions (e, 2, 2) along and across the axis at both ends of elements."""
         table = np.reshape(x, (-1, 3))
-        along = np.column_stack((np.cos(table[:, 2]), np.sin(table[:, 2])))
+        turn = self._offsets + np.column_stack((table[:-1, 2], table[1:, 2]))
+        along = np.stack((np.cos(turn), np.sin(turn)), axis=2)
         points = np.empty((len(self._weights), 2))
         points[::2] = table[:, :2]
-        points[1::2] = (table[1:, :2] + table[:-1, :2]) / 2 + self.beam.lengths[:, None] / 8 * (along[:-1] - along[1:])
-        return points, along, np.column_stack((-along[:, 1], along[:, 0]))
+        arm = self.beam.lengths[:, None] / 8
+        points[1::2] = (table[1:, :2] + table[:-1, :2]) / 2 + arm * (along[:, 0] - along[:, 1])
+        return points, along, np.stack((-along[:, :, 1], along[:, :, 0]), axis=2)
 
     def _depths(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Depth (p,) m in a wall, positive in the outer one; directions (p, 2) and distances (p,) from the centre."""
@@ -105,7 +110,7 @@ class BeamInTube:
         D = np.zeros((len(self.beam.lengths), 2, 6))
         D[:, [0, 1], [0, 1]] = D[:, [0, 1], [3, 4]] = 0.5
         arm = self.beam.lengths[:, None] / 8
-        D[:, :, 2], D[:, :, 5] = arm * across[:-1], -arm * across[1:]
+        D[:, :, 2], D[:, :, 5] = arm * across[:, 0], -arm * across[:, 1]
         return D
 
     def force(self, x: Floats) -> Floats:
@@ -128,8 +133,8 @@ class BeamInTube:
         D = self._middle(across)
         blocks = np.einsum("eik,eij,ejl->ekl", D, H[1::2], D)
         pull, arm = (k * depth)[1::2, None] * out[1::2], self.beam.lengths / 8
-        blocks[:, 2, 2] -= arm * np.einsum("ei,ei->e", pull, along[:-1])
-        blocks[:, 5, 5] += arm * np.einsum("ei,ei->e", pull, along[1:])
+        blocks[:, 2, 2] -= arm * np.einsum("ei,ei->e", pull, along[:, 0])
+        blocks[:, 5, 5] += arm * np.einsum("ei,ei->e", pull, along[:, 1])
         entries = [(self._nodes, H[::2]), (self._middles, blocks)]
         rows = np.concatenate([np.repeat(at, at.shape[1], axis=1).ravel() for at, _ in entries])
         columns = np.concatenate([np.tile(at, (1, at.shape[1])).ravel() for at, _ in entries])

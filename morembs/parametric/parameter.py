@@ -174,6 +174,6 @@ class Box:
             j = int(at[-1])
             raise InputError(
                 f"{self.names[j]} = {p[at]:.6g} lies outside [{self.low[j]:.6g}, {self.high[j]:.6g}]; the bound does "
-                "not hold there"
+                "not hold there (values are in SI units)"
             )
         return p

@@ -31,7 +31,8 @@ class Dynamics:
 
     K: sp.csr_array
     M: sp.csr_array
-    D: sp.csr_array | None
+    velocity_matrix: sp.csr_array | None
+    N: sp.csr_array | None
     rigid: NDArray[Any]
     damping: Damping
     damps_rigid_motion: bool
@@ -48,7 +49,8 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: 
     budget, workers = problem.budget, min(problem.workers, tasks)
     share = None
     if budget.memory is not None and workers > 1:
-        structure = "complex-symmetric" if damped else "symmetric"
+        structure = "symmetric" if problem.symmetric else "unsymmetric"
+        structure = f"complex-{structure}" if damped else structure
         needed = worker_bytes(problem.stiffness.room_for_factor(structure), len(problem.rigid), columns, damped)
         budget.release_pages()
         left = max(0, budget.memory - resident_bytes())
@@ -64,8 +66,9 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: 
         return Crew((problem, others))
     own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
     dynamics = Dynamics(
-        K=problem.K, M=problem.M, D=problem.D, rigid=problem.rigid, damping=problem.damping,
-        damps_rigid_motion=problem.damps_rigid_motion, stiffness=problem.stiffness.for_worker(own), budget=own,
+        K=problem.K, M=problem.M, velocity_matrix=problem.velocity_matrix, N=problem.N, rigid=problem.rigid,
+        damping=problem.damping, damps_rigid_motion=problem.damps_rigid_motion,
+        stiffness=problem.stiffness.for_worker(own), budget=own,
     )  # fmt: skip
     return Crew((dynamics, others), workers, scratch=budget.scratch)
 

@@ -55,7 +55,7 @@ SOFTER = (
 
 @summarised
 class Problem(Closing):
-    """M u'' + D u' + K u = B f of a model coupled to its interfaces. A context manager.
+    """M u'' + (D + G) u' + (K + N) u = B f of a model coupled to its interfaces. A context manager.
 
     ``budget`` bounds the resident memory of the process; by default it is that of ``solver``. Up to ``workers``
     processes factorise A(s) at different s at once, as far as the budget has room for all of their factors.
@@ -64,7 +64,7 @@ class Problem(Closing):
 
     Raises:
         InputError: interfaces that do not fit together, unconnected parts, coordinates or dofs that are not those of
-            K, or structural damping of a model that has a damping matrix.
+            K, structural damping of a model that has D, G or N, or N of a free body.
 
     >>> with Problem(model, interfaces, damping=Damping(modal=0.02)) as problem:
     ...     problem.K.shape, problem.rigid.shape
@@ -81,7 +81,7 @@ class Problem(Closing):
         self.solver = solver if solver is not None else select_solver()
         self.budget = budget if budget is not None else Budget(self.solver.memory, self.solver.scratch)
         self.damping = damping if damping is not None else Damping()
-        if self.damping.structural and model.D is not None:
+        if self.damping.structural and any(A is not None for A in (model.D, model.G, model.N)):
             raise InputError(
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
@@ -92,12 +92,22 @@ class Problem(Closing):
         square = T.shape[0] == T.shape[1]
         self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
         self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
+        self.G, self.N = (
+            A if A is None or square else congruence(T, A, self.budget, skew=True) for A in (model.G, model.N)
+        )
         self.B = self.coupling.B
         self.budget.release_pages()
-        self.stiffness = DynamicStiffness(self.K, self.M, self.D, solver=self.solver, budget=self.budget)
+        self.stiffness = DynamicStiffness(
+            self.K, self.M, self.D, G=self.G, N=self.N, solver=self.solver, budget=self.budget
+        )
         self.budget.release_pages()
         self._refuse_unconnected()
         self.rigid, self._held = self._rigid_motions()
+        if self.N is not None and self.rigid.shape[1]:
+            raise InputError(
+                f"the model has a circulatory matrix and {self.rigid.shape[1]} rigid-body motions; models with one are "
+                "reduced held only: hold it in the model"
+            )
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
@@ -143,15 +153,30 @@ class Problem(Closing):
         """Name of the linear solver in use: the one that was chosen, once there is a factor."""
         return self.statics.factor.stats.backend if "statics" in self.__dict__ else self.solver.name
 
+    @property
+    def symmetric(self) -> bool:
+        """Whether there is neither a gyroscopic nor a circulatory matrix."""
+        return self.G is None and self.N is None
+
+    @cached_property
+    def velocity_matrix(self) -> sp.csr_array | None:
+        """D + G of the model (Nc, Nc), None without either."""
+        if self.D is None or self.G is None:
+            return self.G if self.D is None else self.D
+        return sp.csr_array(self.D + self.G)
+
     @cached_property
     def damps_rigid_motion(self) -> bool:
-        """Whether the model's own damping matrix resists rigid-body motion, which then couples to the elastic part."""
-        if self.D is None or self.model.D is None or not self.D.nnz or not self.rigid.shape[1]:
+        """Whether D or G of the model acts on rigid-body motion, which then couples to the elastic part."""
+        return self._acts_on_rigid_motion("D") or self._acts_on_rigid_motion("G")
+
+    def _acts_on_rigid_motion(self, name: str) -> bool:
+        own, given = getattr(self, name), getattr(self.model, name)
+        if own is None or given is None or not own.nnz or not self.rigid.shape[1]:
             return False
         return resists(
-            self.D, self.rigid, self._magnitudes(self.model.D, self.rigid), self._nodes_of_rows(),
-            written(self.model.D.data),
-        )  # fmt: skip
+            own, self.rigid, self._magnitudes(given, self.rigid), self._nodes_of_rows(), written(given.data)
+        )
 
     @cached_property
     def statics(self) -> Statics:
@@ -379,11 +404,18 @@ class Problem(Closing):
         sigma = MECHANISM * float(np.finfo(float).eps) * lost
         try:
             solver = self.solver.with_memory(self.budget.left())
+            negative = solver.negative_eigenvalues(self.stiffness.shifted(-sigma), "K + sigma M")
             count = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
         except MorembsError:
             return (
                 "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
                 "far from its interface points that double precision does not resolve it; check the mesh and the units"
+            )
+        if negative:
+            return (
+                f"the stiffness matrix has {negative} negative eigenvalues: the body buckles or diverges under its "
+                "load, speed or flow; lower that below the critical one (complex modes of the full model are computed "
+                "above it too)"
             )
         if count <= self.rigid.shape[1]:
             return "the stiffness matrix is singular to working precision; check the units and the material"

@@ -22,6 +22,7 @@ from morembs.linalg.columns import (
     projected,
     without_rigid_motion,
 )  # fmt: skip
+from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
@@ -32,6 +33,9 @@ from morembs.responses.band import MOST_HZ as MOST_HZ
 from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
+    import scipy.sparse as sp
+
+    from morembs.budget import Budget
     from morembs.model.stress_operator import StressOperator
     from morembs.parametric.model import ParametricModel
     from morembs.reducers.switching_tables import StaticModeTables
@@ -82,6 +86,8 @@ class Basis:
 class ReducedModel:
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
+    Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same
+    array as V: their symmetric and skew parts are those of the model.
     ``M``, ``K``, ``D`` (n, n), ``B`` (n, m) one column per interface dof, ``C`` (m, n); ``mode_kind`` the
     kind of each coordinate; ``rigid_count`` the number of rigid-body motions the coordinates span. A Galerkin
     projection has symmetric matrices and C = B'; in others (``W`` (Nc, n) is what the equations were tested
@@ -115,8 +121,13 @@ class ReducedModel:
 
     @property
     def symmetric(self) -> bool:
-        """Whether this is a Galerkin projection, whose matrices are symmetric."""
+        """Whether this is a Galerkin projection of a symmetric model, whose matrices are symmetric."""
         return self.W is None
+
+    @property
+    def congruent(self) -> bool:
+        """Whether the equations are tested with V itself, whatever the model: symmetric and skew parts stay apart."""
+        return self.W is None or self.W is self.V
 
     def _facts(self) -> dict[str, object]:
         values = self.modes()[0][self.rigid_count :] if self.order <= SHOWN_ORDER else None
@@ -129,16 +140,35 @@ class ReducedModel:
     def modes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).
 
-        Of matrices that are not symmetric the real parts, vectors of unit modal mass.
+        Of two-sided reductions the real parts, vectors of unit modal mass; of gyroscopic and circulatory models those
+        of the symmetric part of K.
         """
+        r = self.rigid_count
         if self.symmetric:
             return graded_modes(self.K, self.M)
-        r = self.rigid_count
+        if self.congruent:
+            values, Y = graded_modes(0.5 * (self.K + self.K.T), self.M)
+            # Flow may make elastic modes softer than rigid motion.
+            rigid = np.sort(np.argsort(np.abs(values))[:r])
+            order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
+            return values[order], Y[:, order]
         values, vectors = sl.eig(self.K[r:, r:], self.M[r:, r:])
         order = np.argsort(values.real, kind="stable")
         Y = np.eye(self.order)
         Y[r:, r:] = vectors[:, order].real
         return np.concatenate([np.zeros(r), values.real[order]]), Y
+
+
+    def complex_modes(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Eigenvalues s (m,) in 1/s of s^2 M + s D + K on or above the real axis, by size, and vectors (n, m).
+
+        Structural damping, which has no place in the time domain, is not in them.
+
+        >>> values, vectors = reduced.complex_modes()
+        >>> vectors.shape == (reduced.order, len(values))
+        True
+        """
+        return small_complex_modes(self.K, self.M, self.D)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +180,11 @@ class Reducer(ABC):
     """
 
     method: ClassVar[str]
+
+    @property
+    def takes_unsymmetric(self) -> bool:
+        """Whether models with gyroscopic and circulatory matrices are taken."""
+        return False
 
     @property
     def two_sided(self) -> bool:
@@ -183,6 +218,11 @@ class Reducer(ABC):
 
     def why_not(self, facts: Facts) -> str:
         """Why such a problem cannot be reduced, as far as is known before a factorisation; "" where it can."""
+        if not facts.symmetric and not self.takes_unsymmetric:
+            return (
+                f'method "{self.method}" takes symmetric models, and this one has a gyroscopic or circulatory matrix; '
+                'take "krylov" with one side, "craig-bampton" or "modal"'
+            )
         if self.needs_interfaces and not facts.inputs:
             return f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         return ""
@@ -252,14 +292,25 @@ class Reducer(ABC):
         D = problem.damping.matrix(M, slow, basis.rigid, basis.W is None)
         if problem.D is not None:
             D = D + projected(V if basis.V_velocity is None else basis.V_velocity, problem.D, budget, basis.W)
+        W = basis.W if problem.symmetric else V
+        if problem.G is not None:
+            D = D + _skew_projected(V, problem.G, budget)
+        if problem.N is not None:
+            K = K + _skew_projected(V, problem.N, budget)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         structural = problem.damping.structural
         recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
         return ReducedModel(
             name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
-            rigid_count=basis.rigid.shape[1], recipe=recipe, W=basis.W, is_projection=basis.V_velocity is None,
+            rigid_count=basis.rigid.shape[1], recipe=recipe, W=W, is_projection=basis.V_velocity is None,
             structural=structural,
         )  # fmt: skip
+
+
+def _skew_projected(V: Floats, A: sp.csr_array, budget: Budget) -> Floats:
+    """V' A V (n, n) of a skew-symmetric ``A``, skew to the last bit."""
+    P = projected(V, A, budget, V)
+    return np.asarray(0.5 * (P - P.T))
 
 
 def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:

@@ -72,6 +72,10 @@ class CraigBampton(OfModes):
         """Whether characteristic modes replace the constraint modes."""
         return self.interface_modes is not None or self.interface_up_to_hz is not None
 
+    @property
+    def takes_unsymmetric(self) -> bool:
+        return True
+
     def why_not(self, facts: Facts) -> str:
         reason = super().why_not(facts)
         if not reason and (self.interface_modes or 0) > facts.inputs:

@@ -40,5 +40,10 @@ class Facts:
 
     @property
     def own_damping(self) -> bool:
-        """Whether the model has a damping matrix."""
-        return self.model.D is not None
+        """Whether the model has a damping, gyroscopic or circulatory matrix."""
+        return self.model.D is not None or not self.symmetric
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the model has neither a gyroscopic nor a circulatory matrix."""
+        return self.model.G is None and self.model.N is None

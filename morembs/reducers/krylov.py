@@ -3,7 +3,9 @@
 V = span of A(s_k)^-1 F and further blocks. One block makes H and, for loads and motions of the same interfaces,
 dH/df exact at the point; J blocks match J moments for any outputs and 2J for those of the loads themselves.
 With Rayleigh, modal or structural damping the undamped matrices are factorised and the basis is real (Beattie and
-Gugercin 2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points.
+Gugercin 2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points. One with
+G or N takes the space of the transpose, A(s_k)^-T C', beside it, and projects by congruence on both: moments from
+inputs to outputs are matched as often as by two sides, damping stays damping and gyroscopic terms do no work.
 """
 
 from __future__ import annotations
@@ -116,6 +118,10 @@ class Krylov(Reducer):
             )
 
     @property
+    def takes_unsymmetric(self) -> bool:
+        return not self.two_sided
+
+    @property
     def needs_interfaces(self) -> bool:
         return not self.inertia_loads
 
@@ -161,8 +167,8 @@ class Krylov(Reducer):
     def _check(self, problem: Problem) -> None:
         if 0.0 in self.shifts_hz and problem.damps_rigid_motion:
             raise InputError(
-                "the model's damping matrix damps its rigid-body motion, so there is no expansion at 0 Hz; take "
-                "real_shifts, or shifts_hz above zero"
+                "the model's damping or gyroscopic matrix acts on its rigid-body motion, so there is no expansion at "
+                "0 Hz; take real_shifts, or shifts_hz above zero"
             )
 
     def _points(self) -> Iterator[tuple[complex, int]]:
@@ -174,7 +180,10 @@ class Krylov(Reducer):
     def _columns(self, problem: Problem, loads: int) -> int:
         """Columns of the basis before rank decisions."""
         width = min(loads, self.tangential or loads)
-        total = sum(count * width * (2 if problem.D is not None and s.imag else 1) for s, count in self._points())
+        own = problem.velocity_matrix is not None
+        total = sum(
+            count * width * (2 if own and s.imag else 1) * len(_sides(problem, s)) for s, count in self._points()
+        )
         room = problem.K.shape[0] - problem.rigid.shape[1]
         if total > min(MOST_COLUMNS, room):
             raise InputError(
@@ -191,8 +200,12 @@ class Krylov(Reducer):
             # The loads do not depend on the points before: all points at once.
             points = [(expansion_point(problem, s), count) for s, count in self._points()]
             wanted_at: list[dict[object, Wanted]] = [
-                {(space.names,): Wanted(space.F, count) for space in spaces} for _, count in points
-            ]
+                {
+                    (space.names, *side): Wanted(space.F, count, bool(side))
+                    for space in spaces for side in _sides(problem, point.asked)
+                }
+                for point, count in points
+            ]  # fmt: skip
             grow_at_once(problem, [point for point, _ in points], wanted_at, progress)
         for s, count in self._points():
             shift = expansion_point(problem, s)
@@ -202,8 +215,9 @@ class Krylov(Reducer):
             for space in spaces:
                 key, F = space.loads(shift.at, self.tangential)
                 if F.shape[1]:
-                    wanted[space.names, *key] = Wanted(F, count)
-                    growing.append(space)
+                    for side in _sides(problem, s):
+                        wanted[space.names, *key, *side] = Wanted(F, count, bool(side))
+                        growing.append(space)
                 else:
                     lost.append(f"{what}: the space carries all {space.name} already, nothing was solved")
             progress.update(f"{self.method}: {what}, {sum(space.size for space in spaces)} columns so far")
@@ -215,6 +229,12 @@ class Krylov(Reducer):
             if shift.moves:
                 moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
         return lost, moved
+
+
+def _sides(problem: Problem, s: complex) -> list[tuple[str, ...]]:
+    """Names of the spaces at ``s``: one where A(s) is symmetric or Hermitian, so that its transpose has the same."""
+    same = problem.symmetric or (problem.N is None and problem.D is None and (bool(s.imag) or not s))
+    return [()] if same else [(), ("transposed",)]
 
 
 class _LoadSpace:

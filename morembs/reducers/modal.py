@@ -40,6 +40,10 @@ class Modal(OfModes):
             )
 
     @property
+    def takes_unsymmetric(self) -> bool:
+        return True
+
+    @property
     def needs_interfaces(self) -> bool:
         return self.interfaces == "fixed"
 

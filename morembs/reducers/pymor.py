@@ -44,7 +44,9 @@ def to_pymor(model: Problem | ReducedModel) -> Any:
         E = damping.alpha * model.M + damping.beta * model.K
         B = sp.csr_array(model.B)
         # Inputs and outputs are dense in pyMOR: their operators hold rows that are ready.
-        matrices = [model.M, E if model.D is None else E + model.D, model.K, B.toarray(), B.T.toarray()]
+        E = E if model.velocity_matrix is None else E + model.velocity_matrix
+        K = model.K if model.N is None else model.K + model.N
+        matrices = [model.M, E, K, B.toarray(), B.T.toarray()]
     return iosys.SecondOrderModel.from_matrices(*matrices)
 
 

@@ -2,7 +2,8 @@
 
 Undamped and proportionally damped models have A(s) = (1 + beta s)(K + f(s) M), f = (s^2 + alpha s)/(1 + beta s): the
 blocks of K - omega^2 M (or K + s^2 M) are real and match the damped transfer function where f(s) = -omega^2. A
-model with its own D needs the second-order Krylov space of A(s).
+model with its own D or G needs the second-order Krylov space of A(s); one that is not symmetric also that of its
+transpose, for what the outputs see, from the same factor.
 
 At s = 0 the elastic flexibility stands for the inverse of K, with the factor that the problem has anyway.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,17 +39,18 @@ MOVE, MOVES = 1.005, 3
 
 @dataclass(eq=False)
 class Wanted:
-    """``count`` blocks started at the loads ``F`` (Nc, p)."""
+    """``count`` blocks started at the loads ``F`` (Nc, p), of A(s) or of its transpose."""
 
     F: Floats
     count: int
+    transposed: bool = False
 
 
 class KrylovChain:
     """M-orthonormal real blocks of one expansion point ``s``; ``deflated`` columns were lost in each."""
 
-    def __init__(self, problem: Problem | Dynamics, s: complex, F: Floats) -> None:
-        self.problem, self.s, self.F = problem, s, F
+    def __init__(self, problem: Problem | Dynamics, s: complex, F: Floats, transposed: bool = False) -> None:
+        self.problem, self.s, self.F, self.transposed = problem, s, F, transposed
         self.blocks: list[Floats] = []
         self.deflated: list[int] = []
         self.space: SecondOrderArnoldi | None = None
@@ -66,7 +69,7 @@ class KrylovChain:
     def extend(self, solve: Solve, count: int) -> None:
         """Blocks up to ``count``, as far as there are any."""
         while len(self.blocks) < count and not self.finished:
-            if self.problem.D is None:
+            if self.problem.velocity_matrix is None:
                 self._arnoldi(solve)
             else:
                 self._second_order(solve)
@@ -82,13 +85,14 @@ class KrylovChain:
         self.blocks.append(budget.store(np.asfortranarray(W)))
 
     def _second_order(self, solve: Solve) -> None:
-        problem, D = self.problem, self.problem.D
+        problem, D = self.problem, self.problem.velocity_matrix
         if self.space is None:
             if D is None:
                 raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
             start, self.F = solve(self.F), np.zeros((0, 0))
             self.space = SecondOrderArnoldi(
-                problem.M, D, start, shift=self.s, scale=self._scale(start), budget=problem.budget
+                problem.M, D.T if self.transposed else D, start, shift=self.s, scale=self._scale(start),
+                budget=problem.budget,
             )
         else:
             self.space.expand(solve)
@@ -168,30 +172,30 @@ class ExpansionPoint:
 
     def _extend(self, wanted: Mapping[object, Wanted]) -> None:
         problem = self.problem
-        if not self.at:
+        if not self.at and problem.N is None:
             if isinstance(problem, Dynamics):
                 raise SolverError("statics are solved with the factor of the problem, not by other processes")
             flexibility = problem.elastic.flexibility
-            self._extend_with(lambda F: map_columns(flexibility, F, problem.budget), wanted)
+            self._extend_with(lambda F, transposed: map_columns(flexibility, F, problem.budget), wanted)
             return
         s = self.at if complex(self.at).imag else complex(self.at).real
         problem.budget.release_pages()
         with problem.stiffness.factorize(s) as factor:
             kind = factor.dtype
 
-            def solve(F: Values) -> Values:
-                X = map_columns(factor.solve, F, problem.budget, kind)
-                self._check(F, X)
+            def solve(F: Values, transposed: bool) -> Values:
+                X = map_columns(partial(factor.solve, transposed=transposed), F, problem.budget, kind)
+                self._check(F, X, transposed)
                 return X
 
             self._extend_with(solve, wanted)
 
-    def _extend_with(self, solve: Solve, wanted: Mapping[object, Wanted]) -> None:
+    def _extend_with(self, solve: Callable[[Values, bool], Values], wanted: Mapping[object, Wanted]) -> None:
         elastic = not self.problem.damps_rigid_motion
         M, Z = self.problem.M, self.problem.rigid
 
-        def deformation(F: Values) -> Values:
-            X = solve(F)
+        def deformation(F: Values, transposed: bool) -> Values:
+            X = solve(F, transposed)
             # Round-off along rigid motion would grow from block to block.
             return X - Z @ (Z.T @ (M @ X)) if elastic else X
 
@@ -201,15 +205,15 @@ class ExpansionPoint:
             chain = self.chains.get(key)
             if chain is not None and chain.ended is not None:
                 chain = None
-            fresh = KrylovChain(self.problem, self.at, want.F) if chain is None else chain
-            fresh.extend(deformation, want.count)
+            fresh = KrylovChain(self.problem, self.at, want.F, want.transposed) if chain is None else chain
+            fresh.extend(partial(deformation, transposed=want.transposed), want.count)
             if chain is None:
                 self._refuse_near_eigenvalue(fresh)
                 self.chains[key] = fresh
 
-    def _check(self, F: Values, X: Values) -> None:
+    def _check(self, F: Values, X: Values, transposed: bool) -> None:
         """Backward error of a solution, with rows scaled so that forces and moments count alike."""
-        A = apply(self.problem, self.at, X)
+        A = apply(self.problem, self.at, X, transposed)
         d = self._weight[:, None]
         small = np.linalg.norm(d * (A - F), axis=0)
         size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
@@ -220,7 +224,8 @@ class ExpansionPoint:
     def _refuse_near_eigenvalue(self, chain: KrylovChain) -> None:
         """A mode that drowns the others shows as a Rayleigh quotient next to the shift."""
         w2 = complex(self.at).imag ** 2
-        if not w2 or self.problem.D is not None or not chain.blocks[0].shape[1]:
+        own = self.problem.velocity_matrix is not None or self.problem.N is not None
+        if not w2 or own or not chain.blocks[0].shape[1]:
             return
         Q = chain.blocks[0]
         distance = np.abs(sl.eigvalsh(Q.T @ (self.problem.K @ Q)) - w2).min()
@@ -256,9 +261,9 @@ def grow_at_once(
     if problem.workers < 2 or len(open_) < 2:
         return
     loads = {key: each.F for _, want in open_ for key, each in want.items()}
-    tasks = [(point.asked, {key: each.count for key, each in want.items()}) for point, want in open_]
+    tasks = [(point.asked, {k: (each.count, each.transposed) for k, each in want.items()}) for point, want in open_]
     columns = sum(F.shape[1] for F in loads.values())
-    damped = problem.D is not None and any(point.asked.imag for point, _ in open_)
+    damped = problem.velocity_matrix is not None and any(point.asked.imag for point, _ in open_)
     with crew_of(problem, loads, tasks=len(tasks), columns=columns, damped=damped) as crew:
         if crew.workers < 2:
             return
@@ -267,11 +272,13 @@ def grow_at_once(
             point.take(grown, want)
 
 
-def _grown(shared: tuple[Dynamics, Mapping[object, Floats]], task: tuple[complex, Mapping[object, int]]) -> Grown:
+def _grown(
+    shared: tuple[Dynamics, Mapping[object, Floats]], task: tuple[complex, Mapping[object, tuple[int, bool]]]
+) -> Grown:
     dynamics, loads = shared
     s, counts = task
     point = ExpansionPoint(dynamics, s)
-    chains = point.grow({key: Wanted(loads[key], count) for key, count in counts.items()})
+    chains = point.grow({key: Wanted(loads[key], *asked) for key, asked in counts.items()})
     parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
     return Grown(at=point.at, moves=point.moves, chains=parts)
 
@@ -281,9 +288,12 @@ def frequency(s: complex) -> float:
     return float(abs(s) / (2 * np.pi))
 
 
-def apply(problem: Problem | Dynamics, s: complex, X: Values) -> Values:
-    """A(s) X (Nc, k), without the proportional damping of the problem."""
+def apply(problem: Problem | Dynamics, s: complex, X: Values, transposed: bool = False) -> Values:
+    """A(s) X (Nc, k), or A(s)' X, without the proportional damping of the problem."""
     square: complex = s * s
     s, square = (x.real if not complex(x).imag else x for x in (complex(s), complex(square)))
     out = problem.K @ X + square * (problem.M @ X)
-    return np.asarray(out if problem.D is None else out + s * (problem.D @ X))
+    for factor, A in ((s, problem.velocity_matrix), (1.0, problem.N)):
+        if A is not None:
+            out = out + factor * ((A.T if transposed else A) @ X)
+    return np.asarray(out)

@@ -22,6 +22,7 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
+from morembs.responses.direct import refuse_skew_parts
 from morembs.responses.krylov_space import KrylovSpace, RitzModes, root
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response, unit_loads
@@ -215,6 +216,7 @@ def certified_reference(
     (0.0, 3000.0)
     """
     low, high = checked_band(band_hz)
+    refuse_skew_parts(problem)
     floor = floor_of(problem, (low, high), damping_floor)
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,21 @@ def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
     )
 
 
-def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
-    """Elastic part (Nc, p) of A(s)^-1 F for loads ``F`` (Nc, p), dense or sparse, at complex ``s`` in 1/s, not zero.
+def refuse_skew_parts(problem: Problem) -> None:
+    """Refuse models with a gyroscopic or circulatory matrix, of which there is no reference model.
+
+    Raises:
+        InputError: as said.
+    """
+    if not problem.symmetric:
+        raise InputError(
+            "reference models are of symmetric matrices, and this model has a gyroscopic or circulatory one; take "
+            "direct_response, which solves the full equations at each frequency"
+        )
+
+
+def elastic_states(problem: Problem, s: complex, F: Values, *, transposed: bool = False) -> Values:
+    """Elastic part (Nc, p) of A(s)^-1 F, or of A(s)'^-1 F, for loads ``F`` (Nc, p), at complex ``s`` in 1/s, not zero.
 
     Rayleigh and structural damping need no damping matrix: A(s) = c K + g M = c (K + f M), see ``damping``.
     Factor and solution are real where A(s) is. Peak memory: 2 p columns and the factor.
@@ -48,7 +62,7 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
     damping, M, Z = problem.damping, problem.M, problem.rigid
     if damping.is_modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
-    reason = why_no_response(damping, problem.D is not None, None)
+    reason = why_no_response(damping, problem.D is not None or not problem.symmetric, None)
     if reason:
         raise InputError(reason)
     c, g = damping.proportional(s)
@@ -62,7 +76,8 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
             f"{abs(s) / (2 * np.pi):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
             "infinite; move the frequency or give the model damping"
         ) from error
-    U = map_columns(factor.solve, F, problem.budget, factor.dtype)
+    solve = partial(factor.solve, transposed=transposed)
+    U = map_columns(solve, F, problem.budget, factor.dtype)
     if not Z.shape[1]:
         return U if c == 1 else U / c
     if not problem.damps_rigid_motion:
@@ -70,8 +85,16 @@ def elastic_states(problem: Problem, s: complex, F: Values) -> Values:
         U -= Z @ (Z.T @ (M @ U))
         return U if c == 1 else U / c
     # Damping couples it to the rest: it is held by forces M Z, as the mean axes of the body hold it.
-    X = map_columns(factor.solve, M @ Z, problem.budget, factor.dtype)
+    X = map_columns(solve, M @ Z, problem.budget, factor.dtype)
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
+
+
+def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) -> Values:
+    """Elastic displacements (Nc, p) under loads ``F`` (Nc, p), dense or sparse: of K + N, or of its transpose."""
+    if problem.N is None:
+        return map_columns(problem.elastic.flexibility, F, problem.budget)
+    factor = problem.stiffness.factorize(0.0, "unsymmetric")
+    return map_columns(partial(factor.solve, transposed=transposed), F, problem.budget)
 
 
 def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT) -> Complexes:
@@ -95,7 +118,7 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
         progress.update(f"direct response: {j + 1} of {len(omega)}")
         if w == 0.0:
             # Structural damping acts at the lower end of the frequencies too.
-            H[j] = problem.B.T @ map_columns(problem.elastic.flexibility, problem.B, problem.budget)
+            H[j] = problem.B.T @ elastic_statics(problem, problem.B)
             H[j] /= 1 + 1j * problem.damping.structural
         else:
             H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)

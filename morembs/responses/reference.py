@@ -31,7 +31,7 @@ from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import NEAR, ON
 from morembs.responses.damped_reference import DampedSpace
-from morembs.responses.direct import why_no_response
+from morembs.responses.direct import refuse_skew_parts, why_no_response
 from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.rational import product
 
@@ -130,6 +130,7 @@ def reference_model(
     """
     if not problem.B.shape[1]:
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+    refuse_skew_parts(problem)
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
         return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)

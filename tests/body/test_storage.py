@@ -422,8 +422,8 @@ def test_incomplete_and_newer_files(stored, tmp_path):
     shutil.copy(stored, path)
     back = read_body(path)
     with h5py.File(path, "a") as file:
-        file["format_version"][()] = 3
-    with pytest.raises(InputError, match="format version 3; this morembs reads up to 2"):
+        file["format_version"][()] = 4
+    with pytest.raises(InputError, match="format version 4; this morembs reads up to 3"):
         read_body(path)
     path.unlink()
     with pytest.raises(InputError, match="no such file"):

@@ -93,6 +93,8 @@ def test_the_body_file_keeps_its_spin(blade):
     assert stretch == pytest.approx(7850 / 3 / 2.1e11, rel=5e-3)
     told = run("export", blade / "part.h5", "--to", "matrix-market", "-o", blade / "part.mtx")
     assert "the matrices are those at rest" in told
+    refused = CliRunner().invoke(app, ["export", str(blade / "part.h5"), "--to", "exudyn"])
+    assert refused.exit_code == 2 and "reduce it without [spin]" in refused.stderr
     # From the file as from the job.
     (whirl,) = campbell(body, [60.0], 4)
     run("campbell", blade / "part.h5", "-o", blade / "again.csv", "--points", 7, "--count", 4)
@@ -156,3 +158,8 @@ def test_campbell_says_what_it_needs(tmp_path):
         assert result.exit_code == 2
         assert message in result.stderr
     assert not (tmp_path / "part.h5").exists()
+
+
+@pytest.mark.parametrize(("command", "words"), [("campbell", 2), ("modes", 1)])
+def test_help_shows_names_of_tables(command, words):
+    assert run(command, "--help").count("[spin]") == words

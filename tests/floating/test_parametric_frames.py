@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs.floating.frame import floating_frame
-from morembs.floating.integrals import ShapeIntegrals
+from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.parametric import frame_terms
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
@@ -50,3 +50,33 @@ def test_frames_are_those_of_the_model_assembled_at_the_values(problem, kind, fo
         for name, marker in expected.markers.items():
             assert close(frame.markers[name].point, marker.point, 1e-12)
             assert close(frame.markers[name].motion, marker.motion, 1e-8)
+
+
+def test_derivatives_of_frames_are_those_of_the_models_assembled_nearby(problem):
+    """The shapes of the body stay: their integrals over the assembled mass, and what moves with the interfaces."""
+    V = some_basis(problem, modes=2, corners=0)
+    model, terms = parametric_model(problem, V), frame_terms(problem, V)
+    options = {"kind": "chord", "interfaces": ("FOOT", "TIP"), "origin": (0.01, 0.0, 0.002)}
+    p = model.box.point({"E_arm": 1.9e11, "rho": 8000.0, "alpha": 30.0, "t": 1.1})
+    here, names = model.at(p), [entry.name for entry in fields(ShapeIntegrals)]
+    slopes = terms.derivatives(here, **options)
+    for j, name in enumerate(model.box.names):
+        step, found = 1e-3 * (model.box.high[j] - model.box.low[j]), []
+        for k in (-2, -1, 1, 2):
+            value = p + k * step * np.eye(len(p))[j]
+            frame = terms.frame(model.at(value), shapes=here.Y[:, 6:], **options)
+            with problem.at(value, assembled=True) as there:
+                shapes = there.coupling.T @ (V @ frame.elastic)
+                parts, _ = shape_integrals(there.model, shapes, np.array(options["origin"]), there.budget)
+                K = V.T @ (there.K @ V)
+            mine = [getattr(parts, each) for each in names] + [frame.elastic.T @ K @ frame.elastic]
+            found.append([*mine, frame.markers["TIP"].motion, frame.rigid, frame.De])
+        known = [getattr(slopes[name].integrals, each) for each in names] + [slopes[name].Ke]
+        known += [slopes[name].markers["TIP"].motion, slopes[name].rigid, slopes[name].De]
+        for what, given, *values in zip([*names, "Ke", "TIP", "rigid", "De"], known, *found, strict=True):
+            a, b, c, d = (np.asarray(value) for value in values)
+            exact = (8 * (c - b) - (d - a)) / (12 * step)
+            noise = 1e-10 * np.abs(a).max() / step
+            # Volumes of a morph are interpolated in the stiffness.
+            tolerance = problem.eps if what == "Ke" else 1e-6
+            assert np.abs(given - exact).max() <= tolerance * np.abs(exact).max() + noise, (name, what)

@@ -63,6 +63,23 @@ def test_a_run_that_leaves_its_tables_is_divided():
         divide_until_within(lambda pieces: falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3, most=1)
 
 
+@pytest.mark.parametrize(("reach", "enough"), [(0.25, True), (0.15, False)])
+def test_the_finest_division_is_tried_before_a_run_is_given_up(reach, enough):
+    """Twelve elements do not divide into twice four pieces of two: six it is, or the run left its tables."""
+    beam = PlanarBeam.straight(1.0, 12, STRIP)
+
+    def build(pieces):
+        return falling(divided_member(beam, pieces, modes=1, reach=reach).add)[0]
+
+    if enough:
+        assert divide_until_within(build, end=0.3, step=5e-3, pieces=4)[1] == 6
+    else:
+        with pytest.raises(LeftTablesError, match=r"left its tabulated range of \+-0\.15"):
+            divide_until_within(build, end=0.3, step=5e-3, pieces=4)
+    with pytest.raises(InputError, match="0 of bending"):
+        divide_until_within(build, end=0.3, step=5e-3, pieces=7)
+
+
 def test_the_example_of_the_document(capsys):
     text = (Path(__file__).parents[2] / "docs" / "gmp.md").read_text()
     (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
@@ -114,6 +131,21 @@ def test_a_curved_piece_answers_small_loads_as_its_beam(formulation):
     full = piece.tangent(piece.reference)[3:, 3:].toarray()
     exact = np.linalg.solve(full, np.concatenate((np.zeros(len(full) - 3), load)))[-3:]
     assert tip == pytest.approx(exact, rel=1e-9 if formulation == "linear" else 2e-3)
+
+
+@pytest.mark.parametrize("turn", [2.5, np.pi, -2.6])
+def test_bent_members_may_point_anywhere(turn):
+    """The part before the corner leaves the chord by 45 degrees: seen from x it turns by more than half a turn."""
+    divided = divided_member(PlanarBeam.along(bent(8), STRIP), 2, modes=1)
+    tips = []
+    for angle in (0.0, turn):
+        Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        mechanism = Mechanism(gravity=Q @ (0, -9.81))
+        end = mechanism.point(Q @ (divided.length, 0))
+        numbers = divided.add(mechanism, mechanism.point((0, 0), fixed="xy"), end)
+        motion = simulate(mechanism, end=0.05, step=5e-3)
+        tips.append(divided.nodes(motion, numbers)[:, -1, :2] @ Q)
+    assert np.ptp(tips[0][:, 1]) > 5e-3 and tips[1] == pytest.approx(tips[0], abs=1e-10)
 
 
 def test_a_clamped_corner_keeps_its_angle():

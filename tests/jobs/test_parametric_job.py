@@ -77,7 +77,10 @@ def bracket_file(tmp_path_factory):
 def test_the_program_of_the_page_runs(bracket_file, tmp_path, monkeypatch):
     shutil.copyfile(bracket_file, tmp_path / "bracket.h5")
     monkeypatch.chdir(tmp_path)
-    exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(block, names)
+    assert np.abs(names["slope"].position(names["part"].marker("TIP"))).max() > 0
     assert (tmp_path / "at.h5").exists()
 
 

@@ -153,6 +153,8 @@ def test_programs_run_once_and_their_processes_end_with_them(tmp_path):
 def test_what_a_program_defines_goes_to_the_processes(tmp_path):
     ended = ran(tmp_path, GUARDED)
     assert ended.returncode == 0 and ended.stdout.strip() == "[3, 6]", ended.stderr
+    ended = ran(tmp_path, GUARDED.replace('if __name__ == "__main__":', "if True:"))
+    assert "with exit code 1" in ended.stderr and 'start its work under if __name__ == "__main__"' in ended.stderr
 
 
 def test_ranks_give_the_body_of_one_process(tmp_path, mpi):

@@ -11,7 +11,7 @@ import pytest
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps, MumpsAnalysis
-from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Factorization
+from morembs.linalg.sparse.solver import SYMMETRIC_STRUCTURES, Analysis, Factorization
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
@@ -39,7 +39,7 @@ def _loads(structure: str, columns: int) -> np.ndarray:
     return np.asarray(B - 2j * random(1536, columns, seed=8)) if structure == "complex-symmetric" else B
 
 
-@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("structure", SYMMETRIC_STRUCTURES)
 def test_solutions_are_those_of_double_precision(structure: str, caplog: pytest.LogCaptureFixture) -> None:
     """More columns than one block of the iteration holds; every column is as good as the worst may be."""
     A, B = MATRICES[structure], _loads(structure, 70)

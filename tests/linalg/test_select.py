@@ -14,9 +14,12 @@ from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.select import FAST, LEAN, SOLVERS, AutoSolver, available_solvers, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from tests.support.matrices import backward_error, brick, damped, random, shifted
+from tests.support.matrices import backward_error, brick, damped, random, shifted, skewed
 
-MATRICES = {"spd": brick(4), "symmetric": shifted(brick(4), 13.7), "complex-symmetric": damped(brick(4), 1.3)}
+MATRICES = {
+    "spd": brick(4), "symmetric": shifted(brick(4), 13.7), "complex-symmetric": damped(brick(4), 1.3),
+    "unsymmetric": skewed(shifted(brick(4), 13.7), 0.3), "complex-unsymmetric": skewed(damped(brick(4), 1.3), 0.3),
+}  # fmt: skip
 
 
 def _without(monkeypatch: pytest.MonkeyPatch, *kinds: type[LinearSolver]) -> None:

@@ -20,7 +20,7 @@ from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
-from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.memory import resident_bytes
 from tests.support.matrices import (
     backward_error,
@@ -31,6 +31,7 @@ from tests.support.matrices import (
     mass,
     random,
     shifted,
+    skewed,
     sparse_loads,
 )
 
@@ -39,6 +40,8 @@ MATRICES: dict[str, tuple[Callable[[int], sp.csc_array], ...]] = {
     "spd": tuple(lambda nodes, s=s: shifted(brick(nodes), -s) for s in (0.0, 0.5, 20.0)),
     "symmetric": tuple(lambda nodes, s=s: shifted(brick(nodes), s) for s in (13.7, 0.9, -1.0)),
     "complex-symmetric": tuple(lambda nodes, w=w: damped(brick(nodes), w) for w in (1.3, 0.2, 5.0)),
+    "unsymmetric": tuple(lambda nodes, p=p: skewed(shifted(brick(nodes), 13.7), p) for p in (0.3, -0.2, 0.1)),
+    "complex-unsymmetric": tuple(lambda nodes, p=p: skewed(damped(brick(nodes), 1.3), p) for p in (0.3, -0.2, 0.1)),
 }
 PAIRS = [(name, structure) for name, kind in SOLVERS.items() for structure in kind.structures]
 REAL = [pair for pair in PAIRS if pair[1] in ("spd", "symmetric")]
@@ -74,7 +77,7 @@ def real_pair(request: pytest.FixtureRequest) -> Pair:
 
 def _loads(structure: str, *shape: int) -> np.ndarray:
     B = random(*shape)
-    return np.asarray(B + 1j * random(*shape, seed=8)) if structure == "complex-symmetric" else B
+    return np.asarray(B + 1j * random(*shape, seed=8)) if structure.startswith("complex") else B
 
 
 def _bound(*columns: Any) -> sp.csc_array:
@@ -94,6 +97,34 @@ def test_solution_is_that_of_numpy(pair: Pair, shape: tuple[int, ...]) -> None:
     np.testing.assert_allclose(X, np.linalg.solve(A.toarray(), B), rtol=0, atol=1e-10 * np.abs(X).max())
 
 
+def test_transposed_solutions_are_those_of_the_transpose(pair: Pair) -> None:
+    solver, structure = pair
+    A, B = MATRICES[structure][0](4), _loads(structure, 192, 3)
+    with solver.factorize(A, structure) as factor:
+        X = factor.solve(B, transposed=True)
+        assert backward_error(sp.csc_array(A.T), X, B) < 1e-12
+        assert backward_error(A, factor.solve(B), B) < 1e-12
+
+
+@pytest.mark.parametrize("structure", ["unsymmetric", "complex-unsymmetric"])
+@pytest.mark.parametrize("name", [name for name, kind in SOLVERS.items() if "unsymmetric" in kind.structures])
+def test_a_singular_matrix_that_is_not_symmetric(name: str, structure: str) -> None:
+    """One row is the sum of two others; its columns are not."""
+    A = MATRICES[structure][0](3).toarray()
+    A[40] = A[41] + A[42]
+    with pytest.raises(SingularMatrixError):
+        _configured(name, structure).factorize(sp.csc_array(A), structure)
+
+
+def test_a_matrix_that_is_not_symmetric_has_no_inertia_and_no_symmetric_factor() -> None:
+    A = General.of(skewed(brick(3), 0.2))
+    np.testing.assert_allclose(A.full().toarray(), skewed(brick(3), 0.2).toarray(), rtol=1e-15)
+    with SuperLU().factorize(A, "unsymmetric") as factor, pytest.raises(SolverError, match="no inertia"):
+        factor.negative_pivots()
+    with pytest.raises(InputError, match="not symmetric"):
+        SuperLU().factorize(A, "symmetric")
+
+
 def test_a_matrix_whose_rows_differ_by_sixteen_powers_of_ten(pair: Pair) -> None:
     solver, structure = pair
     A, B = badly_scaled(MATRICES[structure][0](4)), _loads(structure, 192, 3)
@@ -107,7 +138,7 @@ def test_sparse_right_hand_sides_give_what_dense_ones_give(pair: Pair) -> None:
     """Also with row numbers in no order, and with entries given in two parts."""
     solver, structure = pair
     A, B = MATRICES[structure][0](4), sparse_loads(192, 9)
-    B = sp.csc_array(B * (1 + 1j)) if structure == "complex-symmetric" else B
+    B = sp.csc_array(B * (1 + 1j)) if structure.startswith("complex") else B
     parts = sp.csc_array((np.tile(B.data / 2, 2), np.tile(B.indices, 2), np.append(0, 2 * B.nnz)), shape=(192, 1))
     with solver.factorize(A, structure) as factor:
         X = factor.solve(B)
@@ -119,7 +150,7 @@ def test_sparse_right_hand_sides_give_what_dense_ones_give(pair: Pair) -> None:
 
 def test_one_row_and_no_columns(pair: Pair) -> None:
     solver, structure = pair
-    value = {"spd": 4.0, "symmetric": -4.0, "complex-symmetric": 4j}[structure]
+    value = 4j if structure.startswith("complex") else 4.0 if structure == "spd" else -4.0
     with solver.factorize(_bound([value]), structure) as factor:
         assert factor.solve(np.array([2.0])) == pytest.approx(2.0 / value)
     with solver.factorize(MATRICES[structure][0](3), structure) as factor:
@@ -172,7 +203,8 @@ def test_a_structure_that_is_not_taken_is_refused() -> None:
 
 def test_a_structure_that_is_not_that_of_the_values_is_refused(pair: Pair) -> None:
     solver, structure = pair
-    other = "symmetric" if structure == "complex-symmetric" else "complex-symmetric"
+    kind = "unsymmetric" if structure.endswith("unsymmetric") else "symmetric"
+    other = kind if structure.startswith("complex") else f"complex-{kind}"
     with pytest.raises(InputError, match=f"declared {structure}, but its values are"):
         solver.factorize(MATRICES[other][0](2), structure)
     with pytest.raises(InputError, match="expected one of spd, symmetric"):

@@ -662,3 +662,19 @@ def test_bad_contacts():
         Contact([body.marker("c")], Plane(), on=base, restitution=0.5, compliance=[[1e-6]])
     with pytest.raises(InputError, match="no contacts were given"):
         simulate_contact(system, [], end=1, step=0.1)
+
+
+def test_a_racket_that_is_driven_works_on_the_ball():
+    """Speed 2 W of a ball at rest, with the work 4 W^2 m / 2 of the drive."""
+    system, W = System(), 2.0
+    ball = system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 0.5), markers={"c": (0, 0, 0)}, name="ball"))
+    racket = system.add(RigidBody(5.0, (1, 1, 1), velocity=(0, 0, W), markers={"c": (0, 0, 0)}, name="racket"))
+    base, head = ground.marker_at(), racket.marker("c")
+    system.add(PrismaticJoint(base, head, axis=(0, 0, 1)))
+    system.add(DrivenPosition(base, head, axis=(0, 0, 1), motion=Motion.steady(W)))
+    contact = Contact([ball.marker("c")], Plane(), on=head, restitution=1.0)
+    result = simulate_contact(system, [contact], end=0.4, step=0.01)
+    (impact,), balance = result.impacts, result.balance()
+    assert result.speeds(ball)[-1, 2] == pytest.approx(2 * W, rel=1e-10)
+    assert impact.driving == pytest.approx(8.0, rel=1e-10) and impact.loss == pytest.approx(0.0, abs=1e-10)
+    assert np.ptp(balance.total - balance.work) < 1e-9

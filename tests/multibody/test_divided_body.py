@@ -138,6 +138,13 @@ def test_divisions_that_cannot_be_are_refused():
         divided_mesh(mesh, RUBBER, [[0, 0, 0]], 2, start="ROOT", end="TIP")
     with pytest.raises(InputError, match="pieces 1 and 3 touch"):
         divided_mesh(mesh, RUBBER, [[0.1, 0, 0], [0.3, 0, 0], [0, 0, 0]], 3, start="ROOT", end="TIP")
+    with pytest.raises(InputError, match=r"2\.5 pieces"):
+        divided_mesh(mesh, RUBBER, LINE, 2.5, start="ROOT", end="TIP")
+    with pytest.raises(InputError, match=r"0 of the 8 nodes of set 'TIP' are in the first of 3 pieces.*from start to"):
+        divided_mesh(mesh, RUBBER, LINE, 3, start="TIP", end="ROOT")
+    long = replace(mesh, nodes=replace(mesh.nodes, sets={**mesh.nodes.sets, "LONG": np.arange(len(mesh.nodes))}))
+    with pytest.raises(InputError, match=r"of the \d+ nodes of set 'LONG' are in the last of 2 pieces; expected all"):
+        divided_mesh(long, RUBBER, LINE, 2, start="ROOT", end="LONG")
     models = divided_mesh(mesh, RUBBER, LINE, 3, start="ROOT", end="TIP")
     with pytest.raises(InputError, match="expected pieces that meet"):
         divided_body([models[0], models[2]], modes=1)

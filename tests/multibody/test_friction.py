@@ -123,6 +123,34 @@ def test_an_oblique_impact_with_friction_and_restitution_adds_no_energy(seed):
     assert len(gains) > 10 and max(gains) < 1e-10
 
 
+def test_an_impact_that_would_add_energy_leaves_others_alone():
+    """A ball on the same plane at the same instant rebounds as it would by itself."""
+    speeds = []
+    for both in (False, True):
+        rng = np.random.default_rng(3089)
+        R = rotation((0, 1, 0), rng.uniform(0, np.pi))
+        velocity, spin = 2 * rng.standard_normal(3), 5 * rng.standard_normal(3)
+        system, plane = System(), Plane(0.5 * R[:, 2])
+        rod = system.add(
+            RigidBody(
+                1.0, (1 / 12, 1 / 12, 1e-3), rotation=R, velocity=velocity, angular_velocity=spin,
+                markers={"foot": (0, 0, 0.5)}, name="rod",
+            )
+        )  # fmt: skip
+        friction, restitution = rng.uniform(0, 1.5), rng.uniform(0.3, 1)
+        foot = [rod.marker("foot")]
+        contacts = [Contact(foot, plane, on=ground.marker_at(), friction=friction, restitution=restitution, name="rod")]
+        if both:
+            at = (5, 0, 0.5 * R[2, 2])
+            ball = system.add(RigidBody(1.0, (1, 1, 1), position=at, velocity=(0, 0, -1), markers={"c": (0, 0, 0)}))
+            contacts.append(Contact([ball.marker("c")], plane, on=ground.marker_at(), restitution=1.0, name="ball"))
+        result = simulate_contact(system, contacts, end=1e-6, step=1e-6)
+        speeds.append(result.speeds(rod)[-1])
+        assert abs(result.impacts[0].loss) < 1e-8 * result.balance().kinetic[0]
+    assert result.speeds(ball)[-1, 2] == pytest.approx(1.0, abs=1e-12)
+    assert speeds[1] == pytest.approx(speeds[0], abs=1e-9)
+
+
 # Forces of many points at once.
 
 

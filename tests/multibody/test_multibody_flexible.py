@@ -17,6 +17,7 @@ from morembs.multibody import (
     DrivenAngle,
     FixedJoint,
     FlexibleBody,
+    LinearBody,
     Motion,
     PointLoad,
     RevoluteJoint,
@@ -443,3 +444,15 @@ def test_a_marker_at_a_node_moves_with_its_rows(rod):
     x = np.concatenate((body.start()[0][:12], 1e-3 * np.random.default_rng(0).standard_normal(12)))
     assert node.place(x).position == pytest.approx(body.marker("right").place(x).position, abs=1e-15)
     assert body.marker("node") is node
+
+
+def test_the_work_of_a_circulatory_matrix_is_told():
+    """Its body moves as the matrix exponential says, and gains the energy that is put in."""
+    K, D = np.array([[4.0, 1.0], [-1.0, 9.0]]), np.array([[0.1, 1.0], [-1.0, 0.1]])
+    system = System(gravity=(0, 0, 0))
+    body = system.add(LinearBody(np.eye(2), K, D, start=[1.0, 0.5]))
+    result = simulate(system, end=3.0, step=2e-3)
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -D]])
+    np.testing.assert_allclose(result.configuration(body)[-1], (sl.expm(3 * A) @ [1, 0.5, 0, 0])[:2], atol=1e-4)
+    energy = result.energy()
+    assert np.ptp(energy.total - energy.work) < 1e-4 < np.ptp(energy.total)

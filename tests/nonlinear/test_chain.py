@@ -101,10 +101,17 @@ def test_bad_chains_are_named():
         Chain([])
     with pytest.raises(InputError, match=r"modes of shape \(3, 1\).*\(10, m\)"):
         Chain(LINKS, np.ones((3, 1)))
-    with pytest.raises(InputError, match="0 elements"):
-        Link(length=1.0, section=SECTION, elements=0)
+    with pytest.raises(InputError, match="2 modes were given of which 1 are independent"):
+        Chain(LINKS, np.ones((10, 2)))
+    for count in (0, 2.5):
+        with pytest.raises(InputError, match=f"{count} elements"):
+            Link(length=1.0, section=SECTION, elements=count)
     with pytest.raises(InputError, match=r"shape \(1,\) were given.*each of the 2 links"):
         Chain(LINKS).modes([0.0])
     mechanism = Mechanism()
     with pytest.raises(InputError, match="1 joints of a chain"):
         mechanism.chain(Chain(LINKS), [mechanism.angle(0.0)])
+    angle = mechanism.angle(0.0)
+    for other in (angle, mechanism.driven(0.0, swing, seen_from=angle)):
+        with pytest.raises(InputError, match="two joints of a chain follow the same angle"):
+            mechanism.chain(Chain(LINKS), [angle, other])

@@ -1,5 +1,7 @@
 """Contact of a beam within a curved tube."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,23 @@ def test_the_middles_of_elements_are_those_of_the_wall():
     part = wire(penalty=1.0)
     depth = part.contact(along(RADIUS + 2 * CLEARANCE))[1:-1:2] / (4 / 6 * 0.1 / 20)
     assert depth == pytest.approx(CLEARANCE, abs=3e-10)
+
+
+def test_a_wire_of_a_curved_line_lies_on_its_curve():
+    """``PlanarBeam.along`` counts rotations from the line without load, ``PlanarBeam`` from x: the walls are one."""
+    turn = np.linspace(-0.5, 0.5, 11)
+    line = np.column_stack((RADIUS * np.sin(turn), RADIUS * np.cos(turn), -turn))
+    tube = Tube(radius=RADIUS, clearance=CLEARANCE, penalty=1e6)
+    moved = replace(tube, centre=tuple(-line[0, :2]))
+    parts = BeamInTube(PlanarBeam(line, SECTION), tube), BeamInTube(PlanarBeam.along(line, SECTION), moved)
+    rng, pushed = np.random.default_rng(3), []
+    change = rng.normal(scale=1e-4, size=parts[0].size)
+    for part in parts:
+        assert np.abs(part.contact(part.reference)).max() == 0
+        x = part.reference + change
+        pushed.append((part.energy(x), part.contact(x), part.force(x), part.tangent(x).toarray()))
+    for one, other in zip(*pushed, strict=True):
+        assert np.abs(other).max() > 0 and other == pytest.approx(one, rel=1e-9, abs=1e-9 * np.abs(one).max())
 
 
 def test_bad_tubes_are_named():

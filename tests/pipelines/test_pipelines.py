@@ -149,6 +149,17 @@ def moves_the_tip_as_planned(text):
     assert errors == pytest.approx([0.02293, 1.317e-3, 1.27e-4, 8.1e-5], rel=0.01)
 
 
+def sees_the_flow_and_the_mounts(text):
+    # Dense QZ of all dofs, by a program of its own.
+    hz = [float(f) for f in re.search(r"held: (.*) Hz", text)[1].split(", ")]
+    assert hz == pytest.approx([65.01, 94.58, 126.19, 218.4], rel=2e-4)
+    assert number(r"Hz; (\S+) rad per kg/s", text) == pytest.approx(-2.3854, rel=1e-3)
+    phases = {(k, d): float(value) for k, d, value in re.findall(r"^ +(\S+) +(\S+) +(\S+)$", text, re.MULTILINE)}
+    assert phases["1000", "253.9"] == pytest.approx(1.340e-3, rel=1e-2)
+    assert phases["2.05e+05", "10"] == pytest.approx(7.5e-3, rel=1e-2)
+    assert number(r"largest at (\S+) Ns/m", text) == pytest.approx(253.9, rel=1e-2)
+
+
 def gives_the_restitution_of_each_law(text):
     assert number(r"largest gap to the quadrature: (\S+)", text) < 1e-3
 
@@ -166,10 +177,20 @@ def keeps_its_limit_in_the_full_model(text):
     assert len(rows) == 3 and all(within >= 0.7 * count for within, count in rows)
 
 
+def differentiates_whole_runs(text):
+    rows = re.findall(r"^\w+ .* MPa (\S+) .* N (\S+) .* Hz (\S+)$", text, re.MULTILINE)
+    assert len(rows) == 4
+    assert all(float(stress) < 1e-3 and float(force) < 1e-3 and float(hz) < 1e-6 for stress, force, hz in rows)
+    before, after = number(r"stress (\S+) MPa", text), number(r"expected, (\S+) MPa in the run", text)
+    assert after < 0.95 * before
+
+
 PROMISES = {
+    "rod_design": differentiates_whole_runs,
     "design_study": keeps_its_limit_in_the_full_model,
     "base_excitation": moves_as_the_linear_mast,
     "bearing": shares_the_load_as_stribeck_says,
+    "coriolis_meter": sees_the_flow_and_the_mounts,
     "feedforward": moves_the_tip_as_planned,
     "hose": moves_as_a_ring,
     "impact_laws": gives_the_restitution_of_each_law,

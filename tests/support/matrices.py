@@ -60,6 +60,14 @@ def damped(K: sp.csc_array, omega: float) -> sp.csc_array:
     return sp.csc_array(K + 1j * omega * (0.02 * K + 0.1 * M) - omega**2 * M)
 
 
+def skewed(A: sp.csc_array, part: float) -> sp.csc_array:
+    """``A`` with its entries below the diagonal larger, and those above smaller, by ``part`` of them."""
+    result = sp.csc_array(A).astype(A.dtype)
+    column = np.repeat(np.arange(A.shape[0]), np.diff(result.indptr))
+    result.data = result.data * (1 + part * np.sign(result.indices - column))
+    return result
+
+
 def badly_scaled(A: sp.csc_array) -> sp.csc_array:
     """D A D with D between 1e-4 and 1e4 in random places: the rows differ by sixteen powers of ten."""
     D = sp.diags_array(10.0 ** np.random.default_rng(9).permutation(np.linspace(-4.0, 4.0, A.shape[0])))

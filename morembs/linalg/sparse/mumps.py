@@ -1,6 +1,6 @@
-"""MUMPS: multifrontal factor of symmetric matrices, in memory or on disk, with the inertia.
+"""MUMPS: multifrontal factor, in memory or on disk, with the inertia of symmetric matrices.
 
-Amestoy, Duff, L'Excellent and Koster 2001. Only half of the matrix is stored and factorised; METIS orders
+Amestoy, Duff, L'Excellent and Koster 2001. Of symmetric matrices half is stored and factorised; METIS orders
 the graph of the nodes; the analysis serves all matrices of one pattern.
 """
 
@@ -19,7 +19,15 @@ from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverE
 from morembs.linalg.sparse.mumps_instance import ANALYSE, FACTORIZE, Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, LinearSolver
+from morembs.linalg.sparse.solver import (
+    MECHANISM,
+    STRUCTURES,
+    Analysis,
+    Factorization,
+    FactorStats,
+    Forecast,
+    LinearSolver,
+)  # fmt: skip
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 from morembs.scratch import ScratchFolder, free_bytes
@@ -105,7 +113,7 @@ class _MumpsSolver(LinearSolver):
 
 
 def _dtype(precision: str, structure: str) -> str:
-    if structure == "complex-symmetric":
+    if structure.startswith("complex"):
         return "complex64" if precision == "single" else "complex128"
     return "float32" if precision == "single" else "float64"
 
@@ -188,8 +196,10 @@ class MumpsAnalysis(Analysis):
         instance = self.instance
         entries = instance.count(3)
         size = instance.dtype.itemsize
-        # Coordinates of the triangle, and its values where they change type; the rest is what MUMPS will allocate.
-        matrix = (8 + (0 if instance.dtype == np.float64 else size)) * self.lower_nnz
+        # Coordinates of what is given, and its values where they are copied; the rest is what MUMPS will allocate.
+        symmetric = not self.structure.endswith("unsymmetric")
+        held = 0 if symmetric and instance.dtype == np.float64 else size
+        matrix = (8 + held) * (self.lower_nnz if symmetric else self.nnz)
         disk = size * entries if number == 26 else 0
         needed = self.solver.megabytes(instance, number) * _MEGABYTE + matrix
         return Forecast(
@@ -278,9 +288,10 @@ class _MumpsFactor(Factorization):
     """The factor that an analysis holds."""
 
     def __init__(self, analysis: MumpsAnalysis, stats: FactorStats) -> None:
-        super().__init__(stats, np.complex128 if analysis.structure == "complex-symmetric" else np.float64)
+        super().__init__(stats, np.complex128 if analysis.structure.startswith("complex") else np.float64)
         self._instance = analysis.instance
-        self._negative = None if self.dtype.kind == "c" else self._instance.info(12)
+        counts = analysis.structure in ("spd", "symmetric")
+        self._negative = self._instance.info(12) if counts else None
 
     def _solve(self, B: Values) -> Values:
         instance = self._instance
@@ -292,6 +303,13 @@ class _MumpsFactor(Factorization):
             instance.control(27, part.shape[1] if self._stats.out_of_core else _BLOCK)
             instance.solve_dense(part)
         return X.astype(self.dtype, copy=False)
+
+    def _solve_transposed(self, B: Values) -> Values:
+        self._instance.control(9, 2)
+        try:
+            return self._solve(B)
+        finally:
+            self._instance.control(9, 1)
 
     def _negative_pivots(self) -> int | None:
         return self._negative
@@ -308,6 +326,7 @@ class Mumps(_MumpsSolver):
     """The sequential MUMPS of the system (Debian: libmumps-seq-dev), or one built with METIS."""
 
     name: ClassVar[str] = "mumps"
+    structures: ClassVar[tuple[str, ...]] = STRUCTURES
     library: ClassVar[Callable[[str], Library | str]] = staticmethod(system_library)
 
 
@@ -316,4 +335,5 @@ class EmbeddedMumps(_MumpsSolver):
     """The MUMPS that comes with the CasADi package: real double precision."""
 
     name: ClassVar[str] = "mumps-embedded"
+    structures: ClassVar[tuple[str, ...]] = STRUCTURES
     library: ClassVar[Callable[[str], Library | str]] = staticmethod(embedded_library)

@@ -14,11 +14,11 @@ from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.mumps_library import USE_COMM_WORLD, Library
 from morembs.linalg.sparse.solver import MECHANISM
-from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
-SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2}
+SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2, "unsymmetric": 0, "complex-unsymmetric": 0}
 ANALYSE, FACTORIZE, SOLVE, END, FREE_FACTOR = 1, 2, 3, -2, -4
 _SINGULAR = {-10, -40}
 _MILLION = 1_000_000
@@ -90,15 +90,23 @@ class Instance(ForeignObject):
             setattr(self._data, name, array.ctypes.data)
 
     def set_pattern(self, A: Lower) -> None:
-        """Row and column numbers of the lower triangle, from one."""
-        self._data.n, self._data.nnz = A.n, A.nnz
-        self.give("irn", A.indices.astype(np.int32) + np.int32(1))
+        """Row and column numbers of the lower triangle, from one; of both triangles where they differ."""
+        rows = A.indices.astype(np.int32) + np.int32(1)
         columns = np.repeat(np.arange(1, A.n + 1, dtype=np.int32), np.diff(A.indptr))
+        if isinstance(A, General):
+            off = rows != columns
+            rows, columns = np.append(rows, columns[off]), np.append(columns, rows[off])
+        self._data.n, self._data.nnz = A.n, len(rows)
+        self.give("irn", rows)
         self.give("jcn", columns)
 
     def set_values(self, A: Lower) -> None:
-        """Values of the lower triangle in the arithmetic of this instance."""
-        self.give("a", np.ascontiguousarray(A.data, dtype=self.dtype))
+        """Values in the order of the pattern, in the arithmetic of this instance."""
+        values = A.data
+        if isinstance(A, General):
+            lower, upper = A.triangles()
+            values = np.append(lower, upper[A.indices != A.columns()])
+        self.give("a", np.ascontiguousarray(values, dtype=self.dtype))
 
     def drop_matrix(self) -> None:
         """Forget the matrix, which MUMPS reads only while it analyses and factorises."""

@@ -15,7 +15,7 @@ from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsAnalysis
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.pardiso import Pardiso
-from morembs.linalg.sparse.solver import Analysis, Floats, Forecast, LinearSolver
+from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Floats, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
@@ -83,6 +83,7 @@ class AutoSolver(LinearSolver):
     """
 
     name: ClassVar[str] = AUTO
+    structures: ClassVar[tuple[str, ...]] = STRUCTURES
     near_nullspace: Floats | None = field(default=None, compare=False, repr=False)
 
     @classmethod

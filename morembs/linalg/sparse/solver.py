@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.linalg.sparse.threads import blas_threads
 from morembs.moved import with_old_names
 from morembs.progress import SILENT, Progress
@@ -30,7 +30,8 @@ log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
 Values = NDArray[Any]
 
-STRUCTURES = ("spd", "symmetric", "complex-symmetric")
+SYMMETRIC_STRUCTURES = ("spd", "symmetric", "complex-symmetric")
+STRUCTURES = (*SYMMETRIC_STRUCTURES, "unsymmetric", "complex-unsymmetric")
 # Inverse iteration from a random start sees 1/eps for a singular matrix; the finest slender
 # meshes of practice stay below 1e12.
 SINGULAR = 1e14
@@ -133,6 +134,10 @@ class Factorization(_Resource):
     def _solve(self, B: Values) -> Values:
         """A X = B for a Fortran-ordered (n, k) right-hand side of ``dtype`` that may be overwritten."""
 
+    def _solve_transposed(self, B: Values) -> Values:
+        """A' X = B (not conjugated), as ``_solve``; backends of matrices that are not symmetric have their own."""
+        return self._solve(B)
+
     @abstractmethod
     def _negative_pivots(self) -> int | None:
         """Number of negative eigenvalues, None where the backend cannot say."""
@@ -159,8 +164,8 @@ class Factorization(_Resource):
             self._give_way()
 
     @final
-    def solve(self, B: Values | sp.sparray) -> Values:
-        """X of A X = B; ``B`` (n,) or (n, k) dense, not changed, or sparse (n, k). X is dense.
+    def solve(self, B: Values | sp.sparray, *, transposed: bool = False) -> Values:
+        """X of A X = B, or of A' X = B; ``B`` (n,) or (n, k) dense, not changed, or sparse (n, k). X is dense.
 
         Peak memory: two copies of ``B`` besides what the backend needs for a block.
 
@@ -181,7 +186,8 @@ class Factorization(_Resource):
         if block.shape[1]:
             self._columns += block.shape[1]
             self._passes += 1
-        X = self._solve(block) if block.shape[1] else block
+        apply = self._solve_transposed if transposed else self._solve
+        X = apply(block) if block.shape[1] else block
         return X.reshape(B.shape) if B.ndim == 1 else X
 
     @final
@@ -193,7 +199,7 @@ class Factorization(_Resource):
         """
         count = self._negative_pivots()
         if count is None:
-            raise SolverError(f"{self.stats.backend} gives no inertia; take another solver")
+            raise SolverError(f"{self.stats.backend} gives no inertia of this matrix; take another solver")
         return count
 
 
@@ -259,12 +265,12 @@ class Analysis(_Resource):
         """
         if self.closed:
             raise SolverError("factorize was called on an analysis that is closed; analyse again")
-        lower = Lower.of(A, what)
+        lower = _stored(A, self.structure, what)
         if lower.n != self.n or lower.pattern != self._pattern:
             raise InputError(
                 f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing"
             )
-        if (lower.data.dtype.kind == "c") != (self.structure == "complex-symmetric"):
+        if (lower.data.dtype.kind == "c") != self.structure.startswith("complex"):
             raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")
         if not np.isfinite(lower.data).all():
             raise InputError(f"{what} has values that are not finite; check the input matrices")
@@ -300,7 +306,7 @@ class LinearSolver(ABC):
     scratch: Path | None = None
 
     name: ClassVar[str]
-    structures: ClassVar[tuple[str, ...]] = STRUCTURES
+    structures: ClassVar[tuple[str, ...]] = SYMMETRIC_STRUCTURES
     # Whether it counts negative eigenvalues.
     counts: ClassVar[bool] = True
 
@@ -360,7 +366,8 @@ class LinearSolver(ABC):
         """Symbolic analysis of the pattern of ``A`` (n, n), to be used for several shifts or for a forecast.
 
         Args:
-            structure: "spd" (positive definite), "symmetric" (indefinite, regular) or "complex-symmetric".
+            structure: "spd" (positive definite), "symmetric" (indefinite, regular), "complex-symmetric",
+                "unsymmetric" or "complex-unsymmetric".
             what: words for error messages, such as "the stiffness matrix".
 
         Raises:
@@ -376,8 +383,8 @@ class LinearSolver(ABC):
         reason = self.unavailable()
         if reason:
             raise InputError(f"solver = {self.name!r} cannot run here: {reason}")
-        lower = Lower.of(A, what)
-        if (lower.data.dtype.kind == "c") != (structure == "complex-symmetric"):
+        lower = _stored(A, structure, what)
+        if (lower.data.dtype.kind == "c") != structure.startswith("complex"):
             raise InputError(
                 f"{what} was declared {structure}, but its values are "
                 f"{'complex' if lower.data.dtype.kind == 'c' else 'real'}"
@@ -386,14 +393,16 @@ class LinearSolver(ABC):
 
     @final
     def factorize(self, A: sp.sparray | Lower, structure: str = "symmetric", what: str = "the matrix") -> Factorization:
-        """Factor of the sparse symmetric ``A`` (n, n), checked by solving with it; as ``analyse``.
+        """Factor of the sparse ``A`` (n, n), checked by solving with it; as ``analyse``.
 
         Raises:
             InputError: not square, not symmetric, or values that are not finite.
             SingularMatrixError: singular to working accuracy.
             SolverError: the backend failed or its solution is inaccurate.
         """
-        lower = Lower.of(A, what)
+        if structure not in STRUCTURES:
+            raise InputError(f"structure = {structure!r} was given; expected one of {', '.join(STRUCTURES)}")
+        lower = _stored(A, structure, what)
         analysis = self.analyse(lower, structure, what)
         try:
             factor = analysis.factorize(lower, what)
@@ -423,6 +432,11 @@ class ForeignSolver(LinearSolver):
         return cls.library()
 
 
+def _stored(A: sp.sparray | Lower, structure: str, what: str) -> Lower:
+    """``A`` as solvers of its ``structure`` read it, checked."""
+    return General.of(A, what) if structure.endswith("unsymmetric") else Lower.of(A, what)
+
+
 def refuse_beyond_memory(solver: LinearSolver, wanted: Forecast, who: str, advice: str) -> None:
     """Raise BudgetError where a factor that has to stay in memory exceeds the budget of ``solver``."""
     if solver.memory is not None and wanted.memory > solver.memory:
@@ -439,7 +453,8 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
 
     No backend reports a singular matrix reliably; without the scaling a matrix that mixes forces with
     moments would look singular in small units. In memory two steps with one vector; on disk one step with
-    a few vectors, which see the lowest mode with a share of about 1/sqrt(n).
+    a few vectors, which see the lowest mode with a share of about 1/sqrt(n). A matrix that is not symmetric takes
+    its transpose in the second step, so that the least singular value is what is seen.
     """
     size = np.sqrt(A.largest_in_rows())
     if not (size > 0).all():
@@ -450,17 +465,19 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
     x = np.random.default_rng(7).standard_normal((A.n, _ON_DISK if on_disk else 1))
     x = (x / np.linalg.norm(x, axis=0)).astype(factor.dtype)
     steps = 1 if on_disk else 2
-    for _ in range(steps):
-        b = x
+    for step in range(steps):
+        other = isinstance(A, General) and step == 1
+        b = x.conj() if other else x
         # D A D x = b means A (D x) = b / d.
-        x = factor.solve(b / d) / d
+        x = factor.solve(b / d, transposed=other) / d
         growth = float(np.linalg.norm(x, axis=0).max())
         seen = growth * np.sqrt(A.n / _ON_DISK) if on_disk else growth
         if not np.isfinite(growth) or norm * seen > SINGULAR:
             raise SingularMatrixError(
                 f"{what} is singular (condition above {SINGULAR:.0e}); {MECHANISM}"
             )
-        residual = float(np.linalg.norm(d * (A @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
+        used = A.transposed() if other else A
+        residual = float(np.linalg.norm(d * (used @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
         if residual > BACKWARD_ERROR:
             raise SolverError(
                 f"{factor.stats.backend} solved with {what} to a backward error of only {residual:.1e} "

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from morembs.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, LinearSolver, Values
+from morembs.linalg.sparse.solver import (
+    MECHANISM,
+    STRUCTURES,
+    Analysis,
+    Factorization,
+    FactorStats,
+    Forecast,
+    LinearSolver,
+    Values,
+)  # fmt: skip
 from morembs.linalg.sparse.symmetric import Lower
 
 # A value and a row number of 32 bits for every entry.
@@ -37,28 +46,33 @@ class _SuperLUFactor(Factorization):
     """LU with the pivots on the diagonal, of the matrix in the order of METIS."""
 
     def __init__(
-        self, lu: Any, A: sp.csc_array, order: NDArray[np.int64] | None, refine: bool, stats: FactorStats
+        self, lu: Any, A: sp.csc_array, order: NDArray[np.int64] | None, structure: str, stats: FactorStats
     ) -> None:
         super().__init__(stats, A.dtype)
+        self._counts = not structure.endswith("unsymmetric")
         self._lu = lu
         self._order = order
-        self._A = A if refine else None
+        self._A = None if structure == "spd" else A
 
-    def _solve(self, B: Values) -> Values:
+    def _solve(self, B: Values, trans: str = "N") -> Values:
         if self._order is not None:
             B = np.asfortranarray(B[self._order])
-        X: Values = np.asfortranarray(self._lu.solve(B))
+        X: Values = np.asfortranarray(self._lu.solve(B, trans))
         if self._A is not None:
             # Without a choice of pivots an indefinite factor loses digits; one step regains them.
-            X += self._lu.solve(B - self._A @ X)
+            A = self._A if trans == "N" else self._A.T
+            X += self._lu.solve(B - A @ X, trans)
         if self._order is None:
             return X
         result = np.empty_like(X)
         result[self._order] = X
         return result
 
+    def _solve_transposed(self, B: Values) -> Values:
+        return self._solve(B, "T")
+
     def _negative_pivots(self) -> int | None:
-        if self.dtype.kind == "c" or not np.array_equal(self._lu.perm_r, self._lu.perm_c):
+        if not self._counts or self.dtype.kind == "c" or not np.array_equal(self._lu.perm_r, self._lu.perm_c):
             return None
         # With equal permutations U = D L^T, and D is congruent to the matrix.
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
@@ -94,7 +108,7 @@ class _SuperLUAnalysis(Analysis):
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
             lu = self._decomposed(whole, pivots=True)
         stats = self._stats(start, int(lu.nnz), memory_bytes=_BYTES * int(lu.nnz))
-        return _SuperLUFactor(lu, whole, self._order, not definite, stats)
+        return _SuperLUFactor(lu, whole, self._order, self.structure, stats)
 
     def _decomposed(self, whole: sp.csc_array, *, pivots: bool) -> Any:
         order = "MMD_AT_PLUS_A" if self._order is None else "NATURAL"
@@ -122,6 +136,7 @@ class SuperLU(LinearSolver):
     """SuperLU in the order of METIS, in memory only."""
 
     name: ClassVar[str] = "superlu"
+    structures: ClassVar[tuple[str, ...]] = STRUCTURES
 
     @classmethod
     def unavailable(cls) -> str:

@@ -1,12 +1,12 @@
-"""Lower triangle of a sparse symmetric matrix: what factorisations of symmetric matrices read."""
+"""Lower triangle of a sparse matrix: what factorisations read. One that is not symmetric has a skew part beside it."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -62,6 +62,8 @@ class Lower:
             InputError: not square, empty, not symmetric, or values that are not finite.
             SingularMatrixError: a row or column without any value but zero.
         """
+        if isinstance(A, General):
+            raise InputError(f"{what} is not symmetric; its structure is unsymmetric")
         if isinstance(A, Lower):
             return A
         if A.ndim != 2 or A.shape[0] != A.shape[1]:
@@ -102,10 +104,29 @@ class Lower:
         """Column number (nnz,) of each entry."""
         return np.repeat(np.arange(self.n, dtype=self.indices.dtype), np.diff(self.indptr))
 
+    def triangles(self, part: slice = slice(None)) -> tuple[Values, Values]:
+        """Values a_ij of the lower triangle and a_ji of the upper one, in the order of ``data``, a ``part`` of them."""
+        return self.data[part], self.data[part]
+
+    def transposed(self) -> Self:
+        """The transpose."""
+        return self
+
+    def _magnitudes(self, part: slice) -> NDArray[np.float64]:
+        """Magnitudes of the entries in ``part`` of the data, no less than those of their mirror images."""
+        return np.asarray(np.abs(self.data[part]))
+
+    def _halves(self) -> tuple[sp.csc_array, sp.csc_array]:
+        """Lower triangle, and the transpose of the upper one."""
+        shape = self.n, self.n
+        lower, upper = self.triangles()
+        half = sp.csc_array((lower, self.indices, self.indptr), shape=shape)
+        return half, half if upper is lower else sp.csc_array((upper, self.indices, self.indptr), shape=shape)
+
     def full(self) -> sp.csc_array:
         """Both triangles, for algorithms that need them."""
-        half = sp.csc_array((self.data, self.indices, self.indptr), shape=(self.n, self.n))
-        strict = sp.csc_array(half.T)
+        half, other = self._halves()
+        strict = sp.csc_array(other.T)
         strict.setdiag(0.0)
         whole = sp.csc_array(half + strict)
         whole.sort_indices()
@@ -123,9 +144,9 @@ class Lower:
 
     def __matmul__(self, X: Values) -> Values:
         """A X for (n,) or (n, k)."""
-        half = sp.csc_array((self.data, self.indices, self.indptr), shape=(self.n, self.n))
+        half, other = self._halves()
         result = half @ X
-        result += half.T @ X
+        result += other.T @ X
         d = self.diagonal()
         result -= (d if X.ndim == 1 else d[:, None]) * X
         return np.asarray(result)
@@ -136,7 +157,7 @@ class Lower:
         for first in range(0, self.n, _ROWS):
             last = min(first + _ROWS, self.n)
             begin, end = self.indptr[first], self.indptr[last]
-            values = np.abs(self.data[begin:end])
+            values = self._magnitudes(slice(begin, end))
             column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
             np.maximum.at(size, column, values)
             np.maximum.at(size, self.indices[begin:end], values)
@@ -150,11 +171,63 @@ class Lower:
             begin, end = self.indptr[first], self.indptr[last]
             column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
             row = self.indices[begin:end]
-            values = np.abs(self.data[begin:end]) * d[row] * d[column]
+            values = self._magnitudes(slice(begin, end)) * d[row] * d[column]
             total[first:last] += np.bincount(column - first, values, last - first)
             off = row != column
             total += np.bincount(row[off], values[off], self.n)
         return float(total.max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class General(Lower):
+    """A matrix that is not symmetric, on a symmetric pattern: ``data`` is the lower triangle of its symmetric part and
+    ``skew`` that of its skew part, so that a_ij = data + skew below the diagonal and a_ji = data - skew above."""
+
+    skew: Values
+
+    @classmethod
+    def of(
+        cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED, regular: bool = True
+    ) -> General:
+        """Both parts of ``A`` (n, n). Peak memory: some three times that of ``A``.
+
+        Raises:
+            InputError: not square, empty, or values that are not finite.
+            SingularMatrixError: a row without any value but zero.
+        """
+        if isinstance(A, General):
+            return A
+        if isinstance(A, Lower):
+            return cls(A.indptr, A.indices, A.data, np.zeros_like(A.data))
+        whole = sp.coo_array(A)
+        if whole.shape[0] != whole.shape[1] or not whole.shape[0]:
+            raise InputError(f"{what} has the shape {whole.shape}; a square one is needed")
+        row, column = whole.coords
+        values = whole.data.astype(np.complex128 if np.iscomplexobj(whole.data) else np.float64)
+        if not np.isfinite(values).all():
+            raise InputError(f"{what} has values that are not finite; check the input matrices")
+        empty = np.flatnonzero(np.bincount(row, minlength=whole.shape[0]) == 0)
+        if regular and len(empty):
+            raise SingularMatrixError(
+                f"{what} has {len(empty)} rows that are zero (the first is row {empty[0]}); remove these dofs"
+            )
+        ends = np.maximum(row, column), np.minimum(row, column)
+        # Sums of duplicates keep zeros, so that both parts have one pattern.
+        half, skew = (
+            sp.csc_array(sp.coo_array((values * weight, ends), shape=whole.shape))
+            for weight in (0.5 + 0.5 * (row == column), 0.5 * np.sign(row - column))
+        )
+        kind = np.int32 if half.nnz <= np.iinfo(np.int32).max else np.int64
+        return cls(half.indptr.astype(kind), half.indices.astype(np.int32), half.data, skew.data)
+
+    def triangles(self, part: slice = slice(None)) -> tuple[Values, Values]:
+        return self.data[part] + self.skew[part], self.data[part] - self.skew[part]
+
+    def transposed(self) -> General:
+        return replace(self, skew=-self.skew)
+
+    def _magnitudes(self, part: slice) -> NDArray[np.float64]:
+        return np.asarray(np.abs(self.data[part]) + np.abs(self.skew[part]))
 
 
 def _upper(A: sp.csr_array) -> Iterator[tuple[int, Ints, NDArray[np.bool_]]]:

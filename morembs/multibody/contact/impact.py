@@ -26,14 +26,15 @@ _HALVINGS = 30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpactSolution:
-    """Velocity after an impact, ``impulse`` (m,) and ``friction`` (m, 2), points that stay ``closed`` (m,), ``work`` J,
-    and the ``limit`` m/s below which velocities are round-off."""
+    """Velocity after an impact, ``impulse`` (m,) and ``friction`` (m, 2), points that stay ``closed`` (m,), ``work`` J
+    and that of prescribed motions, ``driving`` J, and the ``limit`` m/s below which velocities are round-off."""
 
     v: Floats
     impulse: Floats
     friction: Floats
     closed: Bools
     work: float = 0.0
+    driving: float = 0.0
     limit: float = 0.0
 
 
@@ -44,7 +45,8 @@ def resolve_impact(
     """Velocities after an impact of all points that touch, with ``restitution`` (m,) of each.
 
     Newton's law may add energy where friction turns the sliding round (Kane 1984): restitution is then reduced to where
-    none is added. What forces change within a millionth of a step of size ``h`` is round-off of velocities.
+    none is added, of points that feel each other. What forces change within a millionth of a step of size ``h`` is
+    round-off of velocities.
 
     Raises:
         RayError: no impulses keep the points apart.
@@ -66,16 +68,21 @@ def resolve_impact(
     )  # fmt: skip
     rebound = restitution[rows] * np.minimum(N @ v, 0.0)
 
-    def solved(part: float) -> tuple[Forces, Floats, float]:
-        """Impulses, velocity and work of the impulses with a part of the restitution."""
+    def solved(part: Floats) -> tuple[Forces, Floats, Floats]:
+        """Impulses, velocity and work (r,) of the impulses with a part (r,) of the restitution of each point."""
         forces = replace(problem, gap=problem.gap + part * rebound).solve(rows, group.count)
         after = responses.total(forces)
         mean = 0.5 * (v + after)
-        return forces, after, float(forces.normal @ (N @ mean) + np.einsum("ia,ia->", forces.friction, T @ mean))
+        return forces, after, forces.normal * (N @ mean) + np.einsum("ia,ia->i", forces.friction, T @ mean)
 
-    forces, after, work = solved(1.0)
-    if rebound.any() and work > _GAIN * abs(float(v @ M @ v)):
-        forces, after, work = _without_gain(solved)
+    part, kinetic = np.ones(r), float(v @ M @ v)
+    forces, after, work = solved(part)
+    if rebound.any():
+        for number in np.unique(owner := problem.apart()):
+            points = owner == number
+            if rebound[points].any() and work[points].sum() > _GAIN * kinetic:
+                part = _without_gain(solved, part, points)
+                forces, after, work = solved(part)
     impulse[rows], friction[rows] = forces.normal, forces.friction
     # A rebound that would last less than a thousandth of a step is none.
     slow = N @ after <= 1e5 * least
@@ -83,16 +90,22 @@ def resolve_impact(
         bent = np.concatenate((np.zeros(k), assembly.driven(1, t) - B @ after, -N[slow] @ after))
         after = after + least_norm(saddle(M, np.vstack((B, N[slow]))), bent)[:k]
     closed[rows] = slow
-    return ImpactSolution(v=after, impulse=impulse, friction=friction, closed=closed, work=work, limit=least)
+    total = float(work.sum())
+    driving = 0.5 * (float(after @ M @ after) - kinetic) - total if assembly.driven(1, t).any() else 0.0
+    return ImpactSolution(
+        v=after, impulse=impulse, friction=friction, closed=closed, work=total, driving=driving, limit=least
+    )
 
 
-def _without_gain(solved: Callable[[float], tuple[Forces, Floats, float]]) -> tuple[Forces, Floats, float]:
-    """The impact with the largest part of the restitution that adds no energy; without restitution none is added."""
+def _without_gain(
+    solved: Callable[[Floats], tuple[Forces, Floats, Floats]], part: Floats, points: Bools
+) -> Floats:  # fmt: skip
+    """The largest part (r,) of the restitution of some points that adds no energy; without restitution none is."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if solved(middle)[2] <= 0 else (low, middle)
-    return solved(low)
+        low, high = (middle, high) if solved(np.where(points, middle, part))[2][points].sum() <= 0 else (low, middle)
+    return np.where(points, low, part)
 
 
 def project_positions(assembly: Assembly, group: Contacts, t: float, x: Floats, touching: Bools) -> Floats:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import SolverError
 from morembs.multibody.contact.cone import coulomb
@@ -23,6 +24,8 @@ Bools = NDArray[np.bool_]
 _NEAR = 1e-4
 # Slip below this part of the largest entry of the problem is none.
 _STICKS = 1e-11
+# Response of a point to the force of another, below this part of that to own forces, that is none.
+_APART = 1e-10
 _PYRAMID = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
@@ -126,6 +129,13 @@ class ContactProblem:
         slip = np.linalg.norm((W @ p.ravel() + free).reshape(r, 3)[:, 1:], axis=1)
         moves = slip > max(self.noise[1], _STICKS * float(np.abs(free).max(initial=0.0)))
         return Forces(normal=p[:, 0], friction=p[:, 1:], sliding=(self.friction > 0) & (p[:, 0] > 0) & moves)
+
+    def apart(self) -> NDArray[np.int_]:
+        """(r,) numbers of the groups of points that feel nothing of each other's forces."""
+        r = len(self.gap)
+        W = np.abs(self._delassus()[0]).reshape(r, 3, r, 3).max(axis=(1, 3))
+        size = np.sqrt(np.diag(W))
+        return np.asarray(connected_components(_APART * np.outer(size, size) < W, directed=False)[1])
 
     def _delassus(self) -> tuple[Floats, Floats]:
         """W (3r, 3r) and q (3r,): gap and slip of each point by its normal force and friction."""

@@ -21,7 +21,8 @@ Floats = NDArray[np.float64]
 class Impact:
     """An impact: ``time`` s, the points that met as (contact, number of the point), of all m points of the system the
     ``approach`` (m,) m/s before, the ``impulse`` (m,) and ``friction`` (m, 2) Ns, and the ``loss`` of energy, J: minus
-    the work of the impulses along the mean of the velocities before and after. ``segment`` starts with it."""
+    the work of the impulses along the mean of the velocities before and after, and the work of prescribed motions
+    ``driving`` J meanwhile. ``segment`` starts with it."""
 
     time: float
     points: tuple[tuple[str, int], ...]
@@ -29,6 +30,7 @@ class Impact:
     impulse: Floats
     friction: Floats
     loss: float
+    driving: float
     segment: int
 
 
@@ -117,7 +119,7 @@ class ContactResult(Result):
         for number, (segment, touch) in enumerate(zip(self.segments, self.touches, strict=True)):
             power = np.einsum("sia,sia->s", touch.friction, touch.slip)
             steps = 0.5 * (power[1:] + power[:-1]) * np.diff(segment.time)
-            done -= sum(i.loss for i in self.impacts if i.segment == number)
+            done += sum(i.driving - i.loss for i in self.impacts if i.segment == number)
             extra.append(done + np.concatenate(([0.0], np.cumsum(steps))))
             done = float(extra[-1][-1])
         work = plain.work + np.concatenate(extra)

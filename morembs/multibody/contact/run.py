@@ -134,7 +134,7 @@ class ContactEvents(Events):
             self.impacts.append(
                 Impact(
                     time=t, points=points, approach=np.where(touching, -approach, 0.0), impulse=after.impulse,
-                    friction=after.friction, loss=-after.work, segment=len(self.touches),
+                    friction=after.friction, loss=-after.work, driving=after.driving, segment=len(self.touches),
                 )
             )  # fmt: skip
             self.last[hits] = t
