@@ -83,7 +83,7 @@ class SearchSteps:
             file.put("value", step.value, "largest bound before")
             file.put("hz", step.hz, "where that is", "Hz")
             file.columns("columns", step.columns, "what joins the basis")
-        self.known.append(replace(step, columns=None))
+        self.known[number : number + 1] = [replace(step, columns=None)]
 
 
 def clear_steps(path: Path) -> None:

@@ -1,6 +1,7 @@
 """A search that was killed goes on where it was, and gives the same body."""
 
 import os
+import shutil
 import signal
 
 import h5py
@@ -79,6 +80,7 @@ def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
     folder = tmp_path / "killed"
     ended = apart(lambda: reduced(folder, Told("from 3 values of p", killed)), tmp_path)
     assert ended.code == -signal.SIGKILL, ended.errors
+    shutil.copytree(folder, tmp_path / "lost")
     kept = sorted(folder.glob("bracket.h5*"))
     assert len(kept) == 3 and all(".search-" in file.name for file in kept)
     # What is whole is read and not written again; the last one is damaged, and made anew.
@@ -88,6 +90,10 @@ def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
     assert reduced(folder, again) == straight
     assert after[:2] == before[:2] and after[2] > before[2]
     assert sorted(file.name for file in folder.iterdir()) == ["bracket.h5", "bracket.inp", "job.toml"]
+    # A step that is lost while later ones are known is computed in its place.
+    lost = sorted((tmp_path / "lost").glob("*.search-*"))[1]
+    again = Told("from 1 values of p", lambda: lost.write_bytes(lost.read_bytes()[:-200]))
+    assert reduced(tmp_path / "lost", again) == straight
 
 
 def test_steps_of_a_file_with_brackets_in_its_name_are_removed_and_no_others(tmp_path):
