@@ -216,7 +216,8 @@ def variations(assembly: Assembly, wanted: Sequence[str] | bool) -> list[Variati
             "sensitivities were asked for, and no body knows derivatives; give some to "
             "FlexibleBody(..., derivatives=body.at(...).frame_derivatives())"
         )
-    names = list(known) if isinstance(wanted, bool) else list(wanted)
+    # A text is a sequence of texts too.
+    names = list(known) if isinstance(wanted, bool) else [wanted] if isinstance(wanted, str) else list(wanted)
     for name in names:
         if name not in known:
             raise InputError(f"the sensitivity to {name!r} was asked for; {nearest(name, list(known))}")

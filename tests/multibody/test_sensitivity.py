@@ -281,6 +281,7 @@ def test_what_allows_no_derivatives_is_refused(reduced):
     system, body, _ = crank(reduced, p, derivatives=True)
     with pytest.raises(InputError, match=r"the sensitivity to 'arm.rh' was asked for; did you mean 'arm.rho'\?"):
         mb.simulate(system, sensitivities=["arm.rh"], **run)
+    assert [of.name for of in variations(mb.Assembly(system), "arm.rho")] == ["arm.rho"]
     with pytest.raises(InputError, match=r"the sensitivity to 'arm.rho' was asked for; known: none"):
         mb.simulate(system, **run).sensitivity("arm.rho")
 
