@@ -17,7 +17,7 @@ import typer
 from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
 from morembs.cli.evaluate import app as evaluation
-from morembs.cli.messages import console, echo, print_json, printing, warn
+from morembs.cli.messages import console, echo, print_json, printing, warn, without_nan
 from morembs.cli.models import app as models
 from morembs.cli.modes import app as modes
 from morembs.cli.terminal import (
@@ -85,7 +85,7 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
-    from morembs.cli.report import print_contenders, without_nan
+    from morembs.cli.report import print_contenders
     from morembs.jobs.inputs import sources_of
     from morembs.jobs.job import load_job
     from morembs.jobs.pareto import contenders, draw_contenders

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from morembs.errors import MorembsError, OutputError
 from morembs.version import VERSION
@@ -102,3 +103,13 @@ def console() -> Console:
 def print_json(documents: Sequence[object]) -> None:
     """A list, whether of one document or of several."""
     echo(json.dumps(list(documents), indent=2, allow_nan=False))
+
+
+def without_nan(value: Any) -> Any:
+    """Arrays as lists and numbers, what is not finite as None: what JSON can say."""
+    if isinstance(value, Mapping):
+        return {name: without_nan(inner) for name, inner in value.items()}
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, list):
+        return [without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

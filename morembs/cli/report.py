@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from rich.table import Table
 from morembs.body import ElasticBody
 from morembs.body.tables import certificate_values
 from morembs.cli.certificates import Certified, print_certificates
+from morembs.cli.messages import without_nan
 from morembs.cli.tables import (
     bytes_words,
     frame_words,
@@ -99,15 +100,6 @@ def _certificate_json(certificate: Certificate) -> dict[str, Any]:
         **values, "absolute_error": certificate.absolute_error, "bound_kind": certificate.bound_kind,
         "notes": list(certificate.notes),
     }  # fmt: skip
-
-
-def without_nan(value: Any) -> Any:
-    """Arrays as lists, what is not a number as None."""
-    if isinstance(value, Mapping):
-        return {name: without_nan(inner) for name, inner in value.items()}
-    if isinstance(value, np.ndarray):
-        return [without_nan(inner) for inner in (value if value.ndim > 1 else value.tolist())]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) -> None:

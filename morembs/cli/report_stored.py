@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
-from morembs.cli.messages import console, printing
+from morembs.cli.messages import console, printing, without_nan
 from morembs.diagnostics.delivery_check import refuse_unsound, stored_findings
 from morembs.diagnostics.findings import Diagnosis
 from morembs.errors import InputError
@@ -98,7 +96,7 @@ def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnos
                 "stress_recovery": body.has_recovery,
                 "switching": body.has_switching,
                 "parameters": body.has_parameters,
-                "certificate": None if body.certificate is None else _plain(body.certificate),
+                "certificate": None if body.certificate is None else without_nan(body.certificate),
                 "findings": findings_json(diagnoses[name]),
             }
             for name, body in stored.bodies.items()
@@ -113,16 +111,6 @@ def findings_json(diagnosis: Diagnosis | None) -> list[dict[str, str]]:
     """Findings as plain values."""
     keys = ("severity", "code", "sentence", "cure")
     return [] if diagnosis is None else [{key: getattr(each, key) for key in keys} for each in diagnosis.findings]
-
-
-def _plain(value: Any) -> Any:
-    """Arrays as lists and numbers, what is not finite as None."""
-    if isinstance(value, Mapping):
-        return {name: _plain(inner) for name, inner in value.items()}
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(value, list):
-        return [_plain(inner) for inner in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
