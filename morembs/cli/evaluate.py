@@ -99,7 +99,7 @@ def _evaluate_one(
     # Not at the top: help needs no numbers.
     import numpy as np
 
-    from morembs.cli.report import without_nan
+    from morembs.cli.messages import without_nan
 
     hz = at.frequencies_hz[:count]
     bounds = at.bound(np.array(at_hz)) if at_hz else np.zeros(0)
@@ -139,7 +139,7 @@ def _evaluate_table(
     # Not at the top: help needs no numbers.
     import numpy as np
 
-    from morembs.cli.report import without_nan
+    from morembs.cli.messages import without_nan
 
     values = read_values(table, parametric)
     hz = parametric.frequencies_hz(values, count)

@@ -167,7 +167,7 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
 
 
 def _document(done: ImportResult) -> dict[str, Any]:
-    from morembs.cli.report import without_nan
+    from morembs.cli.messages import without_nan
     from morembs.cli.report_stored import findings_json
 
     model = done.model

@@ -61,8 +61,8 @@ class Flow:
     Raises:
         InputError: numbers or an outlet that are none.
 
-    >>> Flow(mass_flow=1e-3, density=1000.0, area=5.31e-6).velocity
-    0.1883239171374765
+    >>> round(Flow(mass_flow=1e-3, density=1000.0, area=5.31e-6).velocity, 6)
+    0.188324
     """
 
     mass_flow: float
