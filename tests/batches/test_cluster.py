@@ -132,10 +132,11 @@ def test_killed_workers_and_children_cost_one_start_each(alone: Cluster, tmp_pat
     process = begin(folder, "--cluster", alone.address, "--retries", "5")
     kills = 0
     for what in ("worker", "child", "both"):
-        until(lambda: running(folder, workers) or process.poll() is not None)
-        if process.poll() is not None:
+        # What runs now may have ended at the next look.
+        found = until(lambda: running(folder, workers) or process.poll() is not None)
+        if found is True:
             break
-        child, worker = running(folder, workers)[0]
+        child, worker = found[0]
         kills += 1
         if what != "child":
             worker.kill()

@@ -8,8 +8,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -79,13 +80,14 @@ def cluster(folder: Path) -> Iterator[Cluster]:
         started.close()
 
 
-def until(true: object, patience: float = PATIENCE) -> None:
-    """Wait until a function says so."""
+def until(true: Callable[[], Any], patience: float = PATIENCE) -> Any:
+    """Wait until a function says so; what it says then."""
     end = time.monotonic() + patience
-    while not true():  # type: ignore[operator]
+    while not (said := true()):
         if time.monotonic() > end:
             raise TimeoutError
         time.sleep(0.02)
+    return said
 
 
 def children_of_jobs(folder: Path) -> list[psutil.Process]:
