@@ -27,7 +27,7 @@ from morembs.multibody.result import sensitivities as of_segment
 from morembs.multibody.sensitivity import at_rest
 from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State, System
-from morembs.multibody.tangents import stiffness_and_damping
+from morembs.multibody.tangents import pulls, stiffness_and_damping
 from morembs.multibody.variation import StateSlopes, Variation, variations
 from morembs.summary import summarised
 
@@ -271,7 +271,8 @@ class _Search:
         """How an equilibrium changes (k + m,) with forces (k,) that are left and joints (m,) that are open."""
         M, _, _, B = self.assembly.equations(self.time, state.x, self.still)
         K, _ = stiffness_and_damping(
-            self.assembly, self.time, state.x, self.still, self.still, state.multipliers, exact=True
+            self.assembly, self.time, state.x, self.still, self.still, state.multipliers,
+            known=pulls(self.assembly, state),
         )  # fmt: skip
         return lambda forces, Phi: self._newton(K, M, B, forces, Phi)[0]
 

@@ -21,7 +21,7 @@ from morembs.linalg.eigen import graded_modes
 from morembs.multibody.component import Marker
 from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import State
-from morembs.multibody.tangents import stiffness_and_damping
+from morembs.multibody.tangents import pulls, stiffness_and_damping
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -161,7 +161,7 @@ def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
     Z = sl.solve_triangular(L, allowed, lower=True, trans="T")
     if spin is None:
         rest = state.v, state.acceleration, state.multipliers
-        K, C = stiffness_and_damping(a, state.time, state.x, *rest, exact=True)
+        K, C = stiffness_and_damping(a, state.time, state.x, *rest, known=pulls(a, state))
     else:
         K, C = spin.tangents(a, state.time, state.x, state.multipliers)
     return Linearised(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)

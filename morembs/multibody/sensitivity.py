@@ -17,8 +17,8 @@ from morembs.multibody.integrate import Stepper
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import ResultSensitivity, Segment, sensitivities
 from morembs.multibody.system import Assembly, State
-from morembs.multibody.tangents import stiffness_and_damping
-from morembs.multibody.variation import StateSlopes, Variation, pulls, slope_at_zero
+from morembs.multibody.tangents import pulls, stiffness_and_damping
+from morembs.multibody.variation import StateSlopes, Variation, slope_at_zero
 
 Floats = NDArray[np.float64]
 # Part of the usual change for what a run starts with: its first accelerations, over a step that is long for the highest
@@ -82,10 +82,10 @@ class DirectDifferentiation:
         # Ad(exp(-step)) = 1 - ad(step) T(step).
         x = old.x - np.stack([s.bracket(iterate.step, each) for each in moved.T], axis=1) + T @ step
         M, _, _, B = s.equations(state.time, state.x, state.v)
-        K, C = stiffness_and_damping(
-            s, state.time, state.x, state.v, state.acceleration, state.multipliers, exact=True
-        )  # fmt: skip
         at = pulls(s, state)
+        K, C = stiffness_and_damping(
+            s, state.time, state.x, state.v, state.acceleration, state.multipliers, known=at
+        )  # fmt: skip
         partials = [of.partials(state, at) for of in self.variations]
         forces, Phi = (np.stack(part, axis=1) for part in zip(*partials, strict=True))
         S = saddle(M + iterate.c_v * C + iterate.c_q * K @ T, B)

@@ -7,15 +7,16 @@ sensitivities take the exact ones of parts that know them, and central differenc
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.multibody.component import Component, Marker
+from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
-from morembs.multibody.system import Assembly
+from morembs.multibody.system import Assembly, State
 
 Floats = NDArray[np.float64]
 Forces = Callable[[Floats, Floats], Floats]
@@ -24,16 +25,53 @@ Varied = Callable[[Floats], tuple[Floats, Floats]]
 _STEP, _CENTRAL = 1e-6, 1e-5
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pull:
+    """A joint or force at one state: its ``wrenches`` (6,) on the left side of the equations of motion, at the markers
+    ``ends`` with their ``places``, and how they change with the motions of these, ``bend`` (6 e, 6 e), None where only
+    differences tell. ``G`` (m, 6 e) are the derivatives of the ``rows`` of a joint."""
+
+    part: Constraint | Force
+    ends: Sequence[Marker]
+    places: Sequence[MarkerState]
+    wrenches: Sequence[Floats]
+    bend: Floats | None
+    rows: slice | None = None
+    G: Floats | None = None
+
+
+def pulls(assembly: Assembly, state: State) -> list[Pull]:
+    """Those of all joints and forces."""
+    result: list[Pull] = []
+    for joint, rows in zip(assembly.joints, assembly.in_rows, strict=True):
+        ends, multipliers = (joint.first, joint.second), state.multipliers[rows]
+        first, second = (assembly.place(marker, state.x) for marker in ends)
+        _, *G = joint.rows(first, second)
+        bend, wrenches = joint.bend(first, second, multipliers), [multipliers @ each for each in G]
+        result.append(Pull(
+            part=joint, ends=ends, places=(first, second), wrenches=wrenches, bend=bend, rows=rows, G=np.hstack(G)
+        ))  # fmt: skip
+    for force in assembly.forces:
+        places = [assembly.place(marker, state.x) for marker in force.markers]
+        twists = [assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
+        known, given = force.bend(state.time, places), force.wrenches(state.time, places, twists)
+        bend = None if known is None else -known
+        result.append(Pull(
+            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in given], bend=bend
+        ))  # fmt: skip
+    return result
+
+
 def stiffness_and_damping(
     assembly: Assembly, t: float, x: Floats, v: Floats, acceleration: Floats, multipliers: Floats, *,
-    exact: bool = False,
+    known: Sequence[Pull] | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """K and C (k, k): derivatives of M dv/dt + g + B' multipliers by the configuration and by the velocity.
 
-    By one-sided differences, or ``exact`` as far as parts know their own. Each part is varied in the coordinates of
-    its own components only.
+    By one-sided differences; with ``known``, the ``pulls`` here, exact as far as parts know their own. Each part is
+    varied in the coordinates of its own components only.
     """
-    h = _CENTRAL if exact else _STEP
+    exact, h = known is not None, _STEP if known is None else _CENTRAL
     K, C = np.zeros((assembly.size, assembly.size)), np.zeros((assembly.size, assembly.size))
 
     def varied(i: int, step: Floats) -> tuple[Floats, Floats]:
@@ -60,50 +98,34 @@ def stiffness_and_damping(
 
     for i, (component, in_x, in_v) in enumerate(zip(assembly.components, assembly.in_x, assembly.in_v, strict=True)):
         if exact:
-            known = component.tangents(x[in_x], v[in_v], acceleration[in_v], assembly.gravity)
+            own = component.tangents(x[in_x], v[in_v], acceleration[in_v], assembly.gravity)
         else:
-            known = component.slopes(t, x[in_x], v[in_v])
-        if known is None:
+            own = component.slopes(t, x[in_x], v[in_v])
+        if own is None:
             add([component], _inner(assembly, i, t, acceleration))
         else:
-            K[in_v, in_v] += known[0]
-            C[in_v, in_v] += known[1]
+            K[in_v, in_v] += own[0]
+            C[in_v, in_v] += own[1]
+    told = {} if known is None else {id(pull.part): _pulled(assembly, x, pull) for pull in known}
     for force in assembly.forces:
-        slopes = _of_force(assembly, force, t, x, v) if exact else None
-        if slopes is None:
+        if (slopes := told.get(id(force))) is None:
             add([m.component for m in force.markers], _loaded(assembly, force, t))
         else:
-            K -= slopes
+            K += slopes
     for joint, r in zip(assembly.joints, assembly.in_rows, strict=True):
-        slopes = _of_joint(assembly, joint, x, multipliers[r]) if exact else None
-        if slopes is None:
+        if (slopes := told.get(id(joint))) is None:
             add([joint.first.component, joint.second.component], _held(assembly, joint, multipliers[r]), moving=False)
         else:
             K += slopes
     return K, C
 
 
-def _of_force(assembly: Assembly, force: Force, t: float, x: Floats, v: Floats) -> Floats | None:
-    places = [assembly.place(m, x) for m in force.markers]
-    twists = [assembly.twist(m, place, v) for m, place in zip(force.markers, places, strict=True)]
-    bend = force.bend(t, places)
-    return None if bend is None else _pulled(assembly, x, force.markers, force.wrenches(t, places, twists), bend)
-
-
-def _of_joint(assembly: Assembly, joint: Constraint, x: Floats, multipliers: Floats) -> Floats | None:
-    a, b = assembly.place(joint.first, x), assembly.place(joint.second, x)
-    bend, (_, *G) = joint.bend(a, b, multipliers), joint.rows(a, b)
-    wrenches = [multipliers @ each for each in G]
-    return None if bend is None else _pulled(assembly, x, (joint.first, joint.second), wrenches, bend)
-
-
-def _pulled(
-    assembly: Assembly, x: Floats, markers: Sequence[Marker], wrenches: Sequence[Floats], bend: Floats
-) -> Floats | None:
-    """(k, k): derivative by the configuration of the generalised forces of ``wrenches`` (6,) on markers, which change
-    by ``bend`` (6 e, 6 e) with the motions of these; None where a marker does not know its own."""
-    J, result = np.zeros((6 * len(markers), assembly.size)), np.zeros((assembly.size, assembly.size))
-    for number, (marker, wrench) in enumerate(zip(markers, wrenches, strict=True)):
+def _pulled(assembly: Assembly, x: Floats, pull: Pull) -> Floats | None:
+    """(k, k): derivative by the configuration of the forces of ``pull``; None where a part does not know it."""
+    if pull.bend is None:
+        return None
+    J, result = np.zeros((6 * len(pull.ends), assembly.size)), np.zeros((assembly.size, assembly.size))
+    for number, (marker, place, wrench) in enumerate(zip(pull.ends, pull.places, pull.wrenches, strict=True)):
         i = assembly.index(marker.component)
         if i is None:
             continue
@@ -111,8 +133,8 @@ def _pulled(
         if own is None:
             return None
         result[at, at] += own
-        J[6 * number : 6 * number + 6, at] = assembly.place(marker, x).jacobian
-    return np.asarray(result + J.T @ bend @ J)
+        J[6 * number : 6 * number + 6, at] = place.jacobian
+    return np.asarray(result + J.T @ pull.bend @ J)
 
 
 def _inner(assembly: Assembly, i: int, t: float, acceleration: Floats) -> Callable[[Floats, Floats], Floats]:

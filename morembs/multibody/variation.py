@@ -18,6 +18,7 @@ from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
 from morembs.multibody.rotations import cross, tangent, tangent_slope
 from morembs.multibody.system import Assembly, State
+from morembs.multibody.tangents import Pull
 
 Floats = NDArray[np.float64]
 # Relative change of a body, and change of an angle, in differences of fourth order: these leave, and lose by round-off,
@@ -39,43 +40,6 @@ class StateSlopes:
     v: Floats
     acceleration: Floats
     multipliers: Floats
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Pull:
-    """A joint or force at one state: its ``wrenches`` (6,) on the left side of the equations of motion, at the markers
-    ``ends`` with their ``places``, and how they change with the motions of these, ``bend`` (6 e, 6 e), None where only
-    differences tell. ``G`` (m, 6 e) are the derivatives of the ``rows`` of a joint."""
-
-    part: Constraint | Force
-    ends: Sequence[Marker]
-    places: Sequence[MarkerState]
-    wrenches: Sequence[Floats]
-    bend: Floats | None
-    rows: slice | None = None
-    G: Floats | None = None
-
-
-def pulls(assembly: Assembly, state: State) -> list[Pull]:
-    """Those of all joints and forces."""
-    result: list[Pull] = []
-    for joint, rows in zip(assembly.joints, assembly.in_rows, strict=True):
-        ends, multipliers = (joint.first, joint.second), state.multipliers[rows]
-        first, second = (assembly.place(marker, state.x) for marker in ends)
-        _, *G = joint.rows(first, second)
-        bend, wrenches = joint.bend(first, second, multipliers), [multipliers @ each for each in G]
-        result.append(Pull(
-            part=joint, ends=ends, places=(first, second), wrenches=wrenches, bend=bend, rows=rows, G=np.hstack(G)
-        ))  # fmt: skip
-    for force in assembly.forces:
-        places = [assembly.place(marker, state.x) for marker in force.markers]
-        twists = [assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
-        known, given = force.bend(state.time, places), force.wrenches(state.time, places, twists)
-        bend = None if known is None else -known
-        result.append(Pull(
-            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in given], bend=bend
-        ))  # fmt: skip
-    return result
 
 
 class Variation:
