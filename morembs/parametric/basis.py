@@ -201,7 +201,7 @@ class GreedySearch:
                     X = self._responses(there, before)
             self.steps.add(number, Step(p=p, value=worst.value, hz=worst.hz, columns=X))
         # Bits of products depend on the order in memory, which files do not tell.
-        return self.space.add(np.array(X, order="F")) > 0
+        return self.space.add(np.asfortranarray(X)) > 0
 
     def _responses(self, problem: Problem, before: int) -> Floats:
         """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses
