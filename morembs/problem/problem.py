@@ -284,15 +284,18 @@ class Problem(Closing):
         radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
         R = R / np.repeat([1.0, radius or 1.0], 3)
         G = R.T @ (M @ R)
+        self.budget.release_pages()
         # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
         scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
         values, U = sl.eigh(G / np.outer(scale, scale))
         good = values > 1e-12
         Phi = R if good.all() else (R / scale) @ U[:, good]
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
-        free, held = strain_free(
-            self.K, Phi, self._magnitudes(self.model.K, Phi), self._nodes_of_rows(), written(self.model.K.data)
-        )
+        # One matrix at a time has its pages in memory.
+        size, last = self._magnitudes(self.model.K, Phi), written(self.model.K.data)
+        self.budget.release_pages()
+        free, held = strain_free(self.K, Phi, size, self._nodes_of_rows(), last)
+        self.budget.release_pages()
         if held.shape[1] and self.model.dependent is None:
             refuse_other_geometry(self.model.K, self.model.nodes, self.model.dofs)
         return _orthonormal(free, M), _orthonormal(held, M)
