@@ -17,7 +17,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
-from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
+from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
 from morembs.importers.in_si import equations_in_si, forces_in_si, materials_in_si, matrices_in_si
 from morembs.importers.missing_middles import LINEAR_EDGES
 from morembs.importers.named import refuse_entries
@@ -31,7 +31,6 @@ from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
@@ -61,11 +60,11 @@ def model_of(
         base = _from_mesh(imported, touched, units, mass_integration, budget, progress)
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
-    rigid, average = on_rows(imported.rigid, base.row), on_rows(imported.average, base.row)
-    equations = equations_in_si(on_rows(imported.equations, base.row), units)
-    masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
+    placed = imported.on_rows(base.row)
+    rigid, average, equations = placed.rigid, placed.average, equations_in_si(placed.equations, units)
+    masses = [si_mass(mass, units) for mass in placed.masses]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
-    discrete = [si_discrete(element, units) for element in on_rows(imported.discrete, base.row)]
+    discrete = [si_discrete(element, units) for element in placed.discrete]
     ties: list[Ties] = [*rigid, *average, *equations, *masses, *discrete]
     model = with_dofs(model, ties)
     refuse_loose(model, ties)
@@ -257,8 +256,12 @@ def _from_mesh(
     row = np.full(len(nodes), -1, dtype=np.int64)
     row[order] = np.arange(len(order))
     count = int(used.sum())
-    every = _picked(_with_surfaces(nodes, imported), order, row, units)
-    solid = _picked(nodes, order[:count], np.where(used, row, -1), units)
+
+    def in_si(own: Nodes) -> Nodes:
+        return replace(own, xyz=own.xyz * units.length)
+
+    every = in_si(picked_nodes(_with_surfaces(nodes, imported), order))
+    solid = in_si(picked_nodes(nodes, order[:count]))
     part = Mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
@@ -294,15 +297,6 @@ def _seams(imported: Imported, mesh: Mesh, row: Ints) -> list[str]:
         "face, or a quadrilateral next to two triangles): the mesh may open there, as it may in the program of the "
         "deck [faces-differ]"
     ] if count else []  # fmt: skip
-
-
-def _picked(nodes: Nodes, order: Ints, row: Ints, units: Units) -> Nodes:
-    sets = {name: row[members] for name, members in nodes.sets.items()}
-    kept = {name: np.sort(members[members >= 0]) for name, members in sets.items()}
-    return Nodes(
-        ids=nodes.ids[order], xyz=nodes.xyz[order] * units.length,
-        sets={name: members for name, members in kept.items() if len(members)},
-    )  # fmt: skip
 
 
 def _with_surfaces(nodes: Nodes, imported: Imported) -> Nodes:
