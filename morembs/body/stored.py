@@ -238,14 +238,12 @@ def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the
         InputError: no such body, or several and no name.
     """
     known = bodies.bodies
-    if name is None and len(known) == 1:
-        return next(iter(known.values()))
-    if name is None:
+    if name is None and len(known) != 1:
         first = next(iter(known), "NAME")
         raise InputError(f"{place} holds {len(known)} bodies ({', '.join(known)}); name one, as by --body {first}")
-    if name not in known:
+    if name is not None and name not in known:
         raise InputError(f"{place} has no body {name!r}; {nearest(name, known)}")
-    return known[name]
+    return known[name or next(iter(known))]
 
 
 def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:
