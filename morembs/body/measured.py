@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from morembs.body.parametric import ParametricBody
 from morembs.errors import InputError
 from morembs.parametric.update import SIGMA, Measured
+from morembs.storage.csv_table import read_table
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def read_measured(path: Path, parametric: ParametricBody, shapes: Path | None = 
     Raises:
         InputError: a table that cannot be read, columns that are missing, or nodes that the body file does not keep.
     """
-    columns = _columns(path, ("mode", "frequency_hz"), ("sigma_hz",))
+    columns = read_table(path, ("mode", "frequency_hz"), ("sigma_hz",))
     modes, frequencies = columns["mode"], columns["frequency_hz"]
     if (modes != np.round(modes)).any():
         raise InputError(f"the table {path} has modes {modes.tolist()}; expected integers from 1")
@@ -34,7 +34,7 @@ def read_measured(path: Path, parametric: ParametricBody, shapes: Path | None = 
 
 def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floats, Floats]:
     """Shapes (k, d) in the order of ``modes``, and the basis (d, n) there."""
-    columns = _columns(path, ("mode", "id", "ux", "uy", "uz"))
+    columns = read_table(path, ("mode", "id", "ux", "uy", "uz"))
     ids = np.unique(columns["id"])
     kept = parametric.source.node_ids
     lost = np.setdiff1d(ids, kept)
@@ -56,36 +56,3 @@ def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floa
     rows = 3 * np.flatnonzero(np.isin(kept, ids))[:, None] + np.arange(3)
     order = np.argsort(np.argsort(kept[np.isin(kept, ids)]))
     return motions[:, order].reshape(len(modes), -1), parametric.stored.basis()[rows.ravel()]
-
-
-def _columns(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
-    """Columns (k,) of a CSV file, in the order of ``names``."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True)
-            table.fieldnames = [name.strip() for name in table.fieldnames or ()]
-            rows = list(table)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
-    header = [name for name in (rows[0] if rows else {}) if name is not None]
-    if not rows or set(names) - set(header) or set(header) - {*names, *optional}:
-        more = f" ({','.join(optional)} if known)" if optional else ""
-        raise InputError(
-            f"the table {path} has the columns {', '.join(header) or 'none'} in {len(rows)} rows; expected "
-            f"{','.join(names)}{more} and numbers below"
-        )
-    # What has no column stands at None.
-    if any(None in row for row in rows):
-        raise InputError(
-            f"the table {path} has a row with more cells than its header; expected {','.join(header)} and points for "
-            "decimals"
-        )
-    result = {}
-    for name in (*names, *(each for each in optional if each in header)):
-        try:
-            result[name] = np.array([float(row[name]) for row in rows])
-        except (TypeError, ValueError, KeyError) as error:
-            raise InputError(f"the table {path} has no number in some row of {name} ({error})") from error
-        if not np.isfinite(result[name]).all():
-            raise InputError(f"the table {path} has no finite number in some row of {name}")
-    return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 T = TypeVar("T")
+# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
+SYMMETRIC = 1e-9
 
 
 class ByName(dict[str, T], Generic[T]):
@@ -40,8 +43,6 @@ class ByName(dict[str, T], Generic[T]):
 
     def __missing__(self, name: object) -> T:
         raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
-# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
-SYMMETRIC = 1e-9
 
 
 @summarised
@@ -228,6 +229,21 @@ class StoredBodies:
             "bodies": orders, "mass": f"{self.mass:.4g} kg", "nodes": len(self.node_ids),
             "interfaces": list(self.interfaces), "warnings": len(self.warnings) or None,
         }  # fmt: skip
+
+
+def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> StoredBody:
+    """The body ``name``, or the only one.
+
+    Raises:
+        InputError: no such body, or several and no name.
+    """
+    known = bodies.bodies
+    if name is None and len(known) != 1:
+        first = next(iter(known), "NAME")
+        raise InputError(f"{place} holds {len(known)} bodies ({', '.join(known)}); name one, as by --body {first}")
+    if name is not None and name not in known:
+        raise InputError(f"{place} has no body {name!r}; {nearest(name, known)}")
+    return known[name or next(iter(known))]
 
 
 def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:

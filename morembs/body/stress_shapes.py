@@ -8,7 +8,7 @@ momentum, so the mean axes of the body do not move with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -135,7 +135,7 @@ def stress_recovery(
     def shapes_of(width: int, chosen: StressOperator = operator) -> Reals:
         return budget.empty((6 * len(chosen.nodes), width), dtype, order="F")
 
-    stress, jumps, jump_correction, elements = shapes_of(reduced.order), None, None, operator.elements
+    stress, jumps, elements = shapes_of(reduced.order), None, operator.elements
     stress_shapes(problem, reduced.V, operator, out=stress)
     stress[:, rigid] = 0.0
     if elements is not None:
@@ -144,33 +144,38 @@ def stress_recovery(
         jumps[:, rigid] = 0.0
         _subtract(jumps, stress, elements.point)
     progress.update(f"{reduced.name}: stress of {reduced.order} coordinates at {len(operator.nodes)} points")
-    corrected, missing, markers = None, None, {}
-    loads = problem.B.shape[1]
-    if correction and loads:
-        static, q = static_response(problem), static_coordinates(reduced)
-        corrected, missing = shapes_of(loads), budget.empty((len(static), loads), dtype, order="F")
-        if elements is not None:
-            jump_correction = shapes_of(loads, elements.operator)
-        frames = problem.coupling.frames
-        motions = np.empty((frames.shape[1], loads))
-        width = budget.columns(len(static), copies=_COPIES)
-        for at in range(0, loads, width):
-            some = slice(at, at + width)
-            block = static[:, some] - reduced.V @ q[:, some]
-            stress_shapes(problem, block, operator, out=corrected[:, some])
-            if elements is not None and jump_correction is not None:
-                stress_shapes(problem, block, elements.operator, out=jump_correction[:, some])
-                _subtract(jump_correction[:, some], corrected[:, some], elements.point)
-            missing[:, some], motions[:, some] = block, frames.T @ block
-            budget.release_if_tight()
-        markers = {name: motions[rows] for name, rows in problem.coupling.frame_columns.items()}
+    missed = _missed(problem, reduced, operator, shapes_of) if correction and problem.B.shape[1] else {}
     return Recovery(
         points=model.nodes.ids[operator.nodes], coordinates=model.nodes.xyz[operator.nodes],
-        material=operator.material, deformation=_deformation(problem, reduced), stress=stress, correction=corrected,
-        missing=missing, markers=markers, jump=jumps, jump_correction=jump_correction,
+        material=operator.material, deformation=_deformation(problem, reduced), stress=stress, jump=jumps,
         jump_point=None if elements is None else elements.point,
-        jump_element=None if elements is None else elements.element,
+        jump_element=None if elements is None else elements.element, **missed,
     )  # fmt: skip
+
+
+def _missed(
+    problem: Problem, reduced: ReducedModel, operator: StressOperator, shapes_of: Callable[..., Reals]
+) -> dict[str, Any]:
+    """What the basis lacks under unit interface loads, by the names of the fields of ``Recovery``."""
+    loads, elements, budget = problem.B.shape[1], operator.elements, problem.budget
+    static, q = static_response(problem), static_coordinates(reduced)
+    stress = shapes_of(loads)
+    missing = budget.empty((len(static), loads), stress.dtype, order="F")
+    jump = None if elements is None else shapes_of(loads, elements.operator)
+    frames = problem.coupling.frames
+    motions = np.empty((frames.shape[1], loads))
+    width = budget.columns(len(static), copies=_COPIES)
+    for at in range(0, loads, width):
+        some = slice(at, at + width)
+        block = static[:, some] - reduced.V @ q[:, some]
+        stress_shapes(problem, block, operator, out=stress[:, some])
+        if elements is not None and jump is not None:
+            stress_shapes(problem, block, elements.operator, out=jump[:, some])
+            _subtract(jump[:, some], stress[:, some], elements.point)
+        missing[:, some], motions[:, some] = block, frames.T @ block
+        budget.release_if_tight()
+    markers = {name: motions[rows] for name, rows in problem.coupling.frame_columns.items()}
+    return {"correction": stress, "missing": missing, "jump_correction": jump, "markers": markers}
 
 
 def _subtract(single: Reals, mean: Reals, point: Ints) -> None:

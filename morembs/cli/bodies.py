@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs import stopping
-from morembs.cli.messages import Failure, print_json, printing
+from morembs.cli.messages import Failure, print_json, print_names, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
 from morembs.options import pairs
@@ -61,15 +61,10 @@ def export(
     """Write bodies for another program."""
     from morembs.exporters import EXPORTERS, export_body
 
-    if listed:
-        targets = {name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}
-        with messages(), printing():
-            if as_json:
-                print_json([{"name": name, "about": about} for name, about in targets.items()])
-            else:
-                typer.echo("\n".join(f"{name}: {about}" for name, about in targets.items()))
-        return
     with messages():
+        if listed:
+            print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
+            return
         if not files or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
         if out is not None and len(files) > 1:

@@ -12,6 +12,7 @@ import typer
 
 from morembs.cli.messages import print_json, printing
 from morembs.errors import InputError, OutputError
+from morembs.storage.csv_table import read_table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,28 +45,16 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
     Raises:
         InputError: a table that cannot be read, unknown names, or values outside the box.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the table {path} cannot be read ({error}); check the path") from error
-    header = [name.strip() for name in rows[0]] if rows else []
-    if len(rows) < 2 or len(set(header)) < len(header):
-        raise InputError(f"the table {path} has no rows below its header, or a name twice; expected NAME,NAME and rows")
     # Not at the top: help needs no numbers.
     import numpy as np
 
-    result = np.empty((len(rows) - 1, len(parametric.names)))
-    for number, row in enumerate(rows[1:]):
-        where = f"the table {path}, row {number + 1} below its header"
-        if len(row) != len(header):
-            raise InputError(f"{where} has {len(row)} values; expected {len(header)}: {','.join(header)}")
+    columns = read_table(path, optional=None)
+    result = np.empty((len(next(iter(columns.values()))), len(parametric.names)))
+    for number, row in enumerate(zip(*columns.values(), strict=True)):
         try:
-            result[number] = parametric.model.box.point(dict(zip(header, map(float, row), strict=True)))
+            result[number] = parametric.model.box.point(dict(zip(columns, row, strict=True)))
         except InputError as error:
-            raise InputError(f"{where}: {error}") from error
-        except ValueError as error:
-            raise InputError(f"{where}: {error}; expected {len(header)} numbers") from error
+            raise InputError(f"the table {path}, row {number + 1} below its header: {error}") from error
     return result
 
 

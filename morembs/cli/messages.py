@@ -105,6 +105,15 @@ def print_json(documents: Sequence[object]) -> None:
     echo(json.dumps(list(documents), indent=2, allow_nan=False))
 
 
+def print_names(about: Mapping[str, str], as_json: bool, before: Mapping[str, str] | None = None) -> None:
+    """The names that an option takes and what each is, in text with what stands ``before`` some of them."""
+    with printing():
+        if as_json:
+            print_json([{"name": name, "about": text} for name, text in about.items()])
+        else:
+            echo("\n".join(f"{(before or {}).get(name, '')}{name}: {text}" for name, text in about.items()))
+
+
 def without_nan(value: Any) -> Any:
     """Arrays as lists and numbers, what is not finite as None: what JSON can say."""
     if isinstance(value, Mapping):

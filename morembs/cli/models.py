@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from morembs.cli.messages import print_json, printing
+from morembs.cli.messages import print_json, print_names, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.errors import InputError
 from morembs.options import pairs
@@ -74,31 +74,15 @@ def import_model(
     from morembs.importers.deck_options import density_of
     from morembs.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
 
-    if listed:
-        formats, engines = list_formats(), list_engines()
-        with messages(), printing():
-            if as_json:
-                print_json([{"name": name, "about": about} for name, about in {**formats, **engines}.items()])
-            else:
-                lines = [f"{name}: {about}" for name, about in formats.items()]
-                typer.echo("\n".join([*lines, *(f"--engine {name}: {about}" for name, about in engines.items())]))
-        return
     with messages():
-        if dry_run:
-            out = out or Path("dry.model.h5")
-        if out is None:
-            raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
-        if not out.name.endswith((".h5", ".hdf5")):
-            raise InputError(f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5")
-        if files is not None and len(files) > 1:
-            raise InputError(
-                f"{len(files)} files were given; expected one with the whole model, or --stiffness FILE --mass FILE "
-                "for matrices in files of their own, and --nodes FILE for their mesh"
-            )
+        if listed:
+            engines = list_engines()
+            print_names({**list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
+            return
         named = {"K": stiffness, "M": mass, "D": damping, "G": gyroscopic, "N": circulatory}
-        given = parse_units(units)
         job = ImportJob(
-            out=out, file=files[0] if files else None, format=format, units=given, nodes=nodes, dofs=dofs,
+            out=_model_file(Path("dry.model.h5") if dry_run and out is None else out), file=_only_file(files or []),
+            format=format, units=parse_units(units), nodes=nodes, dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
             materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
             dialect=dialect, density=density_of(density or []), contact=contact,
@@ -117,6 +101,23 @@ def import_model(
                 print_json([_document(part) for part in parts])
             else:
                 typer.echo("\n".join(line for part in parts for line in _lines(part)))
+
+
+def _model_file(out: Path | None) -> Path:
+    if out is None:
+        raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
+    if not out.name.endswith((".h5", ".hdf5")):
+        raise InputError(f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5")
+    return out
+
+
+def _only_file(files: list[Path]) -> Path | None:
+    if len(files) > 1:
+        raise InputError(
+            f"{len(files)} files were given; expected one with the whole model, or --stiffness FILE --mass FILE "
+            "for matrices in files of their own, and --nodes FILE for their mesh"
+        )
+    return files[0] if files else None
 
 
 def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from morembs.reducers.base import ReducedModel
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Difference of two entries against the diagonal; negative part of an eigenvalue of the scaled matrix.
 SYMMETRIC, NEGATIVE = 1e-9, 1e-8
 # Frequencies of the body against those that come with it.

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics import matrices
+from morembs.diagnostics.dof_map import map_findings
 from morembs.diagnostics.elements import double_elements
-from morembs.diagnostics.findings import Diagnosis, Finding, Names, listed
+from morembs.diagnostics.findings import Diagnosis, Finding, Names
 from morembs.diagnostics.mass import against_mesh, mass_findings
 from morembs.diagnostics.modes import mode_findings
 from morembs.diagnostics.parts import part_of_dofs, parts_findings
@@ -27,13 +28,11 @@ from morembs.errors import InputError
 from morembs.linalg.congruence import magnitudes
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, FEModel, Mesh, Nodes
-from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material
 from morembs.model.rigid_residual import MOST, mounted, residual
 from morembs.units import Units
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(eq=False)
@@ -175,7 +174,7 @@ def _opened(
             "" if dofs is None else f", dofs {len(dofs)}"
         )
         return _hopeless(Finding(code="shapes", severity="error", sentence=sentence, cure="take all from one model"))
-    mapped = _map_findings(nodes, dofs)
+    mapped = map_findings(nodes, dofs)
     if mapped:
         return _hopeless(*mapped)
     findings, ready = [], {}
@@ -192,43 +191,6 @@ def _opened(
 
 def _hopeless(*findings: Finding) -> Diagnosis:
     return Diagnosis(findings=findings)
-
-
-def _map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
-    """Mistakes in the map of the dofs and in the nodes themselves."""
-    findings = []
-    if nodes is not None:
-        bad = np.flatnonzero(~np.isfinite(nodes.xyz).all(axis=1))
-        if len(bad):
-            labels = Names(nodes=nodes).node_labels(bad)
-            sentence = f"{listed(labels, len(bad), 'node')} has no finite coordinates"
-            findings.append(
-                Finding(code="coordinates", severity="error", sentence=sentence, cure="mend them", where=labels)
-            )
-        ids, count = np.unique(nodes.ids, return_counts=True)
-        if (count > 1).any():
-            labels = tuple(map(str, ids[count > 1][:1000].tolist()))
-            sentence = f"labels are used twice: {listed(labels, int((count > 1).sum()), 'node')}"
-            findings.append(Finding(code="labels", severity="error", sentence=sentence, cure="renumber", where=labels))
-    if dofs is None or not len(dofs):
-        return findings
-    top = len(nodes) if nodes is not None else np.inf
-    outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > SCALAR)
-    if outside.any():
-        sentence = (
-            f"{int(outside.sum())} dofs name nodes or components that do not exist (row "
-            f"{np.flatnonzero(outside)[0] + 1})"
-        )
-        findings.append(Finding(code="dof-map", severity="error", sentence=sentence, cure="components are 0 to 6"))
-        return findings
-    twice = dofs.twice()
-    if len(twice):
-        labels = Names(nodes=nodes).node_labels(twice // 6)
-        sentence = f"{len(twice)} dofs appear twice in the map, the first at node {labels[0]}"
-        findings.append(
-            Finding(code="dof-map", severity="error", sentence=sentence, cure="map each dof once", where=labels)
-        )
-    return findings
 
 
 def _matrices(case: _Case) -> None:

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from morembs.body.file import read_body
-from morembs.body.stored import StoredBody
+from morembs.body.stored import StoredBody, choose_body
 from morembs.errors import InputError
 from morembs.exporters.abaqus_matrices import AbaqusExporter
-from morembs.exporters.base import ExportContext, Exported, Exporter, choose_body
+from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.extptfm import ExtPtfm
 from morembs.exporters.exudyn import Exudyn

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError, nearest
+from morembs.body.stored import choose_body as choose_body
+from morembs.errors import InputError
 from morembs.model.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
 
@@ -189,25 +190,6 @@ class Exporter(ABC):
                 "stiffness is not that of a body, reduce it again"
             ) from error
         return replace(written, notes=(*written.notes, *lost))
-
-
-def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> StoredBody:
-    """The body ``name``, or the only one.
-
-    Raises:
-        InputError: no such body, or several and no name.
-    """
-    if name is None:
-        if len(bodies.bodies) != 1:
-            known = ", ".join(bodies.bodies) or "none"
-            first = next(iter(bodies.bodies), "NAME")
-            raise InputError(
-                f"{place} holds {len(bodies.bodies)} bodies ({known}); say which one to export, as by --body {first}"
-            )
-        return next(iter(bodies.bodies.values()))
-    if name not in bodies.bodies:
-        raise InputError(f"{place} has no body {name!r}; {nearest(name, bodies.bodies)}")
-    return bodies.bodies[name]
 
 
 def _same(path: Path, other: Path) -> bool:

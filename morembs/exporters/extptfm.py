@@ -49,7 +49,7 @@ class ExtPtfm(Exporter):
         if self.interface is not None and self.interface not in framed:
             raise InputError(f"interface = {self.interface!r} was given; {nearest(self.interface, framed)}")
         name = self.interface or next(iter(framed))
-        K, M, D = interfaces_first(body, np.array(framed[name]), target)
+        K, M, D = interfaces_first(body, np.array(framed[name]))
         matrices = [("Mass", "kg,m", M), ("Stiffness", "N,m", K), ("Damping", "N,m,kg", D)]
         with replacing(context.path) as file:
             for text in _lines(matrices, self.duration):

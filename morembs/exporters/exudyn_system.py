@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.file import read_body
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.stored import StoredBodies, StoredBody, choose_body
 from morembs.errors import InputError
-from morembs.exporters import choose_body, export_body
+from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
 from morembs.floating.frame import FloatingFrame
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.reduced import held_and_free
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
@@ -30,8 +31,6 @@ HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
 HEADER_BYTES = 116
 RIGID_MOTIONS = 6
 BLOCK = "the Simscape block"
-# Smallest singular value of the interface degrees of freedom, scaled, relative to the largest.
-INDEPENDENT = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class Simscape(Exporter):
             )
         framed_at = framed_rows(context, BLOCK)
         names, rows = list(framed_at), np.concatenate(list(framed_at.values()))
-        K, M, D = interfaces_first(body, rows, BLOCK)
+        K, M, D = interfaces_first(body, rows)
         framed = [source.interfaces[name] for name in names]
         inside = slice(len(rows), None)
         modes = sl.eigh(K[inside, inside], M[inside, inside], eigvals_only=True) if len(K) > len(rows) else np.zeros(0)
@@ -134,28 +133,23 @@ def framed_rows(context: ExportContext, target: str) -> dict[str, list[int]]:
     return rows
 
 
-def interfaces_first(body: StoredBody, rows: NDArray[np.int64], target: str) -> tuple[Floats, Floats, Floats]:
+def interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
     """K, M, D of the coordinates [interface degrees of freedom; modes with the interfaces at rest], of the same body.
 
     Both are K-orthogonal, so that rigid motion is that of the interfaces, without any mode.
+
+    Raises:
+        InputError: the interface degrees of freedom depend on each other.
     """
     K, M, D = body.stiffness_matrix, body.mass_matrix, body.damping_matrix
     C = body.output_matrix[rows]
     count, n = C.shape
     if np.array_equal(C, np.eye(count, n)) and not K[:count, count:].any():
         return symmetric(K), symmetric(M), symmetric(D)
-    # Coordinates of unit modal mass; rotations beside translations by the size of their rows.
+    # In coordinates of unit modal mass.
     scale = 1 / np.sqrt(np.diag(M))
-    scaled = C * scale
-    size = np.linalg.norm(scaled, axis=1)
-    _, values, Vt = sl.svd(scaled / np.where(size > 0, size, 1.0)[:, None])
-    if n < count or not size.all() or values[-1] <= INDEPENDENT * values[0]:
-        raise InputError(
-            f"body {body.name!r} with {n} coordinates cannot move its {count // 6} interfaces in all {count} ways "
-            f"independently, as {target} needs; take method = craig-bampton, or more modes"
-        )
-    N = scale[:, None] * Vt[count:].T
-    X = scale[:, None] * sl.lstsq(scaled, np.eye(count))[0]
+    X, N, _ = held_and_free(C * scale, body.name)
+    X, N = scale[:, None] * X, scale[:, None] * N
     if N.shape[1]:
         X = X - N @ sl.solve(N.T @ K @ N, N.T @ (K @ X), assume_a="pos")
         N = N @ sl.eigh(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))[1]

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.body import ElasticBody
-from morembs.body.stored import StoredBodies
+from morembs.body.stored import StoredBodies, choose_body
 from morembs.errors import InputError
-from morembs.exporters.base import choose_body
 from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
 from morembs.linalg.columns import symmetric

@@ -13,7 +13,7 @@ velocity W, belongs to the floating frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
+from morembs.floating.buckling import FAR, critical_factor
 from morembs.floating.static_state import NOISE, coupling_stiffness, static_state
 from morembs.floating.stiffening_terms import why_no_stiffening
 from morembs.interface import Interface
@@ -37,8 +38,6 @@ Ints = NDArray[np.int64]
 PIECE = 20_000
 # Condition (lengths scaled) above which six dofs do not hold the body.
 LOOSE = 1e7
-# The eigensolver for the critical load: its steps, its accuracy, and the factor that is far enough away.
-STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +109,8 @@ class Preload:
 class Preloaded:
     """``model`` with K' in place of K; ``displacements`` (N,) m under the preload, rigid motion of no meaning.
 
-    ``critical_factor`` times the load makes the body buckle, at the accuracy of ``TOLERANCE``; None where that is
-    farther than ``FAR`` times away or never. ``notes`` say what balances the load, and what was left out.
+    ``critical_factor`` times the load makes the body buckle, at the accuracy of ``buckling.TOLERANCE``; None where
+    that is farther than ``FAR`` times away or never. ``notes`` say what balances the load, and what was left out.
     """
 
     model: FEModel
@@ -123,7 +122,7 @@ class Preloaded:
 def preloaded(problem: Problem, preload: Preload, progress: Progress = SILENT) -> Preloaded:
     """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
 
-    Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``STEPS`` columns.
+    Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``buckling.STEPS`` columns.
 
     Raises:
         InputError: a model without solid elements, a body that is not free, loads that do not fit the interfaces, or a
@@ -209,7 +208,7 @@ def _stiffened(
         X = T @ x
         return np.asarray(T.T @ ((kg @ X.reshape(-1, 3)).ravel() + extra @ X))
 
-    factor = _critical_factor(problem, geometric, progress)
+    factor = critical_factor(problem, geometric, progress)
     if factor is not None and factor <= 1.0:
         raise InputError(
             f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "
@@ -295,35 +294,3 @@ def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array, budget: Budget)
     total = sp.csr_array((data[:used], indices[:used], indptr), shape=K.shape)
     total.has_canonical_format = True
     return total
-
-
-def _critical_factor(problem: Problem, geometric: Callable[[Floats], Floats], progress: Progress) -> float | None:
-    """Smallest p > 0 with a singular K + p G on the elastic motions; None above ``FAR``.
-
-    Lanczos on -K^+ G in the inner product of K, with full reorthogonalisation.
-    """
-    n = problem.K.shape[0]
-    V = problem.budget.empty((n, STEPS), order="F")
-    T = np.zeros((STEPS + 1, STEPS + 1))
-    start = problem.M @ np.random.default_rng(7).standard_normal(n)
-    v = np.asarray(problem.elastic.flexibility(start[:, None])[:, 0])
-    theta = 0.0
-    v /= np.sqrt(v @ (problem.K @ v))
-    for k in range(STEPS):
-        V[:, k] = v
-        load = -geometric(v)
-        w = problem.elastic.flexibility(load[:, None])[:, 0]
-        # Inner products in K with elastic motions are the work of the load.
-        h = V[:, : k + 1].T @ load
-        T[: k + 1, k], T[k, : k + 1] = h, h
-        w -= V[:, : k + 1] @ h
-        w -= V[:, : k + 1] @ (V[:, : k + 1].T @ (problem.K @ w))
-        rest = float(np.sqrt(max(w @ (problem.K @ w), 0.0)))
-        values, Y = np.linalg.eigh(T[: k + 1, : k + 1])
-        theta, size = float(values[-1]), float(np.abs(values).max())
-        error = rest * abs(Y[-1, -1])
-        progress.update(f"preload: critical load, step {k + 1}")
-        if rest <= NOISE * max(size, np.finfo(float).tiny) or error <= TOLERANCE * max(theta, 1 / FAR):
-            break
-        v = np.asarray(w / rest)
-    return 1.0 / theta if theta > 1.0 / FAR else None

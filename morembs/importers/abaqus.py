@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
@@ -18,13 +17,11 @@ from morembs.importers.abaqus_deck import SOLIDS, Deck
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.abaqus_reader import read_deck
-from morembs.importers.deck_options import deck_options, lacking_problems
+from morembs.importers.deck_options import deck_options, left_out
 from morembs.importers.formulations import DIALECTS, deck_warnings
-from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.imported import Imported, nodes_of, sets_on
 from morembs.importers.problems import Problem
 from morembs.model import Mesh
-
-Ints = NDArray[np.int64]
 
 
 def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:
@@ -87,31 +84,18 @@ def import_abaqus(
         tied = Imported(
             source=deck.name, rigid=tuple(ties.rigid), average=tuple(ties.average), equations=tuple(ties.equations),
             masses=tuple(ties.masses), discrete=tuple(ties.discrete),
-        ).ties  # fmt: skip
-        mesh, nodes, row = mesh_of(assembly, nodes_of(tied))
-    materials, lacking, said = options.completed(sections.materials, sections.lacking)
-    if deck.problems.entries:
-        deck.problems.entries += lacking_problems(deck.name, lacking)
-    deck.problems.refuse()
-    surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in constraints.surfaces.nodes.items()}
+        )  # fmt: skip
+        mesh, nodes, row = mesh_of(assembly, nodes_of(tied.ties))
+    materials, lacking, said = options.all_materials(deck.problems, sections.materials, sections.lacking)
     for instance in deck.instances.values():
         if instance.moves:
             assembly.notes.append(f"The instance {instance.scope.name} was moved to its place.")
-    return Imported(
-        source=deck.name,
-        nodes=nodes,
-        mesh=_with_warnings(mesh, deck),
-        materials=materials,
-        rigid=on_rows(ties.rigid, row),
-        average=on_rows(ties.average, row),
-        equations=on_rows(ties.equations, row),
-        masses=on_rows(ties.masses, row),
-        discrete=on_rows(ties.discrete, row),
-        surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
+    return replace(
+        tied.on_rows(row), nodes=nodes, mesh=_with_warnings(mesh, deck), materials=materials, incomplete=lacking,
+        surfaces=sets_on(constraints.surfaces.nodes, row),
         notes=(*_notes(deck), *assembly.notes, *sections.notes, *ties.notes),
         warnings=(*skipped_warnings(deck), *ties.warnings, *sections.warnings, *said),
-        incomplete=lacking,
-    )
+    )  # fmt: skip
 
 
 def _known(dialect: str) -> str:
@@ -122,11 +106,8 @@ def _known(dialect: str) -> str:
 
 def skipped_warnings(deck: Deck) -> list[str]:
     """What was left out as asked, a sentence each."""
-    warnings = []
-    for kind, count in deck.skipped.items():
-        code = "contact-skipped" if kind in ("*CONTACT PAIR", "*CONTACT") else "keywords-skipped"
-        warnings.append(f"{count} {kind} left out as asked; stiffness or mass may depend on them [{code}]")
-    return warnings
+    contact = ("*CONTACT PAIR", "*CONTACT")
+    return [left_out(kind, count, contact=kind in contact) for kind, count in deck.skipped.items()]
 
 
 def _with_warnings(mesh: Mesh, deck: Deck) -> Mesh:

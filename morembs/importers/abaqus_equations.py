@@ -18,10 +18,7 @@ from morembs.importers.abaqus_names import Placed
 from morembs.model.constraints import Equations, Term, solved_for_first
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _TEMPERATURE = "11"
-# Types of *MPC that are equations or, for the last, become rigid elements elsewhere.
-MPC_TYPES = ("LINEAR", "LINK", "PIN", "TIE", "BEAM")
 
 
 class Axes:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.importers.abaqus_assembly import Assembly
+from morembs.importers.imported import first_nodes
 from morembs.model import Mesh, Nodes
 
 Ints = NDArray[np.int64]
@@ -51,13 +52,10 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     if left:
         first = assembly.ids[row < 0].min()
         assembly.notes.append(f"{left} nodes belong to no element and were left out (first: {first}).")
-    inside = {name: rows[rows < len(kept)] for name, rows in node_sets.items()}
+    both = np.concatenate([kept, loose])
+    nodes = Nodes(ids=assembly.ids[both], xyz=assembly.xyz[both], sets=node_sets)
     mesh = Mesh(
-        nodes=Nodes(ids=assembly.ids[kept], xyz=assembly.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
-        blocks=tuple(blocks), element_sets=element_sets, source=assembly.deck,
+        nodes=first_nodes(nodes, len(kept)), blocks=tuple(blocks), element_sets=element_sets, source=assembly.deck,
         warnings=tuple(assembly.warnings),
     )  # fmt: skip
-    if not len(loose):
-        return mesh, mesh.nodes, row
-    both = np.concatenate([kept, loose])
-    return mesh, Nodes(ids=assembly.ids[both], xyz=assembly.xyz[both], sets=node_sets), row
+    return mesh, nodes, row

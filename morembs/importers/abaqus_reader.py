@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_blocks import other_records, set_parts, solid_records
@@ -42,7 +41,6 @@ from morembs.importers.formulations import dialect_of, dialects_of_comments
 from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
 
-Ints = NDArray[np.int64]
 _OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 # Elements that have neither stiffness nor mass.
 _EMPTY = ("SFM3D",)

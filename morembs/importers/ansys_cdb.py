@@ -14,9 +14,9 @@ from morembs.importers.ansys_elements import CARRIERS, CONTACT, HANGING, NAMES, 
 from morembs.importers.ansys_properties import material
 from morembs.importers.ansys_sets import element_sets_of, node_sets
 from morembs.importers.ansys_ties import ends, sums, ties_of
-from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
+from morembs.importers.deck_options import DeckOptions, deck_options, left_out
 from morembs.importers.formulations import Meaning, ansys_meaning, warnings_of
-from morembs.importers.imported import Imported, Lacking
+from morembs.importers.imported import Imported, Lacking, picked_nodes
 from morembs.importers.missing_middles import filled, middle_equations
 from morembs.importers.problems import Problem, Problems
 from morembs.model import ElementBlock, Mesh, Nodes
@@ -95,26 +95,19 @@ def import_ansys_cdb(
                 element_sets[f"{label} {number}"] = tuple(np.flatnonzero(values == number) for values in of)
         lacking: dict[str, Lacking] = {}
         materials = _materials(archive, attributes, notes, lacking)
-    whole, rest, said = options.completed(materials, lacking)
-    if problems.entries:
-        problems.entries += lacking_problems(archive.name, rest)
-    problems.refuse()
+    whole, rest, said = options.all_materials(problems, materials, lacking)
     _say_rest(archive, notes)
     inner_row = np.cumsum(solid) - 1
     mesh = Mesh(
-        nodes=nodes if solid.all() else _of_solids(nodes, solid),
+        nodes=nodes if solid.all() else picked_nodes(nodes, np.flatnonzero(solid)),
         blocks=tuple(replace(block, nodes=inner_row[block.nodes]) for block in blocks),
         element_sets=element_sets, source=archive.name,
         warnings=tuple(warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))),
     )  # fmt: skip
-    skipped = [
-        f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
-        for name, count in archive.skipped.items()
-    ]
+    skipped = [left_out(name, count) for name, count in archive.skipped.items()]
     return replace(
-        ties, nodes=nodes, mesh=mesh, materials=whole, notes=tuple(notes),
-        warnings=(*skipped, *dict.fromkeys(archive.warnings), *said), incomplete=rest,
-        seams=True,
+        ties, nodes=nodes, mesh=mesh, materials=whole, notes=tuple(notes), incomplete=rest, seams=True,
+        warnings=(*skipped, *dict.fromkeys(archive.warnings), *said),
     )  # fmt: skip
 
 
@@ -158,14 +151,6 @@ def _joined(
     return nodes, blocks, attributes, solid, replace(ties, equations=tuple(joined))
 
 
-def _of_solids(nodes: Nodes, inner: NDArray[np.bool_]) -> Nodes:
-    row = np.where(inner, np.cumsum(inner) - 1, -1)
-    sets = {name: row[rows][row[rows] >= 0] for name, rows in nodes.sets.items()}
-    return Nodes(
-        ids=nodes.ids[inner], xyz=nodes.xyz[inner], sets={name: rows for name, rows in sets.items() if len(rows)}
-    )
-
-
 def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
     """Labels (n,) ascending, coordinates (n, 3), and the labels with axes of their own."""
     if not archive.ids:
@@ -192,10 +177,7 @@ def _sorted_elements(
         routine, keys = archive.types[kind]
         name, count = element_name(routine), len(elements.ids)
         if options.skips(name, str(routine)) or (routine in CONTACT and options.contact == "skip"):
-            code = "contact-skipped" if routine in CONTACT else "keywords-skipped"
-            archive.warnings.append(
-                f"{count} elements {name} left out as asked; stiffness or mass may depend on them [{code}]"
-            )
+            archive.warnings.append(left_out(f"elements {name}", count, contact=routine in CONTACT))
         elif routine in CARRIERS:
             notes.append(f"{count} elements {name} were left out: they have neither stiffness nor mass")
         elif routine in HANGING:

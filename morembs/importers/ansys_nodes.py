@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.ansys_cdb import read_ansys_archive
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.text_matrices import text_blocks
 from morembs.model import DofMap, Nodes, rigid_motion
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # |K R| over |K| |R|: round-off of printed digits stays below, a wrong order of rows is near one.
@@ -50,11 +49,7 @@ def joined(
             f"{source} has {len(missing)} nodes that {Path(nodes).name} lacks (first: {missing[0]}); give the archive "
             "of the same model"
         )
-    rows = order[at]
-    renumber = np.full(len(known), -1, dtype=np.int64)
-    renumber[rows] = np.arange(len(rows))
-    sets = {name: renumber[members][renumber[members] >= 0] for name, members in known.sets.items()}
-    kept = Nodes(ids=used, xyz=known.xyz[rows], sets={name: np.sort(m) for name, m in sets.items() if len(m)})
+    kept = picked_nodes(known, order[at])
     dofs = DofMap(node=np.searchsorted(used, node), component=component)
     K = matrices["K"]
     said = list(notes)

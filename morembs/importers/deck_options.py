@@ -9,7 +9,7 @@ import numpy as np
 
 from morembs.errors import InputError, nearest
 from morembs.importers.imported import Lacking
-from morembs.importers.problems import Problem
+from morembs.importers.problems import Problem, Problems
 from morembs.model.material import Material
 
 CONTACT = ("refuse", "skip", "tie")
@@ -63,6 +63,20 @@ class DeckOptions:
             )
         return tuple(done), rest, warnings
 
+    def all_materials(
+        self, problems: Problems, materials: Sequence[Material], lacking: Mapping[str, Lacking]
+    ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
+        """As ``completed``, at the end of a deck: where it has ``problems``, what is lacking still is one of them.
+
+        Raises:
+            DeckError: there are problems.
+        """
+        done, rest, warnings = self.completed(materials, lacking)
+        if problems.entries:
+            problems.entries += lacking_problems(problems.source, rest)
+        problems.refuse()
+        return done, rest, warnings
+
 
 def density_of(texts: Sequence[str]) -> dict[str, float]:
     """Set -> density of texts "7.85e-9" (of all) and "7.85e-9,set=NAME".
@@ -101,6 +115,12 @@ def deck_options(
     words = skip.split(",") if isinstance(skip, str) else skip
     plain = frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
     return DeckOptions(density=given, contact=contact, skip=plain)
+
+
+def left_out(what: str, count: int, *, contact: bool = False) -> str:
+    """The warning of what was skipped."""
+    code = "contact-skipped" if contact else "keywords-skipped"
+    return f"{count} {what} left out as asked; stiffness or mass may depend on them [{code}]"
 
 
 def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Problem]:

@@ -102,6 +102,24 @@ def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
     return tuple(map(moved, elements))
 
 
+def sets_on(sets: Mapping[str, Ints], row: Ints) -> dict[str, Ints]:
+    """Sets of nodes on the new rows ``row`` (n,) of these, ascending, without nodes that have none (-1)."""
+    moved = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in sets.items()}
+    return {name: rows for name, rows in moved.items() if len(rows)}
+
+
+def picked_nodes(nodes: Nodes, kept: Ints) -> Nodes:
+    """The nodes in the rows ``kept`` (k,), in this order, and the sets on them."""
+    row = np.full(len(nodes), -1, dtype=np.int64)
+    row[kept] = np.arange(len(kept))
+    return Nodes(ids=nodes.ids[kept], xyz=nodes.xyz[kept], sets=sets_on(nodes.sets, row))
+
+
+def first_nodes(nodes: Nodes, count: int) -> Nodes:
+    """The first ``count`` nodes and the sets on them."""
+    return nodes if count == len(nodes) else picked_nodes(nodes, np.arange(count))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Imported:
     """All that a file holds, in the units of the file.
@@ -142,3 +160,11 @@ class Imported:
     def ties(self) -> list[Ties]:
         """All that joins nodes or hangs on them."""
         return [*self.rigid, *self.average, *self.equations, *self.masses, *self.discrete]
+
+    def on_rows(self, row: Ints) -> Imported:
+        """With its ties on the new rows ``row`` (n,) of their nodes."""
+        return replace(
+            self, rigid=on_rows(self.rigid, row), average=on_rows(self.average, row),
+            equations=on_rows(self.equations, row), masses=on_rows(self.masses, row),
+            discrete=on_rows(self.discrete, row),
+        )  # fmt: skip

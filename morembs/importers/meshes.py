@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus import read_abaqus
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, picked_nodes
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.storage.hdf5 import refuse_unsafe_file
@@ -99,12 +99,8 @@ def read_with_meshio(path: Path) -> Mesh:
         picked = tuple(np.concatenate(chosen[block.type]) for block in blocks)
         if any(len(rows) for rows in picked):
             element_sets[name] = picked
-    kept = {name: row[members[used[members]]] for name, members in node_sets.items()}
-    nodes = Nodes(
-        ids=np.flatnonzero(used) + 1,
-        xyz=data.points[used],
-        sets={name: rows for name, rows in kept.items() if len(rows)},
-    )
+    points = Nodes(ids=np.arange(1, len(used) + 1), xyz=data.points, sets=node_sets)
+    nodes = picked_nodes(points, np.flatnonzero(used))
     renumbered = tuple(ElementBlock(type=b.type, nodes=row[b.nodes], ids=b.ids) for b in blocks)
     return Mesh(nodes=nodes, blocks=renumbered, element_sets=element_sets, source=path.name)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
+from morembs.importers.deck_options import DeckOptions, deck_options, left_out
 from morembs.importers.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
-from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.imported import Imported, first_nodes, nodes_of
 from morembs.importers.missing_middles import filled, middle_equations
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_geometry import card_of
@@ -84,43 +84,26 @@ def import_nastran(
         ties, springs = tied(bulk, grids_of(bulk, parts), scale)
         if not parts:
             bulk.problems.refuse()
-        equations = (*ties.equations, *([middles] if middles else []))
         everything = Imported(
             source=bulk.file, rigid=tuple(ties.rigid), average=tuple(ties.average), masses=tuple(ties.masses),
-            equations=equations, discrete=tuple(springs.elements),
+            equations=(*ties.equations, *([middles] if middles else [])), discrete=tuple(springs.elements),
         )  # fmt: skip
         mesh, nodes, row = bulk_mesh(bulk, parts, nodes_of(everything.ties), notes)
         pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
         materials = Materials(bulk.file, scale)
         assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
     given = DeckOptions(density={name: scale * value for name, value in options.density.items()})
-    whole, lacking, said = given.completed(assigned, materials.lacking)
-    if bulk.problems.entries:
-        bulk.problems.entries += lacking_problems(bulk.file, lacking)
-    bulk.problems.refuse()
-    return Imported(
-        source=bulk.file,
-        nodes=nodes,
-        mesh=mesh,
-        materials=whole,
-        rigid=on_rows(ties.rigid, row),
-        average=on_rows(ties.average, row),
-        equations=on_rows(equations, row),
-        masses=on_rows(ties.masses, row),
-        discrete=on_rows(springs.elements, row),
+    whole, lacking, said = given.all_materials(bulk.problems, assigned, materials.lacking)
+    return replace(
+        everything.on_rows(row), nodes=nodes, mesh=mesh, materials=whole, incomplete=lacking, seams=True,
         notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
-        warnings=(*left_out(bulk), *dict.fromkeys(materials.warnings), *said),
-        incomplete=lacking,
-        seams=True,
-    )
+        warnings=(*skipped_warnings(bulk), *dict.fromkeys(materials.warnings), *said),
+    )  # fmt: skip
 
 
-def left_out(bulk: Bulk) -> list[str]:
+def skipped_warnings(bulk: Bulk) -> list[str]:
     """Warnings of cards that were skipped, and of those that make materials depend on temperature."""
-    skipped = [
-        f"{count} {name} left out as asked; stiffness or mass may depend on them [keywords-skipped]"
-        for name, count in bulk.skipped.items()
-    ]
+    skipped = [left_out(name, count) for name, count in bulk.skipped.items()]
     cold = [
         f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
         for name in OF_TEMPERATURE
@@ -223,15 +206,13 @@ def bulk_mesh(bulk: Bulk, parts: Sequence[Part], extra: Ints, notes: list[str]) 
     if left:
         notes.append(f"{left} grids belong to no element and were left out (first: {grids.ids[row < 0][0]}).")
     node_sets = sets_of(bulk, row, blocks, element_sets, notes)
-    inside = {name: rows[rows < len(kept)] for name, rows in node_sets.items()}
-    mesh = Mesh(
-        nodes=Nodes(ids=grids.ids[kept], xyz=grids.xyz[kept], sets={n: r for n, r in inside.items() if len(r)}),
-        blocks=blocks, element_sets=element_sets, source=bulk.file, warnings=_warnings(bulk, parts),
-    )  # fmt: skip
-    if not len(loose):
-        return mesh, mesh.nodes, row
     both = np.concatenate([kept, loose])
-    return mesh, Nodes(ids=grids.ids[both], xyz=grids.xyz[both], sets=node_sets), row
+    nodes = Nodes(ids=grids.ids[both], xyz=grids.xyz[both], sets=node_sets)
+    mesh = Mesh(
+        nodes=first_nodes(nodes, len(kept)), blocks=blocks, element_sets=element_sets, source=bulk.file,
+        warnings=_warnings(bulk, parts),
+    )  # fmt: skip
+    return mesh, nodes, row
 
 
 def sets_of(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, first_nodes
 from morembs.model import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.elements import TYPES
@@ -253,13 +253,7 @@ def _mesh(path: Path, group: Mapping[str, Any], element_sets: Mapping[str, Ints]
         _refuse_outside(path, rows, int(starts[-1]), f"element set {name!r}")
         block = np.searchsorted(starts, rows, side="right") - 1
         sets[name] = tuple(rows[block == b] - starts[b] for b in range(len(blocks)))
-    own = nodes
-    if count < len(nodes):
-        kept = {name: rows[rows < count] for name, rows in nodes.sets.items()}
-        own = Nodes(
-            ids=nodes.ids[:count], xyz=nodes.xyz[:count], sets={name: rows for name, rows in kept.items() if len(rows)}
-        )
-    return Mesh(nodes=own, blocks=tuple(blocks), element_sets=sets, source=group["source"])
+    return Mesh(nodes=first_nodes(nodes, count), blocks=tuple(blocks), element_sets=sets, source=group["source"])
 
 
 def _couplings(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.importers.triplets import asymmetry
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SQUARE, RECTANGULAR, DIAGONAL, SYMMETRIC, IDENTITY = 1, 2, 3, 6, 8

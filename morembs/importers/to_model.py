@@ -17,21 +17,21 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
-from morembs.importers.imported import Imported, Ties, nodes_of, on_rows
+from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
 from morembs.importers.in_si import equations_in_si, forces_in_si, materials_in_si, matrices_in_si
 from morembs.importers.missing_middles import LINEAR_EDGES
 from morembs.importers.named import refuse_entries
+from morembs.importers.nodes_and_dofs import nodes_and_dofs
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
-from morembs.model import DofMap, FEModel, Mesh, Nodes
+from morembs.model import FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
-from morembs.model.fe_model import MATRICES, SCALAR, refuse_far
+from morembs.model.fe_model import MATRICES, refuse_far
 from morembs.model.handedness import right_handed
 from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
@@ -61,11 +61,11 @@ def model_of(
         base = _from_mesh(imported, touched, units, mass_integration, budget, progress)
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
-    rigid, average = on_rows(imported.rigid, base.row), on_rows(imported.average, base.row)
-    equations = equations_in_si(on_rows(imported.equations, base.row), units)
-    masses = [si_mass(mass, units) for mass in on_rows(imported.masses, base.row)]
+    placed = imported.on_rows(base.row)
+    rigid, average, equations = placed.rigid, placed.average, equations_in_si(placed.equations, units)
+    masses = [si_mass(mass, units) for mass in placed.masses]
     _refuse_names([*(element.name for element in rigid), *(element.name for element in average)], imported.source)
-    discrete = [si_discrete(element, units) for element in on_rows(imported.discrete, base.row)]
+    discrete = [si_discrete(element, units) for element in placed.discrete]
     ties: list[Ties] = [*rigid, *average, *equations, *masses, *discrete]
     model = with_dofs(model, ties)
     refuse_loose(model, ties)
@@ -154,7 +154,7 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
             raise InputError(
                 f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equals"
             )
-    nodes, dofs, notes = _nodes_and_dofs(imported, size)
+    nodes, dofs, notes = nodes_and_dofs(imported, size)
     nodes = _with_surfaces(replace(nodes, xyz=nodes.xyz * units.length), imported)
     mesh = None if imported.mesh is None else replace(_mesh_on(imported.mesh, nodes, units), warnings=())
     if mesh is not None:
@@ -169,69 +169,6 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
     if bare:
         notes = (*notes, f"{bare} nodes have no dof in the matrices (they are held, or carry nothing)")
     return _Base(model=model, row=np.arange(len(nodes)), notes=notes)
-
-
-def _nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[str, ...]]:
-    """Nodes and dofs of matrices of ``size`` rows, with what had to be assumed."""
-    source = imported.source
-    notes: tuple[str, ...] = ()
-    nodes = imported.nodes or (imported.mesh.nodes if imported.mesh is not None else None)
-    dofs = imported.dofs
-    if nodes is None and dofs is not None:
-        raise InputError(f"{source} says which nodes its rows belong to but not where these are; give a mesh (--nodes)")
-    if nodes is None:
-        places = np.zeros((size, 3))
-        nodes = Nodes(ids=np.arange(1, size + 1), xyz=places)
-        dofs = DofMap(node=np.arange(size), component=np.zeros(size, dtype=np.int64))
-        return nodes, dofs, (
-            "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that mass "
-            "properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",
-        )  # fmt: skip
-    nodes = _with_places_of_scalars(nodes, dofs)
-    if not np.isfinite(nodes.xyz).all():
-        raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
-    refuse_far(nodes, source)
-    if dofs is None:
-        if size != 3 * len(nodes):
-            raise InputError(
-                f"{source} has matrices of {size} rows and {len(nodes)} nodes; expected {3 * len(nodes)} rows (x, y, z "
-                "of each node), or a table of node and dof for each row (--dofs)"
-            )
-        dofs = DofMap.translations(len(nodes))
-        notes = (f"rows were taken as x, y, z of {len(nodes)} nodes in their order; the file does not say so",)
-    check_dofs(dofs, nodes, size, source)
-    return nodes, dofs, notes
-
-
-def _with_places_of_scalars(nodes: Nodes, dofs: DofMap | None) -> Nodes:
-    """Nodes that hold scalars alone are put amid the others, where they change no extent."""
-    if dofs is None or len(dofs) == 0 or dofs.component.max() < SCALAR:
-        return nodes
-    placed = np.zeros(len(nodes), dtype=bool)
-    placed[dofs.node[dofs.component < SCALAR]] = True
-    bare = ~placed & ~np.isfinite(nodes.xyz).all(axis=1)
-    xyz = nodes.xyz.copy()
-    xyz[bare] = nodes.xyz[placed].mean(axis=0) if placed.any() else 0.0
-    return replace(nodes, xyz=xyz)
-
-
-def check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
-    """Refuse a map that does not fit.
-
-    Raises:
-        InputError: another length than ``size``, nodes or components that do not exist, or a dof named twice.
-    """
-    if len(dofs) != size or len(dofs.component) != size:
-        raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
-    if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
-        raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
-    if size and not (dofs.component.min() >= 0 and dofs.component.max() <= SCALAR):
-        raise InputError(f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; "
-                         "expected 0 to 6")  # fmt: skip
-    twice = dofs.twice()
-    if len(twice):
-        node = nodes.ids[twice[0] // 6]
-        raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")
 
 
 def _from_mesh(
@@ -257,8 +194,12 @@ def _from_mesh(
     row = np.full(len(nodes), -1, dtype=np.int64)
     row[order] = np.arange(len(order))
     count = int(used.sum())
-    every = _picked(_with_surfaces(nodes, imported), order, row, units)
-    solid = _picked(nodes, order[:count], np.where(used, row, -1), units)
+
+    def in_si(own: Nodes) -> Nodes:
+        return replace(own, xyz=own.xyz * units.length)
+
+    every = in_si(picked_nodes(_with_surfaces(nodes, imported), order))
+    solid = in_si(picked_nodes(nodes, order[:count]))
     part = Mesh(
         nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
         element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
@@ -294,15 +235,6 @@ def _seams(imported: Imported, mesh: Mesh, row: Ints) -> list[str]:
         "face, or a quadrilateral next to two triangles): the mesh may open there, as it may in the program of the "
         "deck [faces-differ]"
     ] if count else []  # fmt: skip
-
-
-def _picked(nodes: Nodes, order: Ints, row: Ints, units: Units) -> Nodes:
-    sets = {name: row[members] for name, members in nodes.sets.items()}
-    kept = {name: np.sort(members[members >= 0]) for name, members in sets.items()}
-    return Nodes(
-        ids=nodes.ids[order], xyz=nodes.xyz[order] * units.length,
-        sets={name: members for name, members in kept.items() if len(members)},
-    )  # fmt: skip
 
 
 def _with_surfaces(nodes: Nodes, imported: Imported) -> Nodes:

@@ -11,14 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.model import ElementBlock, Mesh, Nodes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # FE descriptor -> type and the nodes of the file in VTK order. Quadratic solids list each middle between its corners,
 # bottom, upright edges, top.
 _HEX20 = (0, 2, 4, 6, 12, 14, 16, 18, 1, 3, 5, 7, 13, 15, 17, 19, 8, 9, 10, 11)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from morembs.parametric.parameter import Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
 from morembs.parametric.terms import VariedModel, varied_model
 from morembs.progress import SILENT, Progress
+from morembs.storage.csv_table import read_table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -195,29 +195,15 @@ def read_displacements(path: Path, nodes: Nodes, parameter: str) -> Floats:
     Raises:
         InputError: a table that cannot be read, unknown or repeated labels.
     """
-    where = f"parameter {parameter}: {path}"
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where} cannot be read ({error}); check the path") from error
-    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
-    if header != COLUMNS:
-        raise InputError(f"{where} begins with {','.join(header)!r}; expected the header {','.join(COLUMNS)!r}")
-    try:
-        labels = np.array([int(row[0]) for row in rows[1:]], dtype=np.int64)
-        values = np.array([[float(cell) for cell in row[1:]] for row in rows[1:]]).reshape(len(labels), 3)
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"{where} cannot be read ({error}); expected rows of a label and three numbers") from error
-    if not np.isfinite(values).all():
-        raise InputError(f"{where} has a displacement that is not finite; expected rows of a label and three numbers")
+    where = f"parameter {parameter}: the table"
+    labels, *motions = read_table(path, COLUMNS, what=where).values()
     order = np.argsort(nodes.ids, kind="stable")
     at = order[np.minimum(np.searchsorted(nodes.ids[order], labels), len(order) - 1)]
     unknown = np.flatnonzero(nodes.ids[at] != labels)
     if len(unknown):
-        raise InputError(f"{where} names the node {labels[unknown[0]]}, which the mesh does not have")
+        raise InputError(f"{where} {path} names the node {labels[unknown[0]]:.15g}, which the mesh does not have")
     if len(np.unique(at)) < len(at):
-        raise InputError(f"{where} names a node twice; give each of them one row")
+        raise InputError(f"{where} {path} names a node twice; give each of them one row")
     result = np.zeros((len(nodes), 3))
-    result[at] = values
+    result[at] = np.stack(motions, axis=1)
     return result

@@ -8,7 +8,7 @@ result.position(rod.marker("end")), result.reaction(joint), result.energy().tota
 """
 
 from morembs.moved import renamed
-from morembs.multibody.bodies import BodyMarker, FlexibleBody, FloatingBody, RigidBody
+from morembs.multibody.bodies import FlexibleBody, RigidBody
 from morembs.multibody.component import Component, Ground, Marker, MarkerState, VectorComponent
 from morembs.multibody.contact import (
     Compliant,
@@ -32,6 +32,7 @@ from morembs.multibody.contact import (
 )
 from morembs.multibody.divided import DividedBody, divided_body, divided_mesh, largest_turn
 from morembs.multibody.equilibrium import Equilibrium, equilibrium
+from morembs.multibody.floating_body import BodyMarker, FloatingBody
 from morembs.multibody.forces import Force, PointLoad, SpringDamper, TorsionSpring
 from morembs.multibody.joints import (
     Constraint,
@@ -45,9 +46,10 @@ from morembs.multibody.joints import (
 )
 from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.linearise import Linearised, linearised
-from morembs.multibody.result import Energy, Result, ResultSensitivity, Segment
+from morembs.multibody.result import Energy, Result, ResultSensitivity
 from morembs.multibody.rotations import rotation
 from morembs.multibody.run import EventHandler, RestartState, simulate
+from morembs.multibody.segment import Segment
 from morembs.multibody.sliding import (
     Activation,
     LocalResponse,

@@ -10,39 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
-from morembs.multibody.bodies import FlexibleBody, FloatingBody
+from morembs.multibody.bodies import FlexibleBody
 from morembs.multibody.component import Component, Marker, MarkerState
+from morembs.multibody.floating_body import FloatingBody
 from morembs.multibody.joints import Constraint
 from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.system import Assembly, State
+from morembs.multibody.segment import Segment, wrench_on
 from morembs.multibody.variation import CHANGE, StateSlopes, Variation
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Segment:
-    """A run between two restarts: times (s,), x (s, .), v (s, k), accelerations (s, k), multipliers (s, m)."""
-
-    assembly: Assembly
-    time: Floats
-    x: Floats
-    v: Floats
-    acceleration: Floats
-    multipliers: Floats
-
-    @classmethod
-    def of(cls, states: Sequence[State]) -> Segment:
-        """The segment of states of one assembly."""
-        return cls(
-            assembly=states[0].assembly,
-            time=np.array([s.time for s in states]),
-            x=np.array([s.x for s in states]),
-            v=np.array([s.v for s in states]),
-            acceleration=np.array([s.acceleration for s in states]),
-            multipliers=np.array([s.multipliers for s in states]),
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +72,7 @@ class Result:
     def _markers(self, marker: Marker, value: Callable[[MarkerState, Floats], Floats]) -> Floats:
         rows = []
         for segment in self.segments:
-            same, assembly = _same(marker, segment.assembly), segment.assembly
+            same, assembly = segment.marker(marker), segment.assembly
             for x, v in zip(segment.x, segment.v, strict=True):
                 place = assembly.place(same, x)
                 rows.append(value(place, assembly.twist(same, place, v)))
@@ -120,7 +97,7 @@ class Result:
     def _coordinates(self, component: Component, pick: Callable[[Segment], Floats], in_x: bool) -> Floats:
         parts = []
         for segment in self.segments:
-            i = segment.assembly.index(_of_name(component, segment.assembly))
+            i = segment.assembly.index(segment.component(component))
             if i is not None:
                 parts.append(pick(segment)[:, (segment.assembly.in_x if in_x else segment.assembly.in_v)[i]])
         if len({p.shape[1] for p in parts}) > 1:
@@ -149,14 +126,14 @@ class Result:
 
     def multipliers(self, joint: Constraint) -> Floats:
         """(s, m): multipliers of a joint, one per row of its constraints."""
-        return np.concatenate([s.multipliers[:, s.assembly.in_rows[_number(joint, s.assembly)]] for s in self.segments])
+        return np.concatenate([s.multipliers[:, s.rows(joint)] for s in self.segments])
 
     def reaction(self, joint: Constraint) -> Floats:
         """(s, 6): force N and moment Nm of the joint on its second marker, at that marker, along the inertial axes."""
         rows = []
         for segment in self.segments:
             assembly = segment.assembly
-            r = assembly.in_rows[_number(joint, assembly)]
+            r = segment.rows(joint)
             for x, multipliers in zip(segment.x, segment.multipliers, strict=True):
                 _, _, G = joint.rows(assembly.place(joint.first, x), assembly.place(joint.second, x))
                 rows.append(-multipliers[r] @ G)
@@ -167,9 +144,9 @@ class Result:
         body. Contacts are not in it."""
         rows = []
         for segment in self.segments:
-            same, assembly = _same(marker, segment.assembly), segment.assembly
+            same, assembly = segment.marker(marker), segment.assembly
             for t, x, v, multipliers in zip(segment.time, segment.x, segment.v, segment.multipliers, strict=True):
-                wrench = _wrench(same, assembly, float(t), x, v, multipliers)
+                wrench = wrench_on(same, assembly, float(t), x, v, multipliers)
                 number = assembly.index(same.component)
                 if number is not None and isinstance(same.component, FloatingBody):
                     R = x[assembly.in_x[number]][3:12].reshape(3, 3)
@@ -291,39 +268,3 @@ def sensitivities(
 ) -> dict[str, ResultSensitivity]:
     """Those of a segment, of the derivatives of its states, by the names of the parameters."""
     return {of.name: ResultSensitivity(segment, of, slopes, j) for j, of in enumerate(variations)}
-
-
-def _wrench(marker: Marker, assembly: Assembly, t: float, x: Floats, v: Floats, multipliers: Floats) -> Floats:
-    """(6,) of all joints and forces on a marker, at it, along the inertial axes."""
-    total = np.zeros(6)
-    for joint, rows in zip(assembly.joints, assembly.in_rows, strict=True):
-        if marker is joint.first or marker is joint.second:
-            _, on_first, on_second = joint.rows(assembly.place(joint.first, x), assembly.place(joint.second, x))
-            for end, G in ((joint.first, on_first), (joint.second, on_second)):
-                total -= multipliers[rows] @ G if end is marker else 0.0
-    for force in assembly.forces:
-        if any(end is marker for end in force.markers):
-            places = [assembly.place(end, x) for end in force.markers]
-            twists = [assembly.twist(end, place, v) for end, place in zip(force.markers, places, strict=True)]
-            for end, wrench in zip(force.markers, force.wrenches(t, places, twists), strict=True):
-                total += wrench[:6] if end is marker else 0.0
-    return total
-
-
-def _of_name(component: Component, assembly: Assembly) -> Component:
-    if component.size == 0 or assembly.index(component) is not None:
-        return component
-    return assembly.system.component(component.name)
-
-
-def _same(marker: Marker, assembly: Assembly) -> Marker:
-    """The marker itself, or the one of its name where a switch replaced its body."""
-    component = _of_name(marker.component, assembly)
-    return marker if component is marker.component else component.marker(marker.name)
-
-
-def _number(joint: Constraint, assembly: Assembly) -> int:
-    for number, other in enumerate(assembly.joints):
-        if other is joint or (joint.name and other.name == joint.name):
-            return number
-    raise InputError(f"{joint.label} is not in the system during the whole run; name joints that a switch replaces")

@@ -15,7 +15,8 @@ from morembs.errors import InputError, SolverError
 from morembs.multibody.equilibrium import Equilibrium
 from morembs.multibody.integrate import Scheme, Stepper
 from morembs.multibody.reactions import Reactions
-from morembs.multibody.result import Result, Segment
+from morembs.multibody.result import Result
+from morembs.multibody.segment import Segment
 from morembs.multibody.sensitivity import DirectDifferentiation
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.variation import variations

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from morembs.multibody.integrate import Stepper
 from morembs.multibody.reactions import saddle
-from morembs.multibody.result import ResultSensitivity, Segment, sensitivities
+from morembs.multibody.result import ResultSensitivity, sensitivities
+from morembs.multibody.segment import Segment
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import pulls, stiffness_and_damping
 from morembs.multibody.variation import StateSlopes, Variation, slope_at_zero

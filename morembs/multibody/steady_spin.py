@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.bodies import FloatingBody
 from morembs.multibody.component import direction, vector
+from morembs.multibody.floating_body import FloatingBody
 from morembs.multibody.rotations import cross, rotation
 from morembs.multibody.system import Assembly
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals
-from morembs.multibody.bodies import BodyMarker, FlexibleBody, inertia_of
+from morembs.multibody.bodies import FlexibleBody, inertia_of
 from morembs.multibody.component import Marker, MarkerState
+from morembs.multibody.floating_body import BodyMarker
 from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
 from morembs.multibody.rotations import cross, tangent, tangent_slope

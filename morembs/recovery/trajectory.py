@@ -17,7 +17,6 @@ from morembs.memory import refuse_too_large, unpacked_bytes
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 TABLES = (".csv", ".txt", ".dat")
 HDF5 = (".h5", ".hdf5", ".hdf")
 # Rotations may miss orthonormality by this much, as printed ones do.

@@ -103,6 +103,7 @@ def test_matrices_of_any_kind_become_a_model():
         ((np.eye(6), np.eye(6)), {"nodes": np.zeros((3, 3))}, "expected 9 rows"),
         ((np.eye(6), np.eye(6)), {"node": [0] * 6}, "belong together"),
         ((np.eye(1), np.eye(1)), {"nodes": np.zeros((1, 3)), "node": [0], "component": [7]}, "expected 0 to 6"),
+        ((np.eye(2), np.eye(2)), {"nodes": np.eye(3)[:1], "node": [0, 1], "component": [6, 0]}, "that does not exist"),
         ((np.eye(1), np.eye(1)), {"nodes": np.zeros((1, 3)), "node": [0.5], "component": [1]}, "expected integers"),
     ],
 )

@@ -23,12 +23,13 @@ from morembs.multibody import (
     rotation,
 )
 from morembs.multibody.component import Marker, MarkerState
+from morembs.multibody.contact.curves import Path
 from morembs.multibody.contact.impact import project_positions
 from morembs.multibody.contact.kinematics import Contact, Contacts
 from morembs.multibody.contact.patches import TriangleSurface
 from morembs.multibody.contact.result import ContactError
 from morembs.multibody.contact.run import simulate_contact
-from morembs.multibody.contact.surfaces import GridSurface, Path, Plane, Sphere
+from morembs.multibody.contact.surfaces import GridSurface, Plane, Sphere
 from morembs.multibody.system import Assembly
 from morembs.problem import Problem
 from morembs.reducers import FreeInterface, Gramian

@@ -503,7 +503,7 @@ def test_what_recover_refuses(bar, tmp_path):
     out = tmp_path / "out.vtkhdf"
     save(tmp_path / "t.npz", bar.given)
     for change, message in (
-        ({}, "holds 2 bodies; name one of cb, bare"),
+        ({}, r"holds 2 bodies \(cb, bare\); name one"),
         ({"body": "bared"}, "did you mean 'bare'"),
         ({"body": "bare"}, "has 9|16 coordinates"),
         ({"body": "cb", "every": 0}, "every = 0"),

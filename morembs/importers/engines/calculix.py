@@ -27,7 +27,6 @@ from morembs.importers.engines.calculix_rows import Expanded
 from morembs.importers.engines.run import Program, find_executable, run
 from morembs.scratch import ScratchFolder
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 CURE = "no program ccx was found; install calculix-ccx (Debian, conda-forge) or give calculix:PATH"
 _ENDINGS = (".sti", ".mas", ".dof")

@@ -26,7 +26,6 @@ from morembs.model import Mesh, Nodes
 from morembs.model.handedness import right_handed
 
 Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
@@ -25,7 +24,6 @@ from morembs.importers.engines.calculix_ties import Flat, Ties
 from morembs.importers.imported import PointMass
 from morembs.importers.problems import Problem
 
-Ints = NDArray[np.int64]
 # Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
 _PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
                        "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip

@@ -20,12 +20,11 @@ from morembs.importers.engines.calculix_read import EngineDeck
 from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
 from morembs.importers.engines.calculix_ties import Flat
 from morembs.importers.formulations import deck_warnings
-from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
 from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.constraints import AverageElement, Equations
 from morembs.model.fe_model import SCALAR
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FOLLOWS = "constraints of CalculiX"
 # Sums below this part of their terms are round-off; CalculiX writes 14 digits.
@@ -149,12 +148,11 @@ class Exported:
         equations = () if S is None else (_equations(S, dependent, at, mapped.component),)
         average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
         masses = on_rows(flat.masses, row)
-        surfaces = {name: np.sort(row[rows][row[rows] >= 0]) for name, rows in flat.constraints.surfaces.nodes.items()}
         warnings += self._told(mapped, choices)
         notes += _notes(self.deck, choices)
         return Imported(
             source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
-            equations=equations, masses=masses, surfaces={name: rows for name, rows in surfaces.items() if len(rows)},
+            equations=equations, masses=masses, surfaces=sets_on(flat.constraints.surfaces.nodes, row),
             notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
         )  # fmt: skip
 

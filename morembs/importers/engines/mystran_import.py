@@ -15,8 +15,8 @@ from morembs.importers.engines.mystran import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran_elements import STRUCTURES, Structures, solid_elements
 from morembs.importers.engines.mystran_rotations import turning, with_springs
 from morembs.importers.engines.mystran_sections import CARDS, Sections
-from morembs.importers.imported import Imported, nodes_of, on_rows
-from morembs.importers.nastran import bulk_mesh, grids_of, left_out, notes_of, sets_of, solid_parts, tied
+from morembs.importers.imported import Imported, nodes_of
+from morembs.importers.nastran import bulk_mesh, grids_of, notes_of, sets_of, skipped_warnings, solid_parts, tied
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
@@ -24,7 +24,6 @@ from morembs.model import DofMap, Mesh, Nodes, rigid_motion
 from morembs.model.constraints import Equations
 from morembs.model.handedness import right_handed
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.
@@ -185,11 +184,9 @@ class _Deck:
         K, M = (sp.csr_array(A[order][:, order]) for A in (K, M))
         dofs = DofMap(node=node[order], component=component[order])
         self._tell(K, M, dofs)
-        return Imported(
-            source=self.bulk.file, K=K, M=M, nodes=self.nodes, dofs=dofs, mesh=self.mesh,
-            rigid=on_rows(whole.rigid, self.row), average=on_rows(whole.average, self.row),
-            equations=on_rows(equations, self.row), masses=on_rows(whole.masses, self.row),
-            discrete=on_rows(whole.discrete, self.row), notes=tuple(self._said(version, loose, len(filled))),
+        return replace(
+            replace(whole, equations=equations).on_rows(self.row), K=K, M=M, nodes=self.nodes, dofs=dofs,
+            mesh=self.mesh, notes=tuple(self._said(version, loose, len(filled))),
             warnings=tuple(dict.fromkeys([*self.warnings, *self._differing()])),
         )  # fmt: skip
 
@@ -236,7 +233,7 @@ class _Deck:
         ]
         if self.structures.beams:
             said.append(f"{self.structures.beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
-        return [*said, *left_out(self.bulk)]
+        return [*said, *skipped_warnings(self.bulk)]
 
     def _said(self, version: str, loose: int, rows: int) -> list[str]:
         """What was left out, a sentence each."""

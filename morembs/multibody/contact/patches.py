@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from morembs.errors import InputError
-from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, _points, foot_at
+from morembs.multibody.contact.curves import checked_points
+from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, foot_at
 from morembs.multibody.rotations import cross
 
 Floats = NDArray[np.float64]
@@ -135,7 +136,7 @@ class TriangleSurface(NodalSurface):
     neighbours: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        points = _points(f"surface {self.name!r}", self.vertices, 2)
+        points = checked_points(f"surface {self.name!r}", self.vertices, 2)
         triangles = np.array(self.triangles)
         if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
             raise InputError(f"surface {self.name!r}: triangles of shape {triangles.shape} were given; expected (t, 3)")

@@ -20,7 +20,6 @@ from morembs.multibody.sliding.path import PathState, PointOfPath
 from morembs.multibody.system import State
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Slider:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
-from morembs.multibody.result import Result, Segment
+from morembs.multibody.result import Result
+from morembs.multibody.segment import Segment
 from morembs.multibody.sliding.body import SwitchingBody
 from morembs.multibody.sliding.loads import Slider
 from morembs.multibody.system import State
