@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,13 @@ from morembs.errors import InputError
 from morembs.progress import SILENT, Progress
 from morembs.storage import checksums
 from morembs.storage.hdf5 import reading_format
-from morembs.storage.table import read_rows
+from morembs.storage.table import Table, read_rows
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.body import ElasticBody, Part
     from morembs.body.parametric import ParametricBody
     from morembs.body.vtkhdf_series import View
-    from morembs.reducers.switching_tables import StaticModeTables
     from morembs.storage.writer import Writer
 
 Floats = NDArray[np.float64]
@@ -186,20 +185,16 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
         with opened() as file:
             return basis_columns(file[f"bodies/{name}/basis"], columns)
 
-    def switching(name: str) -> StaticModeTables:
+    def part(name: str, kind: str, table: Table) -> Any:
         with opened() as file:
-            checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/switching/"))
-            group = file[f"bodies/{name}/switching"]
-            return cast("StaticModeTables", read_rows(group, tables.SWITCHING, "the switching data lack"))
+            checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/{kind}/"))
+            return read_rows(file[f"bodies/{name}/{kind}"], table, f"the {kind} data lack")
 
     def parametric(name: str) -> ParametricBody:
         # Not at the top: most who read a file do not evaluate it.
         from morembs.body.parametric import ParametricBody
 
-        with opened() as file:
-            checksums.Checksums(place, file).verify(lambda row: row.startswith(f"bodies/{name}/parametric/"))
-            parts = read_rows(file[f"bodies/{name}/parametric"], tables.PARAMETRIC, "the parametric data lack")
-        return ParametricBody(place, stored, stored.bodies[name], parts)
+        return ParametricBody(place, stored, stored.bodies[name], part(name, "parametric", tables.PARAMETRIC))
 
     def view(body: StoredBody, modes: int) -> View:
         # Not at the top: most who read a file do not look at shapes.
@@ -218,8 +213,9 @@ def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
         if "provenance" in file:
             checksums.Checksums(place, file["provenance"]).verify()
         stored = stored_bodies(
-            file, read_basis=read_basis, read_switching=switching, read_view=view, read_parametric=parametric
-        )
+            file, read_basis=read_basis, read_view=view, read_parametric=parametric,
+            read_switching=partial(part, kind="switching", table=tables.SWITCHING),
+        )  # fmt: skip
     return stored
 
 

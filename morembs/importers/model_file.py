@@ -20,7 +20,7 @@ from morembs.model import FEModel, Mesh
 from morembs.model.constraints import RigidElement
 from morembs.model.fe_model import MATRICES
 from morembs.progress import SILENT, Progress
-from morembs.storage.hdf5 import is_format, reading
+from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
 
 Ints = NDArray[np.int64]
@@ -79,30 +79,16 @@ def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
     """
-    if is_body_file(Path(path)):
+    if holds_format(Path(path), "morembs-body"):
         raise InputError(
             f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote"
         )
     return model_of(import_native(Path(path), budget=budget))
 
 
-def is_body_file(path: Path) -> bool:
-    """Whether a file says that it holds reduced bodies."""
-    try:
-        with reading(path, "a model file") as file:
-            return is_format(file, "morembs-body")
-    except InputError:
-        # Reading it as a model says what is wrong.
-        return False
-
-
 def is_model_file(path: Path) -> bool:
     """Whether ``path`` is a model file of ours, sound or not."""
-    try:
-        with reading(path, "a model file") as file:
-            return is_format(file, FORMAT)
-    except InputError:
-        return False
+    return holds_format(path, FORMAT)
 
 
 def sha256(path: Path) -> str:

@@ -87,6 +87,15 @@ def is_format(file: Any, name: str) -> bool:
     return isinstance(held, h5py.Dataset) and held.shape == () and bool(held[()] == name.encode())
 
 
+def holds_format(path: Path, name: str) -> bool:
+    """Whether ``path`` is a file of ours of the format ``name``, sound or not."""
+    try:
+        with reading(path, "a file of morembs") as file:
+            return is_format(file, name)
+    except InputError:
+        return False
+
+
 def refuse_unsafe_file(path: Path) -> None:
     """Look at a file that another reader will open; what is no HDF5 file, or damaged, is left to that reader.
 
